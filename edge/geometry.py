@@ -1,0 +1,172 @@
+"""Rigid transforms and the pinhole camera.
+
+Frames follow REP-103/105: `map` and `base` have x forward, y left, z up; the camera's
+*optical* frame has z forward, x right, y down. `T_a_b` maps points of frame b into frame a.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# Columns are the optical axes seen from a body frame (x forward, y left, z up).
+R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same angle in [-pi, pi).
+
+    >>> round(wrap_angle(3 * math.pi / 2), 3)
+    -1.571
+    """
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class SE2:
+    """A pose in the plane: metres, and yaw counter-clockwise in radians."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+    def matrix(self, z_m: float = 0.0) -> np.ndarray:
+        """This pose as a (4, 4) float64 transform at height `z_m`."""
+        return se3(self.x_m, self.y_m, z_m, yaw_rad=self.yaw_rad)
+
+    def distance_to(self, x_m: float, y_m: float) -> float:
+        return math.hypot(x_m - self.x_m, y_m - self.y_m)
+
+    def bearing_to(self, x_m: float, y_m: float) -> float:
+        """Angle of a point left of the heading, in [-pi, pi) (VL-Nav eq. 2)."""
+        return wrap_angle(math.atan2(y_m - self.y_m, x_m - self.x_m) - self.yaw_rad)
+
+
+def se2_of(T: np.ndarray) -> SE2:
+    """The planar part of a (4, 4) transform."""
+    return SE2(float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0]))
+
+
+def se3(
+    x_m: float = 0.0,
+    y_m: float = 0.0,
+    z_m: float = 0.0,
+    roll_rad: float = 0.0,
+    pitch_rad: float = 0.0,
+    yaw_rad: float = 0.0,
+) -> np.ndarray:
+    """A (4, 4) float64 transform from a translation and fixed-axis roll, pitch, yaw.
+
+    Positive pitch turns the nose down (rotation about +y).
+    """
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, x_m],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, y_m],
+            [-sp, cp * sr, cp * cr, z_m],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def se3_from_quaternion(
+    position_m: tuple[float, float, float], quaternion_xyzw: tuple[float, float, float, float]
+) -> np.ndarray:
+    """A (4, 4) float64 transform; the quaternion is normalised.
+
+    Raises:
+        ValueError: the quaternion's length is zero or not finite.
+    """
+    # Plain floats: this runs for every odometry sample, and costs a fifth of what arrays would.
+    x, y, z, w = (float(component) for component in quaternion_xyzw)
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not math.isfinite(norm) or norm < 1e-6:
+        raise ValueError(f"not a rotation: quaternion {(x, y, z, w)}")
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    x_m, y_m, z_m = position_m
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), x_m],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), y_m],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), z_m],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def quaternion_of(T: np.ndarray) -> tuple[float, float, float, float]:
+    """The rotation of a (4, 4) transform as a unit quaternion (x, y, z, w), w >= 0."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = T[:3, :3].tolist()
+    # The largest of the four squared components keeps the division well conditioned.
+    squares = (1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz)
+    k = squares.index(max(squares))
+    s = 2.0 * math.sqrt(squares[k])
+    if k == 3:
+        q = ((zy - yz) / s, (xz - zx) / s, (yx - xy) / s, s / 4)
+    elif k == 0:
+        q = (s / 4, (xy + yx) / s, (xz + zx) / s, (zy - yz) / s)
+    elif k == 1:
+        q = ((xy + yx) / s, s / 4, (yz + zy) / s, (xz - zx) / s)
+    else:
+        q = ((xz + zx) / s, (yz + zy) / s, s / 4, (yx - xy) / s)
+    sign = -1.0 if q[3] < 0 else 1.0
+    return (sign * q[0], sign * q[1], sign * q[2], sign * q[3])
+
+
+def invert(T: np.ndarray) -> np.ndarray:
+    """The inverse of a rigid (4, 4) transform."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
+
+
+def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray:
+    """The pose `fraction` of the way from `T_a` to `T_b`, rotation by nlerp.
+
+    nlerp differs from slerp by less than 1e-4 rad between odometry samples (< 10 degrees apart).
+    """
+    q_a, q_b = quaternion_of(T_a), quaternion_of(T_b)
+    dot = sum(a * b for a, b in zip(q_a, q_b, strict=True))
+    f_a, f_b = 1.0 - fraction, fraction if dot >= 0.0 else -fraction
+    x, y, z, w = (f_a * a + f_b * b for a, b in zip(q_a, q_b, strict=True))
+    t = (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3]
+    return se3_from_quaternion(tuple(t.tolist()), (x, y, z, w))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """An undistorted pinhole camera; pixel centres lie at integer coordinates."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+
+    @classmethod
+    def from_hfov(cls, width_px: int, height_px: int, hfov_rad: float) -> CameraModel:
+        """Square pixels, the principal point in the middle."""
+        f = 0.5 * width_px / math.tan(0.5 * hfov_rad)
+        return cls(width_px, height_px, f, f, 0.5 * (width_px - 1), 0.5 * (height_px - 1))
+
+    @property
+    def hfov_rad(self) -> float:
+        return 2.0 * math.atan(0.5 * self.width_px / self.fx_px)
+
+    def bearing_of(self, u_px: np.ndarray | float) -> np.ndarray:
+        """Angle of image columns left of the optical axis, in radians, float64, shaped as given."""
+        return np.arctan2(np.subtract(self.cx_px, u_px, dtype=np.float64), self.fx_px)
+
+
+def camera_mount(x_m: float, z_m: float, pitch_rad: float, y_m: float = 0.0) -> np.ndarray:
+    """`T_base_camera` (optical) of a camera that looks forward, nose down by `pitch_rad`."""
+    T = se3(x_m, y_m, z_m, pitch_rad=pitch_rad)
+    T[:3, :3] = T[:3, :3] @ R_BODY_OPTICAL
+    return T

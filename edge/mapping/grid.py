@@ -1,0 +1,376 @@
+"""The rolling occupancy map with its frontiers (VL-Nav III.A, III.B)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge import config
+from edge.geometry import SE2, CameraModel
+from edge.mapping import clusters as cl
+from edge.mapping import layers as ly
+from edge.mapping import points, unknown, update
+from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
+from edge.mapping.reach import ReachField
+from edge.mapping.results import Frontiers, MapUpdate, OccupancySnapshot
+
+# An obstacle this wide and high is sampled twice across at full range, and four times up: its
+# lowest sample may pass for ground, and from there the highest must still stand out by 0.06 m.
+_SMALLEST_OBSTACLE_M = 0.1
+_SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
+_FOOTPRINT_M = 0.3
+_FARTHEST_M = 1e6
+_NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
+
+
+class RollingMap:
+    """A square window of the world that follows the robot; memory is fixed at construction.
+
+    z = 0 of `map` is the floor that the robot starts on.
+
+    Attributes:
+        frontiers: refreshed in place by every update.
+        reach: geodesic distances from the robot; its `step` is called once a tick.
+        resolution_m: side of a cell.
+    """
+
+    def __init__(self, config: config.Mapping) -> None:
+        c = self.config = config
+        self.resolution_m = res = c.resolution_m
+        self._inflation_cells = c.inflation_m / res
+        self._disc = ly.disc_half_widths(self._inflation_cells)
+        self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
+        self._polar = points.make_polar(c.range_m, res)
+        self._half = self._polar.bin_of.shape[0] // 2
+        # Cells that must lie in the window on each side of the sensor.
+        self._need = self._half + len(self._disc) // 2 + 1
+        cells = max(math.ceil(c.extent_m / res), 2 * self._need + 1 + ly.WORD)
+        self._n = n = ly.WORD * math.ceil(cells / ly.WORD)
+        self._layers = ly.make_layers(n)
+        self._clusters = cl.make_clusters(n)
+        self._n_pending = 0
+        self._scan = points.make_scan(self._polar, 1024)
+        self._origin: tuple[int, int] | None = None
+        self._floor_z_m = 0.0
+        self._changed = np.array(_NOTHING, np.int64)
+        self._explored = np.array(_NOTHING, np.int64)
+        self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
+        self._flood = (np.zeros(64, np.uint64), np.zeros(64, np.uint64))
+        self._flood_disc = (0.0, ly.disc_half_widths(0.0))
+        self._camera: CameraModel | None = None
+        self.frontiers = Frontiers(
+            0,
+            np.zeros((c.max_frontiers, 2), np.float32),
+            np.zeros(c.max_frontiers, np.int32),
+            np.zeros(c.max_frontiers, np.int32),
+        )
+        self.reach = ReachField(self._layers, res, self._inflation_cells, c.reach_cells_per_tick)
+
+    def update_depth(
+        self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
+    ) -> MapUpdate:
+        """Bring a depth image into the map (VL-Nav algorithm 1).
+
+        Args:
+            depth_m: (h, w) float32, NaN, 0 or inf = no return.
+            camera: its intrinsics.
+            T_map_camera: (4, 4), `map` from the optical frame at the image's stamp.
+            pose: the robot's at that stamp.
+
+        Raises:
+            ValueError: the image's size is not the camera's, or a pose is not finite.
+        """
+        if depth_m.shape != (camera.height_px, camera.width_px):
+            raise ValueError(
+                f"depth image is {depth_m.shape}, its camera {camera.height_px}x"
+                f"{camera.width_px} (height x width): send the matching camera info"
+            )
+        self._use_camera(camera)
+        T, cell, fraction = self._locate(T_map_camera, pose)
+        rolled = self._follow(*cell)
+        n_points, dropped = points.from_depth(
+            _plain(depth_m), *self._strides, self._column, self._row, T,
+            np.float32(self.config.min_range_m), self._scan.xyz,
+        )  # fmt: skip
+        return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
+
+    def update_cloud(self, cloud_m: np.ndarray, T_map_lidar: np.ndarray, pose: SE2) -> MapUpdate:
+        """Bring a point cloud into the map; like `update_depth`.
+
+        Args:
+            cloud_m: (n, 3) float32 in the LiDAR's frame; points that are not finite are dropped.
+            T_map_lidar: (4, 4), `map` from the LiDAR's frame.
+
+        Raises:
+            ValueError: the cloud is not (n, 3), or a pose is not finite.
+        """
+        if cloud_m.ndim != 2 or cloud_m.shape[1] != 3:
+            raise ValueError(f"cloud has shape {cloud_m.shape}, expected (n, 3): x, y, z in metres")
+        self._reserve(len(cloud_m))
+        T, cell, fraction = self._locate(T_map_lidar, pose)
+        rolled = self._follow(*cell)
+        n_points, dropped = points.from_cloud(
+            _plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
+        )
+        return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
+
+    def state_at(self, x_m: float, y_m: float) -> int:
+        """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
+        if self._origin is None:
+            return UNKNOWN
+        x, y = math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
+        n, (ox, oy) = self._n, self._origin
+        if not (ox <= x < ox + n and oy <= y < oy + n):
+            return UNKNOWN
+        if self._layers.near[y % n, x % n]:
+            return OCCUPIED
+        return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
+
+    @property
+    def known_m2(self) -> float:
+        """Area that was seen; costs with the map's size, so not for every tick."""
+        return float(np.count_nonzero(self._layers.raw)) * self.resolution_m**2
+
+    def snapshot(self, inflated: int = OCCUPIED) -> OccupancySnapshot:
+        """Copy the explored part; costs with the map's size, so never in the steady tick.
+
+        Args:
+            inflated: value of cells that are not occupied themselves but too near to one that is.
+
+        Another thread may call it while the map is updated: cells are then from before or after,
+        and a window that moved meanwhile is read again.
+        """
+        while True:
+            origin = self._origin
+            if origin is None:
+                return OccupancySnapshot(np.zeros((0, 0), np.int8), (0.0, 0.0), self.resolution_m)
+            margin, n = len(self._disc) // 2, self._n
+            x0, y0 = (max(int(v) - margin, 0) for v in self._explored[:2])
+            x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
+            cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
+            corner = origin[0] + x0, origin[1] + y0
+            compose(self._layers.raw, self._layers.near, *corner, inflated, cells)
+            if self._origin == origin:
+                corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
+                return OccupancySnapshot(cells, corner_m, self.resolution_m)
+
+    def unknown_ratio(self, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray) -> None:
+        """Share of unknown cells around points (VL-Nav eq. 6), into out[:n].
+
+        Args:
+            xy_m: (n or more, 2) float32 in `map`.
+            radius_m: how far the search from each point goes; 31 cells at most.
+            out: (n or more,) float32.
+
+        Raises:
+            ValueError: the radius is over 31 cells.
+        """
+        if self._flood_disc[0] != radius_m:
+            if radius_m > unknown.MAX_RADIUS_CELLS * self.resolution_m:
+                raise ValueError(
+                    f"unknown-area radius {radius_m} m: at most {unknown.MAX_RADIUS_CELLS} cells "
+                    f"of {self.resolution_m} m"
+                )
+            self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))
+        if self._origin is None:
+            out[:n] = 1.0
+            return
+        unknown.ratios(
+            self._layers.known, self._layers.blocked, *self._shift, *self._origin,
+            1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
+        )  # fmt: skip
+
+    @property
+    def _shift(self) -> tuple[int, int]:
+        return self._origin[0] % self._n, self._origin[1] % self._n
+
+    def _use_camera(self, camera: CameraModel) -> None:
+        """Precompute what depends on the intrinsics alone."""
+        if camera == self._camera:
+            return
+        pixels = _SMALLEST_OBSTACLE_M / self.config.range_m
+        self._strides = (
+            max(1, int(camera.fx_px * pixels / _SAMPLES_ACROSS)),
+            max(1, int(camera.fy_px * pixels / _SAMPLES_UP)),
+        )
+        u, v = np.arange(camera.width_px), np.arange(camera.height_px)
+        self._column = ((u - camera.cx_px) / camera.fx_px).astype(np.float32)
+        self._row = ((v - camera.cy_px) / camera.fy_px).astype(np.float32)
+        self._reserve(
+            -(-camera.width_px // self._strides[0]) * -(-camera.height_px // self._strides[1])
+        )
+        self._camera = camera
+
+    def _reserve(self, n_points: int) -> None:
+        if len(self._scan.cell) < n_points:
+            self._scan = points.make_scan(self._polar, n_points + n_points // 4)
+
+    def _locate(
+        self, T_map_sensor: np.ndarray, pose: SE2
+    ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
+        """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
+        place = (*T_map_sensor[:2, 3], pose.x_m, pose.y_m)
+        if not np.isfinite(T_map_sensor).all() or not all(abs(v) < _FARTHEST_M for v in place):
+            raise ValueError(
+                f"sensor or robot pose is not finite or beyond {_FARTHEST_M:.0e} m: "
+                f"x, y of sensor and robot {tuple(float(v) for v in place)}"
+            )
+        x, y = T_map_sensor[0, 3] / self.resolution_m, T_map_sensor[1, 3] / self.resolution_m
+        cell = (math.floor(x), math.floor(y))
+        fraction = (np.float32(self._half + x - cell[0]), np.float32(self._half + y - cell[1]))
+        return np.ascontiguousarray(T_map_sensor[:3], np.float32), cell, fraction
+
+    def _finish(
+        self,
+        n_points: int,
+        dropped: int,
+        T: np.ndarray,
+        cell: tuple[int, int],
+        fraction: tuple[np.float32, np.float32],
+        pose: SE2,
+        rolled: bool,
+    ) -> MapUpdate:
+        """Everything that follows once scan.xyz holds the points."""
+        c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
+        sensor_z = float(T[2, 3])
+        n = points.bin_points(
+            n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
+            *fraction, polar, scan,
+        )  # fmt: skip
+        total, count = points.sweep_ground(
+            scan,
+            polar,
+            sensor_z,
+            self._floor_z_m,
+            c.ground_slope,
+            c.obstacle_min_m,
+            c.range_m,
+            1.0 / self.resolution_m,
+        )
+        if count:
+            self._floor_z_m += 0.2 * (total / count - self._floor_z_m)
+        points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m)
+        shift, origin = self._shift, self._origin
+        corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
+        n_new, n_cleared = update.apply_scan(
+            layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
+            self._disc, self._changed, self._explored, self._flipped,
+        )  # fmt: skip
+        update.free_footprint(
+            layers, *shift,
+            math.floor(pose.x_m / self.resolution_m) - origin[0],
+            math.floor(pose.y_m / self.resolution_m) - origin[1],
+            self._footprint, self._changed, self._explored,
+        )  # fmt: skip
+        changed = self._refresh_frontiers(rolled)
+        return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
+
+    def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
+        """Test what changed again and list the target points; returns the changed world cells."""
+        layers, shift, origin, c = self._layers, self._shift, self._origin, self.config
+        x0, y0, x1, y1 = (int(v) for v in self._changed)
+        world = (0, 0, 0, 0)
+        if x1 > x0:
+            self._retest(x0 - 1, y0 - 1, x1 + 1, y1 + 1)
+            world = (x0 + origin[0], y0 + origin[1], x1 + origin[0], y1 + origin[1])
+            self._changed[:] = _NOTHING
+        res = self.resolution_m
+        moved = cl.regroup(
+            layers, *shift, self._clusters, self._n_pending,
+            c.frontier_large_cells, c.frontier_spacing_m / res,
+        )  # fmt: skip
+        self._n_pending = 0
+        if moved or rolled:
+            f = self.frontiers
+            f.n = cl.list_targets(
+                self._n, *shift, *origin, res, self._clusters, c.frontier_min_cells,
+                f.xy_m, f.cells, f.cluster,
+            )  # fmt: skip
+        return world
+
+    def _retest(self, x0: int, y0: int, x1: int, y1: int) -> None:
+        self._n_pending = cl.retest(
+            self._layers, *self._shift, x0, y0, x1, y1, self._clusters, self._n_pending
+        )
+
+    def _follow(self, x: int, y: int) -> bool:
+        """Keep the sensor's surroundings inside the window; whether it had to roll."""
+        n, word = self._n, ly.WORD
+        if self._origin is None:
+            self._origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
+            self.reach.move_window(*self._origin)
+            return False
+        rolled = False
+        for axis, at in enumerate((x, y)):
+            low, high = at - self._need, at + self._need + 1
+            origin = self._origin[axis]
+            shift = 0
+            if low < origin:
+                shift = (low - origin) // word * word
+            elif high > origin + n:
+                shift = -((origin + n - high) // word * word)
+            if shift:
+                self._roll(axis, shift)
+                rolled = True
+        if rolled:
+            self.reach.move_window(*self._origin)
+        return rolled
+
+    def _roll(self, axis: int, by: int) -> None:
+        """Move the window along one axis by a multiple of 64 cells, forgetting a strip."""
+        n, layers, shift = self._n, self._layers, self._shift
+        margin = len(self._disc) // 2
+        gone = min(abs(by), n)
+        out = (0, gone) if by > 0 else (n - gone, n)
+        come = (n - gone, n) if by > 0 else (0, gone)
+        ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
+        ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
+        origin = list(self._origin)
+        origin[axis] += by
+        self._origin = (origin[0], origin[1])
+        for rect, low, high in ((self._changed, 0, n), (self._explored, 0, n)):
+            rect[axis] = max(rect[axis] - by, low)
+            rect[axis + 2] = min(rect[axis + 2] - by, high)
+        if self._explored[axis] >= self._explored[axis + 2]:
+            self._explored[:] = _NOTHING
+        if self._changed[axis] >= self._changed[axis + 2]:
+            self._changed[:] = _NOTHING
+        edge = (come[0] - margin, come[0]) if by > 0 else (come[1], come[1] + margin)
+        shift = self._shift
+        ly.inflate_into(
+            layers, *shift, _band(axis, edge, n), _band(axis, come, n), self._disc, self._changed
+        )
+        self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
+        tail = (0, 1) if by > 0 else (n - 1, n)
+        self._retest(*_band(axis, tail, n))
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
+    if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
+        return array
+    return np.array(array, np.float32, order="C")
+
+
+def _band(axis: int, along: tuple[int, int], n: int) -> tuple[int, int, int, int]:
+    """A window rectangle that spans `along` on one axis and everything on the other."""
+    return (along[0], 0, along[1], n) if axis == 0 else (0, along[0], n, along[1])
+
+
+def warmup(mapping: config.Mapping) -> None:
+    """Compile every kernel of this package, on a map of its own."""
+    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0, "max_frontiers": 8}))
+    camera = CameraModel.from_hfov(16, 16, 1.2)
+    T = np.eye(4)
+    T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
+    T[2, 3] = 0.5
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
+    grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    grid.reach.step(SE2(0.0, 0.0, 0.0))
+    grid.reach.nearest(0.0, 0.0, 0.5)
+    grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
+    grid.snapshot()
+    far = grid._n * grid.resolution_m
+    T[0, 3] = far
+    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(far, 0.0, 0.0))

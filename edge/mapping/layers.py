@@ -1,0 +1,182 @@
+"""The map's storage: one torus for all layers, and the kernels that write single cells.
+
+The window is a square of N x N cells, N a multiple of 64, whose lower-left world cell (ox, oy)
+lies on multiples of 64 too: rolling clears whole 64-cell strips, and a row of the bit planes
+never has the window's seam inside a word. Kernels take *window* coordinates (0 .. N-1 from the
+lower-left corner); the *storage* coordinate is (window + shift) mod N with shift = origin mod N.
+Every layer is zero where nothing was seen, so memory that was never visited stays untouched.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+WORD = 64
+UNSEEN, FREE, OCCUPIED = 0, 1, 2
+
+
+class Layers(NamedTuple):
+    """All layers, row = y, column = x, in storage coordinates.
+
+    Attributes:
+        raw: (N, N) uint8, what was observed: 0 unseen, 1 free, 2 + k occupied and seen
+            through in the last k updates.
+        near: (N, N) uint16, occupied cells within the inflation disc.
+        top: (N, N) uint8, height of the obstacle over the local ground (see `HEIGHT_CODES`).
+        label: (N, N) int16, frontier cluster; 0 none, -1 not in a cluster yet.
+        known: (N, N / 64) uint64 bits, raw != 0.
+        blocked: (N, N / 64) uint64 bits, near != 0.
+        frontier: (N, N / 64) uint64 bits.
+    """
+
+    raw: np.ndarray
+    near: np.ndarray
+    top: np.ndarray
+    label: np.ndarray
+    known: np.ndarray
+    blocked: np.ndarray
+    frontier: np.ndarray
+
+
+def make_layers(n: int) -> Layers:
+    """Empty layers of n x n cells (n a multiple of 64); pages are touched on first use."""
+    bits = (n, n // WORD)
+    return Layers(
+        raw=np.zeros((n, n), np.uint8),
+        near=np.zeros((n, n), np.uint16),
+        top=np.zeros((n, n), np.uint8),
+        label=np.zeros((n, n), np.int16),
+        known=np.zeros(bits, np.uint64),
+        blocked=np.zeros(bits, np.uint64),
+        frontier=np.zeros(bits, np.uint64),
+    )
+
+
+def disc_half_widths(radius_cells: float) -> np.ndarray:
+    """Half the width of each row of a disc, in cells, from its lowest row to its highest.
+
+    >>> disc_half_widths(2.0).tolist()
+    [0, 1, 2, 1, 0]
+    """
+    r = int(radius_cells + 1e-6)
+    dy = np.arange(-r, r + 1)
+    return np.floor(np.sqrt(np.maximum((radius_cells + 1e-6) ** 2 - dy**2, 0))).astype(np.int64)
+
+
+@njit(nogil=True, cache=True)
+def grow(rect, x, y):
+    """Grow a half-open rectangle (x0, y0, x1, y1) to hold a cell."""
+    rect[0] = min(rect[0], x)
+    rect[1] = min(rect[1], y)
+    rect[2] = max(rect[2], x + 1)
+    rect[3] = max(rect[3], y + 1)
+
+
+@njit(nogil=True, cache=True)
+def bit_set(plane, sy, sx, on):
+    word = sx >> 6
+    bit = np.uint64(1) << np.uint64(sx & 63)
+    if on:
+        plane[sy, word] |= bit
+    else:
+        plane[sy, word] &= ~bit
+
+
+@njit(nogil=True, cache=True)
+def bit_get(plane, sy, sx):
+    return (plane[sy, sx >> 6] >> np.uint64(sx & 63)) & np.uint64(1) != np.uint64(0)
+
+
+@njit(nogil=True, cache=True)
+def add_disc(layers, shift_x, shift_y, x, y, delta, disc, clip, changed):
+    """Count an occupied cell in (delta 1) or out (-1) of the cells within inflation.
+
+    Args:
+        x, y: window coordinates of the occupied cell.
+        clip: (x0, y0, x1, y1) window rectangle, half open, outside which nothing is written.
+        changed: rectangle that grows by the cells whose state became another.
+    """
+    n = layers.raw.shape[0]
+    radius = len(disc) // 2
+    for k in range(len(disc)):
+        wy = y + k - radius
+        if wy < clip[1] or wy >= clip[3]:
+            continue
+        sy = wy + shift_y
+        if sy >= n:
+            sy -= n
+        for wx in range(max(x - disc[k], clip[0]), min(x + disc[k] + 1, clip[2])):
+            sx = wx + shift_x
+            if sx >= n:
+                sx -= n
+            before = layers.near[sy, sx]
+            after = before + delta
+            layers.near[sy, sx] = after
+            if (before == 0) != (after == 0):
+                bit_set(layers.blocked, sy, sx, after != 0)
+                grow(changed, wx, wy)
+
+
+@njit(nogil=True, cache=True)
+def set_free(layers, shift_x, shift_y, x, y, changed):
+    """Mark an unseen cell as free."""
+    n = layers.raw.shape[0]
+    sy, sx = y + shift_y, x + shift_x
+    if sy >= n:
+        sy -= n
+    if sx >= n:
+        sx -= n
+    layers.raw[sy, sx] = FREE
+    bit_set(layers.known, sy, sx, True)
+    if layers.near[sy, sx] == 0:
+        grow(changed, x, y)
+
+
+@njit(nogil=True, cache=True)
+def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
+    """Take the obstacles of a window rectangle out of the inflation of all others."""
+    n = layers.raw.shape[0]
+    clip = (0, 0, n, n)
+    for y in range(y0, y1):
+        sy = (y + shift_y) % n
+        for x in range(x0, x1):
+            sx = (x + shift_x) % n
+            if layers.raw[sy, sx] >= OCCUPIED:
+                layers.raw[sy, sx] = UNSEEN
+                add_disc(layers, shift_x, shift_y, x, y, -1, disc, clip, changed)
+
+
+@njit(nogil=True, cache=True)
+def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
+    """Forget a window rectangle; clusters that had cells in it are marked in `dirty`."""
+    n = layers.raw.shape[0]
+    for y in range(y0, y1):
+        sy = (y + shift_y) % n
+        for x in range(x0, x1):
+            sx = (x + shift_x) % n
+            label = layers.label[sy, sx]
+            if label > 0:
+                dirty[label] = True
+            layers.raw[sy, sx] = UNSEEN
+            layers.near[sy, sx] = 0
+            layers.top[sy, sx] = 0
+            layers.label[sy, sx] = 0
+            if sx & 63 == 0:
+                layers.known[sy, sx >> 6] = np.uint64(0)
+                layers.blocked[sy, sx >> 6] = np.uint64(0)
+                layers.frontier[sy, sx >> 6] = np.uint64(0)
+
+
+@njit(nogil=True, cache=True)
+def inflate_into(layers, shift_x, shift_y, source, target, disc, changed):
+    """Inflate the obstacles of the window rectangle `source` into `target` alone."""
+    n = layers.raw.shape[0]
+    for y in range(max(source[1], 0), min(source[3], n)):
+        sy = (y + shift_y) % n
+        for x in range(max(source[0], 0), min(source[2], n)):
+            sx = (x + shift_x) % n
+            if layers.raw[sy, sx] >= OCCUPIED:
+                add_disc(layers, shift_x, shift_y, x, y, 1, disc, target, changed)

@@ -1,0 +1,336 @@
+"""From sensor points to floor, obstacle and overhang, in polar bins around the sensor.
+
+Depth images and clouds go the same road: points in map axes, binned by sector and ring around
+the sensor's cell; a sweep outward along each sector follows the local ground, so that height is
+measured over ramps too, and a tilted 3D LiDAR's floor is no wall.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+FLOOR = 1
+# `seen` and `top` hold 2 + height in units of obstacle_max_m / HEIGHT_CODES above the ground.
+LOWEST_OBSTACLE, HEIGHT_CODES = 2, 250
+# Ground that wobbles by less is still the same ground (depth noise, carpets).
+_GROUND_NOISE_M = 0.02
+# Rings near enough to tell the height of the floor that the robot stands on.
+_NEAR_GROUND_M = 1.5
+_MIN_SECTOR_RAD = 0.0175
+_MAX_SPREAD = 16
+
+
+class Polar(NamedTuple):
+    """The polar bins of a square of (2 half + 1)^2 cells around the sensor's cell.
+
+    Attributes:
+        bin_of: (side, side) int32, sector * rings + ring of a cell's centre.
+        sector_of: (side, side) int16.
+        ring_of: (side, side) int16.
+        distance_m: (side, side) float32, from the centre of the sensor's cell.
+        spread: (side, side) uint8, sectors on each side that an obstacle in the cell blocks.
+        direction: (sectors, 2) float32, unit vector of a sector's middle.
+        sectors, rings: numbers of bins.
+        ring_m: depth of a ring.
+    """
+
+    bin_of: np.ndarray
+    sector_of: np.ndarray
+    ring_of: np.ndarray
+    distance_m: np.ndarray
+    spread: np.ndarray
+    direction: np.ndarray
+    sectors: int
+    rings: int
+    ring_m: float
+
+
+class Scan(NamedTuple):
+    """Scratch of one update, reused by every one.
+
+    Attributes:
+        xyz: (3, capacity) float32, points: x and y relative to the sensor, z in `map`.
+        cell: (capacity,) int32, flat cell of each point within range.
+        z_m: (capacity,) float32, its height in `map`.
+        lowest_m: (sectors, rings) float32, lowest point of each bin; inf = none.
+        far_slope: (sectors,) float32, lowest slope (rise / run) of a ray beyond range; inf.
+        ground_m: (sectors, rings) float32, height of the local ground.
+        pass_slope: (sectors, rings) float32, lowest slope of a ray that flew over the bin.
+        reach_m: (sectors,) float32, how far rays free unknown cells; 0 = nothing seen.
+        seen: (side, side) uint8, per cell 0, FLOOR, or the code of the highest obstacle point.
+        box: (4,) int64, half-open rectangle that holds the sensor's cell and all cells seen.
+    """
+
+    xyz: np.ndarray
+    cell: np.ndarray
+    z_m: np.ndarray
+    lowest_m: np.ndarray
+    far_slope: np.ndarray
+    ground_m: np.ndarray
+    pass_slope: np.ndarray
+    reach_m: np.ndarray
+    seen: np.ndarray
+    box: np.ndarray
+
+
+def make_polar(range_m: float, resolution_m: float) -> Polar:
+    """Sectors 1.5 cells wide at full range (but no finer than a degree), rings of two cells."""
+    half = math.ceil(range_m / resolution_m) + 1
+    width_rad = max(1.5 * resolution_m / range_m, _MIN_SECTOR_RAD)
+    sectors = max(8, math.ceil(2 * math.pi / width_rad))
+    ring_m = max(2 * resolution_m, range_m / 128)
+    rings = math.ceil(range_m / ring_m)
+    offset_m = np.arange(-half, half + 1) * resolution_m
+    # Not zero in the middle: it is multiplied with slopes that may be infinite.
+    distance = np.maximum(np.hypot(offset_m[:, None], offset_m[None, :]), 0.25 * resolution_m)
+    angle = np.arctan2(offset_m[:, None], offset_m[None, :]) + math.pi
+    sector = np.minimum((angle * (sectors / (2 * math.pi))).astype(np.int64), sectors - 1)
+    ring = np.minimum((distance / ring_m).astype(np.int64), rings - 1)
+    middle = (np.arange(sectors) + 0.5) * (2 * math.pi / sectors) - math.pi
+    subtended = 0.5 * resolution_m / np.maximum(distance, 0.5 * resolution_m)
+    spread = np.minimum(subtended * sectors / (2 * math.pi) + 0.5, _MAX_SPREAD)
+    return Polar(
+        (sector * rings + ring).astype(np.int32),
+        sector.astype(np.int16),
+        ring.astype(np.int16),
+        distance.astype(np.float32),
+        spread.astype(np.uint8),
+        np.stack([np.cos(middle), np.sin(middle)], axis=1).astype(np.float32),
+        sectors,
+        rings,
+        ring_m,
+    )
+
+
+def make_scan(polar: Polar, capacity: int) -> Scan:
+    """Scratch for `capacity` points."""
+    bins = (polar.sectors, polar.rings)
+    return Scan(
+        xyz=np.zeros((3, capacity), np.float32),
+        cell=np.zeros(capacity, np.int32),
+        z_m=np.zeros(capacity, np.float32),
+        lowest_m=np.full(bins, np.inf, np.float32),
+        far_slope=np.full(polar.sectors, np.inf, np.float32),
+        ground_m=np.zeros(bins, np.float32),
+        pass_slope=np.zeros(bins, np.float32),
+        reach_m=np.zeros(polar.sectors, np.float32),
+        seen=np.zeros(polar.bin_of.shape, np.uint8),
+        box=np.zeros(4, np.int64),
+    )
+
+
+@njit(nogil=True, cache=True)
+def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
+    """Points of every stride-th pixel, x and y relative to the sensor, z in `map`.
+
+    Args:
+        column, row: (w,), (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
+        T: (3, 4) float32, `map` from the optical frame.
+        xyz: (3, capacity) float32, filled.
+
+    Returns:
+        (points, pixels without a return).
+    """
+    n, dropped = 0, 0
+    xx, yx, zx = T[0, 0], T[1, 0], T[2, 0]
+    for v in range(stride_v // 2, depth_m.shape[0], stride_v):
+        bx = T[0, 1] * row[v] + T[0, 2]
+        by = T[1, 1] * row[v] + T[1, 2]
+        bz = T[2, 1] * row[v] + T[2, 2]
+        for u in range(stride_u // 2, depth_m.shape[1], stride_u):
+            d = depth_m[v, u]
+            if not (d > min_range_m and d < np.float32(np.inf)):
+                dropped += 1
+                continue
+            xyz[0, n] = d * (xx * column[u] + bx)
+            xyz[1, n] = d * (yx * column[u] + by)
+            xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
+            n += 1
+    return n, dropped
+
+
+@njit(nogil=True, cache=True)
+def from_cloud(cloud_m, T, min_range_m, xyz):
+    """Points of a cloud, like `from_depth`."""
+    n, dropped = 0, 0
+    for i in range(cloud_m.shape[0]):
+        a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
+        squared = a * a + b * b + c * c
+        # Squaring overflows to inf, so this also turns away what is absurdly far.
+        if not (squared > min_range_m * min_range_m and squared < np.float32(np.inf)):
+            dropped += 1
+            continue
+        xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
+        xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
+        xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+        n += 1
+    return n, dropped
+
+
+@njit(nogil=True, cache=True)
+def bin_points(n_points, sensor_z, range_m, inv_res, fx, fy, polar, scan):
+    """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
+
+    A point beyond range says only that its ray passed: it is pulled in to the circle of range.
+
+    Args:
+        fx, fy: place of the sensor in the scratch, in cells from its lower-left corner.
+
+    Returns:
+        The number of points within range, in scan.cell and scan.z_m.
+    """
+    bins, sector_of, side = polar.bin_of.ravel(), polar.sector_of.ravel(), polar.bin_of.shape[1]
+    lowest, far_slope = scan.lowest_m.ravel(), scan.far_slope
+    xs, ys, zs = scan.xyz[0], scan.xyz[1], scan.xyz[2]
+    cells, heights = scan.cell, scan.z_m
+    lowest[:] = np.inf
+    far_slope[:] = np.inf
+    n = 0
+    for i in range(n_points):
+        x, y, z = xs[i], ys[i], zs[i]
+        d2 = x * x + y * y
+        if d2 <= range_m * range_m:
+            cell = int(y * inv_res + fy) * side + int(x * inv_res + fx)
+            at = bins[cell]
+            lowest[at] = min(lowest[at], z)
+            cells[n] = cell
+            heights[n] = z
+            n += 1
+            continue
+        scale = range_m / np.sqrt(d2)
+        cell = int(y * scale * inv_res + fy) * side + int(x * scale * inv_res + fx)
+        sector = sector_of[cell]
+        far_slope[sector] = min(far_slope[sector], (z - sensor_z) * scale / range_m)
+    return n
+
+
+@njit(nogil=True, cache=True)
+def sweep_ground(scan, polar, sensor_z, floor_z, slope, step_m, range_m, inv_res):
+    """Follow the ground outward in every sector; fill ground, pass slopes, reach and box.
+
+    The ground may rise or fall by `slope` from the last ground seen, but behind a gap nobody knows
+    what lies between: by `step_m` at most where it is first seen (a low box just outside the
+    blind zone is no ramp), later by twice that. A return far below is a drop: rays free nothing
+    beyond the last ground before it, unless level ground follows (a stray reflection).
+
+    Returns:
+        (sum of the floor heights near the robot, their number).
+    """
+    half = polar.bin_of.shape[0] // 2
+    scan.box[0] = scan.box[1] = half
+    scan.box[2] = scan.box[3] = half + 1
+    near_sum, near_count = 0.0, 0
+    for s in range(polar.sectors):
+        last = _last_ring(scan.lowest_m, s)
+        far = scan.far_slope[s] < np.inf
+        scan.reach_m[s] = 0.0
+        if last < 0 and not far:
+            continue
+        reach_m, sum_m, count = _follow_ground(
+            scan.lowest_m, scan.ground_m, s, last, polar.ring_m, floor_z, slope, step_m
+        )
+        near_sum += sum_m
+        near_count += count
+        scan.reach_m[s] = range_m if far and reach_m >= last * polar.ring_m else reach_m
+        _lowest_passing(scan, s, last, polar.ring_m, sensor_z)
+        end_m = range_m if far else (last + 1) * polar.ring_m
+        _grow_box(scan.box, polar, s, end_m * inv_res, half)
+    return near_sum, near_count
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _last_ring(lowest_m, s):
+    """The farthest ring of a sector with a point, or -1."""
+    for r in range(lowest_m.shape[1] - 1, -1, -1):
+        if lowest_m[s, r] < np.inf:
+            return r
+    return -1
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, slope, step_m):
+    """Fill one sector's ground; returns its reach, and sum and number of near floor heights."""
+    ground, ground_d, drop = floor_z, 0.0, False
+    near_sum, near_count = 0.0, 0
+    for r in range(last + 1):
+        z = lowest_m[s, r]
+        if z < np.inf:
+            d = (r + 0.5) * ring_m
+            limit = step_m if ground_d == 0.0 else 2.0 * step_m
+            allowed = min(slope * (d - ground_d) + _GROUND_NOISE_M, limit)
+            if abs(z - ground) <= allowed:
+                ground, ground_d, drop = z, d, False
+                if d < _NEAR_GROUND_M:
+                    near_sum += z
+                    near_count += 1
+            elif z < ground:
+                drop = True
+        ground_m[s, r] = ground
+    for r in range(last + 1, lowest_m.shape[1]):
+        ground_m[s, r] = ground
+    reach_m = max(last, 0) * ring_m
+    return (min(reach_m, ground_d) if drop else reach_m), near_sum, near_count
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _lowest_passing(scan, s, last, ring_m, sensor_z):
+    """Fill one sector's pass slopes: of rays that end two rings farther or more."""
+    lowest = scan.far_slope[s]
+    for r in range(scan.lowest_m.shape[1] - 1, -1, -1):
+        beyond = r + 2
+        if beyond <= last and scan.lowest_m[s, beyond] < np.inf:
+            run = (beyond + 0.5) * ring_m
+            lowest = min(lowest, (scan.lowest_m[s, beyond] - sensor_z) / run)
+        scan.pass_slope[s, r] = lowest
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _grow_box(box, polar, s, end_cells, half):
+    """Let the box hold one sector up to its end."""
+    side = polar.bin_of.shape[0]
+    margin = int(end_cells * math.pi / polar.sectors) + 2
+    x = half + int(end_cells * polar.direction[s, 0])
+    y = half + int(end_cells * polar.direction[s, 1])
+    box[0] = max(min(box[0], x - margin), 0)
+    box[1] = max(min(box[1], y - margin), 0)
+    box[2] = min(max(box[2], x + margin + 1), side)
+    box[3] = min(max(box[3], y + margin + 1), side)
+
+
+@njit(nogil=True, cache=True)
+def classify(n, scan, polar, obstacle_min_m, obstacle_max_m):
+    """Split points by height over the local ground; obstacles end the rays of their sectors.
+
+    Below `obstacle_min_m` is floor, above `obstacle_max_m` an overhang with free space beneath.
+    """
+    per_m = np.float32(HEIGHT_CODES / obstacle_max_m)
+    lowest, highest = np.float32(obstacle_min_m), np.float32(obstacle_max_m)
+    bins, seen, ground = polar.bin_of.ravel(), scan.seen.ravel(), scan.ground_m.ravel()
+    cells, heights = scan.cell, scan.z_m
+    for i in range(n):
+        cell = cells[i]
+        height = heights[i] - ground[bins[cell]]
+        if height < lowest:
+            if seen[cell] == 0 and height > -lowest:
+                seen[cell] = FLOOR
+        elif height <= highest:
+            if seen[cell] < LOWEST_OBSTACLE:
+                _block(scan.reach_m, polar, cell)
+            code = LOWEST_OBSTACLE + int(height * per_m)
+            if code > seen[cell]:
+                seen[cell] = code
+
+
+@njit(nogil=True, cache=True)
+def _block(reach_m, polar, cell):
+    """An obstacle ends the rays of all sectors that its cell subtends."""
+    side = polar.bin_of.shape[1]
+    y, x = cell // side, cell % side
+    sector, wide = int(polar.sector_of[y, x]), int(polar.spread[y, x])
+    for k in range(sector - wide, sector + wide + 1):
+        j = k % polar.sectors
+        reach_m[j] = min(reach_m[j], polar.distance_m[y, x])

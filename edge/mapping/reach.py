@@ -1,0 +1,303 @@
+"""Which free cells the robot can get to, and how far they are: an amortised wavefront."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from edge.geometry import SE2
+from edge.mapping.layers import FREE, Layers, bit_get
+
+# Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
+# make a priority queue (Dial).
+STRAIGHT, DIAGONAL = 5, 7
+_BUCKETS = 8
+# Of the eight neighbours in row order, the two straight ones beside each diagonal one.
+_BESIDE = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
+_UNREACHED = np.int32(0)
+# Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
+_LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
+_CLEAR_PER_CELL = 16
+
+
+class Wave(NamedTuple):
+    """One field and the queue it grows with.
+
+    Attributes:
+        distance: (N, N) int32 by storage cell: 1 + steps' cost; 0 = not reached.
+        bucket: (8, m) int32, queued cells by cost mod 8.
+        filled: (8,) int64, cells in each bucket.
+        bounds: (4,) int64, half-open storage rectangle of what was written.
+        state: (6,) int64.
+    """
+
+    distance: np.ndarray
+    bucket: np.ndarray
+    filled: np.ndarray
+    bounds: np.ndarray
+    state: np.ndarray
+
+
+class ReachField:
+    """Geodesic distance from the robot over free cells, 8-connected.
+
+    Two fields take turns: the last complete one answers while the next grows by at most
+    `cells_per_tick` cells a step, so that a step's cost does not depend on the map's size.
+
+    Attributes:
+        generation: counts complete fields; 0 = none yet.
+    """
+
+    def __init__(self, layers: Layers, resolution_m: float, inflation_cells: float, per_tick: int):
+        n = layers.raw.shape[0]
+        self.generation = 0
+        self._layers = layers
+        self._n = n
+        self._resolution_m = resolution_m
+        self._escape_cells = inflation_cells + 1.0
+        self._per_tick = per_tick
+        # No contour of equal cost in a window is longer, save in mazes made to be.
+        contour = 8192 + 16 * n
+        self._waves = [
+            Wave(
+                np.zeros((n, n), np.int32),
+                np.zeros((_BUCKETS, contour), np.int32),
+                np.zeros(_BUCKETS, np.int64),
+                np.zeros(4, np.int64),
+                np.zeros(6, np.int64),
+            )
+            for _ in range(2)
+        ]
+        self._origin = (0, 0)
+        self._windows = [(0, 0), (0, 0)]
+        self._current = 0
+        self._growing = False
+        self._clear_row = -1
+
+    def move_window(self, origin_x: int, origin_y: int) -> None:
+        """The map's window rolled: its lower-left world cell is now (origin_x, origin_y)."""
+        self._origin = (origin_x, origin_y)
+
+    def step(self, pose: SE2) -> None:
+        """Grow the next field; take it into use when it is complete.
+
+        Args:
+            pose: where the robot is now; a new field starts there.
+        """
+        nxt = 1 - self._current
+        wave = self._waves[nxt]
+        if not self._growing:
+            if not self._clear(wave):
+                return
+            self._windows[nxt] = self._origin
+            x = math.floor(pose.x_m / self._resolution_m)
+            y = math.floor(pose.y_m / self._resolution_m)
+            n, (ox, oy) = self._n, self._origin
+            if not (ox <= x < ox + n and oy <= y < oy + n):
+                return
+            start_wave(self._layers, wave, x % n, y % n, self._escape_cells)
+            self._growing = True
+        x0, y0, x1, y1 = self._common(nxt)
+        ox, oy = self._origin
+        if grow_wave(self._layers, wave, ox, oy, x0, y0, x1, y1, self._per_tick):
+            self._growing = False
+            self._current = nxt
+            self.generation += 1
+            self._clear_row = -1
+
+    def distance_m(self, x_m: float, y_m: float) -> float:
+        """Geodesic distance to a point's cell in metres; inf where it was not reached."""
+        if self.generation == 0:
+            return math.inf
+        x, y = math.floor(x_m / self._resolution_m), math.floor(y_m / self._resolution_m)
+        x0, y0, x1, y1 = self._common(self._current)
+        if not (x0 <= x < x1 and y0 <= y < y1):
+            return math.inf
+        steps = int(self._waves[self._current].distance[y % self._n, x % self._n])
+        if steps == _UNREACHED:
+            return math.inf
+        return (steps - 1) / STRAIGHT * self._resolution_m
+
+    def nearest(self, x_m: float, y_m: float, radius_m: float) -> tuple[float, float, float] | None:
+        """The free cell nearest to a point, within `radius_m`, that the robot can get to.
+
+        Returns:
+            (x_m, y_m, geodesic_m) of the cell's centre; None when there is none.
+        """
+        if self.generation == 0:
+            return None
+        res = self._resolution_m
+        x, y, steps = nearest_reached(
+            self._layers, self._waves[self._current].distance,
+            *self._common(self._current), float(x_m / res), float(y_m / res), radius_m / res,
+        )  # fmt: skip
+        if steps == _UNREACHED:
+            return None
+        return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+
+    def _common(self, which: int) -> tuple[int, int, int, int]:
+        """World cells that lie in a field's window and in the map's: half-open rectangle."""
+        (ax, ay), (bx, by), n = self._windows[which], self._origin, self._n
+        return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n
+
+    def _clear(self, wave: Wave) -> bool:
+        """Empty the older field, a share each step; True when it is empty."""
+        x0, y0, x1, y1 = (int(v) for v in wave.bounds)
+        if x1 <= x0:
+            return True
+        row = y0 if self._clear_row < 0 else self._clear_row
+        rows = max(1, self._per_tick * _CLEAR_PER_CELL // (x1 - x0))
+        end = min(row + rows, y1)
+        wave.distance[row:end, x0:x1] = _UNREACHED
+        self._clear_row = end
+        if end < y1:
+            return False
+        wave.bounds[:] = 0
+        return True
+
+
+@njit(nogil=True, cache=True)
+def start_wave(layers, wave, sx, sy, escape_cells):
+    """Begin an empty field at a storage cell.
+
+    A start inside inflation may leave it: within `escape_cells` of it every cell that is itself
+    free is passable, though inflated.
+    """
+    n = layers.raw.shape[0]
+    wave.filled[:] = 0
+    wave.state[:] = 0
+    wave.state[_LEVEL] = 1
+    wave.state[_QUEUED] = 1
+    wave.state[_START_X], wave.state[_START_Y] = sx, sy
+    free = bit_get(layers.known, sy, sx) and not bit_get(layers.blocked, sy, sx)
+    wave.state[_ESCAPE2] = -1 if free else int(escape_cells * escape_cells)
+    wave.distance[sy, sx] = 1
+    wave.bounds[0], wave.bounds[1], wave.bounds[2], wave.bounds[3] = sx, sy, sx + 1, sy + 1
+    wave.bucket[1, 0] = sy * n + sx
+    wave.filled[1] = 1
+
+
+@njit(nogil=True, cache=True)
+def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
+    """Storage offsets of the eight neighbours where the torus wraps; 0 outside the rectangle."""
+    x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
+    k = 0
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            if dx == 0 and dy == 0:
+                continue
+            nx, ny = x + dx, y + dy
+            steps[k] = 0
+            if x0 <= nx < x1 and y0 <= ny < y1:
+                steps[k] = ((ny + shift_y) % n) * n + (nx + shift_x) % n - cell
+            k += 1
+
+
+@njit(nogil=True, cache=True)
+def _escapes(layers, wave, cell):
+    """Whether an inflated cell may be crossed because the robot started inside inflation."""
+    n = layers.raw.shape[0]
+    sy, sx = cell // n, cell % n
+    dx, dy = abs(sx - wave.state[_START_X]), abs(sy - wave.state[_START_Y])
+    dx, dy = min(dx, n - dx), min(dy, n - dy)
+    return dx * dx + dy * dy <= wave.state[_ESCAPE2] and layers.raw[sy, sx] == FREE
+
+
+@njit(nogil=True, cache=True)
+def grow_wave(layers, wave, origin_x, origin_y, x0, y0, x1, y1, budget):
+    """Settle up to `budget` cells inside a world rectangle; True when none are left."""
+    n = layers.raw.shape[0]
+    shift_x, shift_y = origin_x % n, origin_y % n
+    distance, bucket, filled = wave.distance.ravel(), wave.bucket, wave.filled
+    near_obstacles, raw = layers.near.ravel(), layers.raw.ravel()
+    escaping = wave.state[_ESCAPE2] >= 0
+    # The rectangle in window coordinates.
+    x0, x1, y0, y1 = x0 - origin_x, x1 - origin_x, y0 - origin_y, y1 - origin_y
+    level, queued = wave.state[_LEVEL], wave.state[_QUEUED]
+    bounds_x0, bounds_y0, bounds_x1, bounds_y1 = wave.bounds
+    inner = np.array([-n - 1, -n, -n + 1, -1, 1, n - 1, n, n + 1])
+    edge = np.zeros(8, np.int64)
+    cost = np.array([DIAGONAL, 5, DIAGONAL, 5, 5, DIAGONAL, 5, DIAGONAL], np.int32)
+    done = 0
+    while queued > 0 and done < budget:
+        slot = level & (_BUCKETS - 1)
+        if filled[slot] == 0:
+            level += 1
+            continue
+        filled[slot] -= 1
+        queued -= 1
+        cell = bucket[slot, filled[slot]]
+        if distance[cell] != level:
+            continue  # a shorter way was found after this one was queued
+        done += 1
+        sy = cell // n
+        sx = cell - sy * n
+        bounds_x0, bounds_x1 = min(bounds_x0, sx), max(bounds_x1, sx + 1)
+        bounds_y0, bounds_y1 = min(bounds_y0, sy), max(bounds_y1, sy + 1)
+        y = sy - shift_y if sy >= shift_y else sy - shift_y + n
+        x = sx - shift_x if sx >= shift_x else sx - shift_x + n
+        steps = inner
+        if (
+            not (x0 < x < x1 - 1 and y0 < y < y1 - 1)
+            or not (0 < sx < n - 1 and 0 < sy < n - 1)
+        ):  # fmt: skip
+            _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
+            steps = edge
+        for k in range(8):
+            near = cell + steps[k]
+            if cost[k] == DIAGONAL and (
+                near_obstacles[cell + steps[_BESIDE[k, 0]]] != 0
+                or near_obstacles[cell + steps[_BESIDE[k, 1]]] != 0
+            ):
+                continue  # no robot cuts a corner, and no planner lets it
+            there = distance[near]
+            cheaper = level + cost[k]
+            if there != 0:
+                if there <= cheaper:
+                    continue
+            elif (near_obstacles[near] != 0 or raw[near] == 0) and not (
+                escaping and _escapes(layers, wave, near)
+            ):
+                continue
+            into = cheaper & (_BUCKETS - 1)
+            if filled[into] == bucket.shape[1]:
+                wave.state[_LOST] += 1
+                continue
+            distance[near] = cheaper
+            bucket[into, filled[into]] = near
+            filled[into] += 1
+            queued += 1
+    wave.state[_LEVEL], wave.state[_QUEUED] = level, queued
+    wave.bounds[0], wave.bounds[1] = bounds_x0, bounds_y0
+    wave.bounds[2], wave.bounds[3] = bounds_x1, bounds_y1
+    return queued == 0
+
+
+@njit(nogil=True, cache=True)
+def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
+    """The reached cell that is free now and nearest to a point, by centre, all in cells.
+
+    Returns:
+        (world x, world y, distance entry); the last is 0 when there is none.
+    """
+    n = layers.raw.shape[0]
+    best, best_x, best_y = radius * radius, 0, 0
+    found = np.int32(0)
+    for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
+        sy = y % n
+        for x in range(
+            max(int(np.floor(px - radius)), x0), min(int(np.floor(px + radius)) + 1, x1)
+        ):
+            dx, dy = x + 0.5 - px, y + 0.5 - py
+            d2 = dx * dx + dy * dy
+            if d2 > best or (d2 == best and found != 0):
+                continue
+            sx = x % n
+            steps = distance[sy, sx]
+            if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+                continue
+            best, best_x, best_y, found = d2, x, y, steps
+    return best_x, best_y, found

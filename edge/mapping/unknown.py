@@ -1,0 +1,120 @@
+"""Share of unknown cells around a point (VL-Nav eq. 6), on the map's bit planes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+# A row of the disc must fit one 64-bit word.
+MAX_RADIUS_CELLS = 31
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _popcount(x):
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _fill(x, p):
+    """Flood the bits x along the row within p."""
+    while x != p:
+        wider = (x | (x << np.uint64(1)) | (x >> np.uint64(1))) & p
+        wider |= ((wider << np.uint64(1)) | (wider >> np.uint64(1))) & p
+        if wider == x:
+            break
+        x = wider
+    return x
+
+
+@njit(nogil=True, cache=True)
+def ratios(
+    known, blocked, shift_x, shift_y, origin_x, origin_y, inv_res, xy, n_points, disc,
+    passable, flooded, out,
+):  # fmt: skip
+    """Fill out[:n_points]: unknown cells over all cells that a 4-connected search reaches.
+
+    The search starts at the point's cell, crosses unknown and free cells, and stays within the
+    disc and the window. A point on a blocked cell or outside the window has ratio 0.
+
+    Args:
+        disc: half widths of the disc's rows, MAX_RADIUS_CELLS at most.
+        passable, flooded: (64,) uint64 scratch.
+    """
+    n = known.shape[0]
+    words = n >> 6
+    radius, rows = len(disc) // 2, len(disc)
+    full = ~np.uint64(0)
+    seed = np.uint64(1) << np.uint64(radius)
+    for i in range(n_points):
+        out[i] = 0.0
+        x = math.floor(xy[i, 0] * inv_res) - origin_x
+        y = math.floor(xy[i, 1] * inv_res) - origin_y
+        if x < 0 or y < 0 or x >= n or y >= n:
+            continue
+        left = x - radius
+        word, offset = left >> 6, np.uint64(left & 63)
+        # A row's 64 columns lie in two words; what is not in the window is masked by `inside`.
+        low = (word + (shift_x >> 6)) % words
+        high = (low + 1) % words
+        back = np.uint64(63) - offset
+        # Columns of the 64 that lie in the window.
+        inside = full
+        if left < 0:
+            inside &= full << np.uint64(-left)
+        if left + 64 > n:
+            inside &= full >> np.uint64(left + 64 - n)
+        first, last = max(0, radius - y), min(rows, n - y + radius)
+        for k in range(first, last):
+            sy = y + k - radius + shift_y
+            if sy >= n:
+                sy -= n
+            width = np.uint64(2 * disc[k] + 1)
+            mask = ((np.uint64(1) << width) - np.uint64(1)) << np.uint64(radius - disc[k])
+            bits = (blocked[sy, low] >> offset) | ((blocked[sy, high] << back) << np.uint64(1))
+            passable[k] = ~bits & mask & inside
+            flooded[k] = 0
+        if passable[radius] & seed == np.uint64(0):
+            continue
+        flooded[radius] = _fill(seed, passable[radius])
+        _flood(flooded, passable, radius, first, last)
+        visited, unknown = np.uint64(0), np.uint64(0)
+        for k in range(first, last):
+            sy = y + k - radius + shift_y
+            if sy >= n:
+                sy -= n
+            visited += _popcount(flooded[k])
+            bits = (known[sy, low] >> offset) | ((known[sy, high] << back) << np.uint64(1))
+            unknown += _popcount(flooded[k] & ~bits)
+        out[i] = float(unknown) / float(visited)
+
+
+@njit(nogil=True, cache=True)
+def _flood(flooded, passable, start, first, last):
+    """Spread from row `start` up and down until nothing changes or everything is full."""
+    while True:
+        moving = False
+        row = flooded[start]
+        for k in range(start + 1, last):
+            more = flooded[k] | (row & passable[k])
+            if more != flooded[k]:
+                more = _fill(more, passable[k])
+                flooded[k] = more
+                moving = True
+            row = more
+        full = row == passable[last - 1]
+        for k in range(last - 2, first - 1, -1):
+            more = flooded[k] | (row & passable[k])
+            if more != flooded[k]:
+                more = _fill(more, passable[k])
+                flooded[k] = more
+                moving = True
+            full &= more == passable[k]
+            row = more
+        if full or not moving:
+            return
+        start = first

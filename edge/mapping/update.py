@@ -1,0 +1,117 @@
+"""Algorithm 1 of VL-Nav on the layers: clear stale obstacles, mark new ones, free by ray."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from edge.mapping.layers import FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
+from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE
+
+
+@njit(nogil=True, cache=True)
+def apply_scan(
+    layers, shift_x, shift_y, corner_x, corner_y, scan, polar, sensor_z, obstacle_max_m,
+    clear_after, disc, changed, explored, flipped,
+):  # fmt: skip
+    """Bring a classified scan into the map, and leave `scan.seen` empty.
+
+    An occupied cell without a hit is stale when a ray flew over it lower than its top, which
+    only a ray that would have hit it can do: what lies below the camera's view stays.
+
+    Args:
+        corner_x, corner_y: window coordinates of the scratch's cell (0, 0).
+        clear_after: updates in a row that must see through an obstacle to clear it.
+        changed: rectangle of cells whose published state changed.
+        explored: rectangle of all cells ever seen, window coordinates.
+        flipped: (side * side,) int32 scratch.
+
+    Returns:
+        (new obstacle cells, cleared ones).
+    """
+    n = layers.raw.shape[0]
+    clip = (0, 0, n, n)
+    x0, y0, x1, y1 = scan.box
+    raw, seen = layers.raw, scan.seen
+    sector_of, distance_m, reach_m = polar.sector_of, polar.distance_m, scan.reach_m
+    count = 0
+    for cy in range(y0, y1):
+        sy = cy + corner_y + shift_y
+        if sy >= n:
+            sy -= n
+        for cx in range(x0, x1):
+            sx = cx + corner_x + shift_x
+            if sx >= n:
+                sx -= n
+            code, state = seen[cy, cx], raw[sy, sx]
+            seen[cy, cx] = 0
+            if code >= LOWEST_OBSTACLE or state >= OCCUPIED:
+                if _update_obstacle(
+                    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m,
+                    clear_after,
+                ):  # fmt: skip
+                    flipped[count] = (cy << 16) | cx
+                    count += 1
+            elif state == UNSEEN and (
+                code == FLOOR or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]
+            ):
+                set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
+    n_new = 0
+    for i in range(count):
+        x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
+        occupied = raw[(y + shift_y) % n, (x + shift_x) % n] >= OCCUPIED
+        n_new += occupied
+        add_disc(layers, shift_x, shift_y, x, y, 1 if occupied else -1, disc, clip, changed)
+    explored[0] = min(explored[0], x0 + corner_x)
+    explored[1] = min(explored[1], y0 + corner_y)
+    explored[2] = max(explored[2], x1 + corner_x)
+    explored[3] = max(explored[3], y1 + corner_y)
+    return n_new, count - n_new
+
+
+@njit(nogil=True, cache=True)
+def _update_obstacle(
+    layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
+):
+    """Update a cell that is or was occupied; whether it became so or ceased to be."""
+    sector, ring = polar.sector_of[cy, cx], polar.ring_of[cy, cx]
+    slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
+    # Height over the ground at which the lowest ray flew over this cell.
+    below_m = sensor_z + slope * polar.distance_m[cy, cx] - scan.ground_m[sector, ring]
+    metres = obstacle_max_m / HEIGHT_CODES
+    top = layers.top[sy, sx]
+    if code >= LOWEST_OBSTACLE:
+        if state >= OCCUPIED and top > code:
+            # Taller than what was hit now, unless a ray has just flown through there.
+            lid = LOWEST_OBSTACLE + int(min(max(below_m / metres, 0.0), 252.0))
+            code = max(code, min(top, lid))
+        layers.top[sy, sx] = code
+        layers.raw[sy, sx] = OCCUPIED
+        bit_set(layers.known, sy, sx, True)
+        return state < OCCUPIED
+    if below_m >= (top - LOWEST_OBSTACLE) * metres:
+        return False
+    if state - OCCUPIED + 1 < clear_after:
+        layers.raw[sy, sx] = state + 1
+        return False
+    layers.raw[sy, sx] = FREE
+    layers.top[sy, sx] = 0
+    return True
+
+
+@njit(nogil=True, cache=True)
+def free_footprint(layers, shift_x, shift_y, x, y, disc, changed, explored):
+    """Where the robot stands nothing else does: unknown cells of the disc become free."""
+    n = layers.raw.shape[0]
+    radius = len(disc) // 2
+    for k in range(len(disc)):
+        wy = y + k - radius
+        if wy < 0 or wy >= n:
+            continue
+        for wx in range(max(x - disc[k], 0), min(x + disc[k] + 1, n)):
+            if layers.raw[(wy + shift_y) % n, (wx + shift_x) % n] == UNSEEN:
+                set_free(layers, shift_x, shift_y, wx, wy, changed)
+    explored[0] = min(explored[0], max(x - radius, 0))
+    explored[1] = min(explored[1], max(y - radius, 0))
+    explored[2] = max(explored[2], min(x + radius + 1, n))
+    explored[3] = max(explored[3], min(y + radius + 1, n))

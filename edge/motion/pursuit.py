@@ -1,0 +1,111 @@
+"""Pure pursuit for a robot that turns on the spot: from a path to speeds. No state, no map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge import config
+from edge.geometry import SE2, wrap_angle
+
+ROTATE_RAD = 0.8  # heading errors above this are turned away on the spot
+TURN_GAIN = 2.5  # rad/s for each rad of heading error
+CREEP_MPS = 0.05  # the slowest approach: below it, friction and rounding win
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Speeds for the robot: forward, and counter-clockwise."""
+
+    v_mps: float = 0.0
+    w_radps: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        return self.v_mps != 0.0 or self.w_radps != 0.0
+
+
+STOP = Command()
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the robot may be asked for."""
+
+    speed_mps: float
+    turn_radps: float
+    accel_mps2: float
+    turn_accel_radps2: float
+
+    @classmethod
+    def of(cls, robot: config.Robot) -> Limits:
+        return cls(
+            robot.max_speed_mps,
+            robot.max_turn_radps,
+            robot.max_accel_mps2,
+            robot.max_turn_accel_radps2,
+        )
+
+    def clip(self, v_mps: float, w_radps: float) -> Command:
+        """Within the limits, on the same arc: when the turn is clipped, the speed goes with it."""
+        scale = max(abs(v_mps) / self.speed_mps, abs(w_radps) / self.turn_radps, 1.0)
+        return Command(v_mps / scale, w_radps / scale)
+
+    def ramp(self, wanted: Command, last: Command, dt_s: float) -> Command:
+        """`wanted`, as near as the accelerations let it be after `last`."""
+        dv, dw = self.accel_mps2 * dt_s, self.turn_accel_radps2 * dt_s
+        return Command(
+            min(max(wanted.v_mps, last.v_mps - dv), last.v_mps + dv),
+            min(max(wanted.w_radps, last.w_radps - dw), last.w_radps + dw),
+        )
+
+
+def nearest_index(path_m: np.ndarray, x_m: float, y_m: float, start: int = 0) -> int:
+    """The path point nearest to (x, y), not before `start`.
+
+    Args:
+        path_m: (n, 2) float64, n > start.
+    """
+    d = path_m[start:] - (x_m, y_m)
+    return start + int(np.argmin((d * d).sum(axis=1)))
+
+
+def index_ahead(path_m: np.ndarray, index: int, ahead_m: float) -> int:
+    """The first path point at least `ahead_m` along the path from `index`, else the last."""
+    legs = np.hypot(*np.diff(path_m[index:], axis=0).T)
+    return index + min(int(np.searchsorted(np.cumsum(legs), ahead_m)) + 1, len(legs))
+
+
+def length_m(path_m: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
+
+
+def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: Limits) -> Command:
+    """Speeds on the arc through a point ahead; on the spot when it lies far to the side.
+
+    Args:
+        x_m, y_m: the point on the path to aim at, in `map`.
+        remaining_m: path left to the goal; the robot slows so that it can stop there.
+    """
+    bearing = pose.bearing_to(x_m, y_m)
+    distance = pose.distance_to(x_m, y_m)
+    if distance < 1e-6:
+        return STOP
+    if abs(bearing) > ROTATE_RAD:
+        return turn(bearing, limits)
+    braking = math.sqrt(limits.accel_mps2 * max(remaining_m, 0.0))
+    v = min(limits.speed_mps, max(braking, CREEP_MPS)) * math.cos(bearing)
+    return limits.clip(v, v * 2.0 * math.sin(bearing) / distance)
+
+
+def turn(error_rad: float, limits: Limits) -> Command:
+    """Turn on the spot by an angle, slower near its end."""
+    w = max(TURN_GAIN * abs(error_rad), 0.1)
+    return limits.clip(0.0, math.copysign(w, error_rad))
+
+
+def turn_to(pose: SE2, yaw_rad: float, limits: Limits) -> Command:
+    """Turn on the spot to a heading, the short way round."""
+    return turn(wrap_angle(yaw_rad - pose.yaw_rad), limits)

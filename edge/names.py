@@ -1,0 +1,226 @@
+"""One word for one thing: the alias table that prompts, formulas and worlds share.
+
+>>> canonical("the TV set"), canonical("SofaC_01"), canonical("dining_tables")
+('television', 'sofa', 'dining table')
+>>> same("trash bin", "Trash")
+True
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+
+ALIASES: dict[str, tuple[str, ...]] = {
+    "air conditioner": ("airconditioner", "aircon", "ac unit"),
+    "armchair": ("arm chair", "easy chair", "recliner", "lounge chair"),
+    "backpack": ("rucksack", "knapsack", "school bag"),
+    "basketball": ("basket ball",),
+    "bathtub": ("bath tub", "tub"),
+    "bed": ("double bed", "single bed", "king bed", "queen bed"),
+    "bench": (),
+    "bicycle": ("bike", "push bike", "cycle"),
+    "bookcase": ("bookshelf", "book shelf", "book case"),
+    "bottle": ("flask",),
+    "bowl": (),
+    "box": ("cardboard box", "carton"),
+    "cabinet": ("cupboard", "kitchen cabinet", "sideboard", "credenza", "tv cabinet"),
+    "candle": (),
+    "car": ("automobile",),
+    "carpet": ("rug", "area rug"),
+    "ceiling lamp": ("chandelier", "pendant lamp", "light fixture", "ceiling light"),
+    "cell phone": ("mobile phone", "cellphone", "smartphone", "mobile", "cellular telephone"),
+    "chair": ("dining chair", "kitchen chair", "wooden chair", "desk chair", "office chair"),
+    "chest of drawers": ("dresser", "drawers", "drawer unit", "commode"),
+    "clock": ("wall clock", "alarm clock"),
+    "coffee maker": ("coffee machine", "coffeemaker", "espresso machine"),
+    "coffee table": ("low table", "tea table"),
+    "computer keyboard": ("keyboard",),
+    "computer monitor": ("computer screen", "monitor"),
+    "countertop": ("counter top", "counter", "worktop", "kitchen counter", "cooking bench"),
+    "cup": (),
+    "curtain": ("drapes", "drape", "drapery"),
+    "cushion": ("throw pillow",),
+    "desk": (
+        "reading desk", "writing desk", "office desk", "computer desk", "work desk", "study desk",
+    ),
+    "dining table": ("kitchen table", "dinner table", "kitchen & dining room table"),
+    "dishwasher": ("dish washer",),
+    "door": ("doorway", "folding door"),
+    "dumbbell": ("dumb bell", "hand weight"),
+    "fan": ("mechanical fan", "electric fan"),
+    "fireplace": (),
+    "floor lamp": ("standing lamp", "standard lamp"),
+    "handbag": ("purse", "hand bag"),
+    "houseplant": ("house plant", "potted plant", "pot plant", "plant", "indoor plant"),
+    "laptop": ("laptop computer", "notebook computer"),
+    "laundry basket": ("laundry hamper", "clothes hamper", "hamper"),
+    "microwave": ("microwave oven",),
+    "mirror": ("looking glass",),
+    "mug": ("coffee mug", "coffee cup"),
+    "nightstand": ("night stand", "bedside table", "night table", "bedside cabinet"),
+    "ottoman": ("footstool", "foot stool", "pouffe", "hassock"),
+    "oven": (),
+    "painting": (
+        "picture", "picture frame", "portrait", "desk portrait", "photo frame", "photograph",
+        "wall art", "artwork", "framed picture",
+    ),
+    "person": ("man", "woman", "human", "people", "pedestrian", "child"),
+    "piano": (),
+    "pillow": (),
+    "plate": ("dish",),
+    "printer": (),
+    "refrigerator": ("fridge", "freezer", "ice box"),
+    "remote control": ("remote", "tv remote", "remote controller"),
+    "shelf": ("shelves", "shelving unit", "rack", "shelving"),
+    "shoe rack": (),
+    "shower": (),
+    "sink": ("washbasin", "wash basin", "basin", "kitchen sink"),
+    "sofa": ("couch", "settee", "loveseat", "love seat", "divan", "chesterfield", "sectional"),
+    "sports ball": ("ball", "soccer ball", "football"),
+    "statue": ("sculpture", "figurine"),
+    "stool": ("bar stool", "barstool"),
+    "stove": ("cooker", "gas stove", "hob", "cooktop", "stovetop", "range"),
+    "suitcase": ("luggage", "travel case"),
+    "table": (),
+    "table lamp": ("desk lamp", "bedside lamp", "lamp"),
+    "teddy bear": ("teddy", "stuffed bear", "plush bear"),
+    "telephone": ("phone", "landline"),
+    "television": ("tv", "tv set", "television set", "telly", "television screen", "tv screen"),
+    "tv stand": ("tvstand", "television stand", "media console", "media unit"),
+    "toaster": (),
+    "toilet": ("wc", "lavatory", "toilet bowl"),
+    "towel": ("bath towel", "hand towel"),
+    "trash can": (
+        "trash", "trash bin", "trash bin can", "trashcan", "garbage can", "garbage bin",
+        "garbage", "waste bin", "waste container", "waste basket", "wastebasket", "bin",
+        "rubbish bin", "dustbin", "wastepaper basket", "litter bin",
+    ),
+    "treadmill": ("running machine",),
+    "umbrella": (),
+    "vacuum cleaner": ("vacuum", "hoover"),
+    "vase": ("flower vase",),
+    "wardrobe": ("armoire", "closet"),
+    "washing machine": ("washer", "clothes washer", "laundry machine"),
+    "window": ("room window",),
+    "wine glass": ("wineglass",),
+}  # fmt: skip
+"""Canonical name → other names for the same thing. A name stands in one place only."""
+
+BROADER: dict[str, tuple[str, ...]] = {
+    "armchair": ("chair",),
+    "sofa bed": ("sofa", "bed"),
+    "stool": ("chair",),
+}
+"""Canonical name → what it is a kind of, where its last word does not say so."""
+
+_PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
+_NO_PLURAL = ("ss", "us", "is")
+_ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
+# Words after which a phrase no longer names the thing but says where or how it is.
+_AFTER_HEAD = re.compile(
+    r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
+    r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
+)
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_VARIANT = re.compile(r"(?:\s+(?:[A-Z]|\d+))+$")
+
+_CANONICAL: dict[str, str] = {name: name for name in ALIASES}
+for _name, _others in ALIASES.items():
+    for _other in _others:
+        _CANONICAL[_other] = _name
+
+
+def normalise(word: str) -> str:
+    """Lower case, single spaces, no article, no model suffix: `SofaC_01` becomes `sofa`.
+
+    Raises:
+        ValueError: nothing is left.
+    """
+    text = " ".join(re.sub(r"[_\-]+", " ", word).split())
+    if _CAMEL.search(text) or text[-1:].isdigit():
+        text = _VARIANT.sub("", " ".join(_CAMEL.sub(" ", text).split()))
+    text = text.lower().strip(" .,;:!?'\"")
+    for article in _ARTICLES:
+        text = text.removeprefix(article)
+    if not text:
+        raise ValueError(f"not a name: {word!r}")
+    return text
+
+
+def singular(phrase: str) -> str:
+    """The phrase with its last word in the singular, by the regular English endings.
+
+    >>> singular("dining chairs"), singular("boxes"), singular("glass")
+    ('dining chair', 'box', 'glass')
+    """
+    head, _, last = phrase.rpartition(" ")
+    if last in _PLURALS:
+        last = _PLURALS[last]
+    elif last.endswith("ies") and len(last) > 4:
+        last = last[:-3] + "y"
+    elif last.endswith(("ches", "shes", "xes", "sses")):
+        last = last[:-2]
+    elif last.endswith("s") and not last.endswith(_NO_PLURAL) and len(last) > 3:
+        last = last[:-1]
+    return f"{head} {last}" if head else last
+
+
+def is_known(word: str) -> bool:
+    """Whether the alias table has the word (singular or plural)."""
+    text = normalise(word)
+    return text in _CANONICAL or singular(text) in _CANONICAL
+
+
+@lru_cache(maxsize=4096)
+def canonical(word: str) -> str:
+    """The one name for a thing; a word outside the table is its own, normalised and singular."""
+    text = normalise(word)
+    if text in _CANONICAL:
+        return _CANONICAL[text]
+    return _CANONICAL.get(singular(text), singular(text))
+
+
+def same(a: str, b: str) -> bool:
+    """Whether two words name the same thing."""
+    return canonical(a) == canonical(b)
+
+
+def names_of(word: str) -> tuple[str, ...]:
+    """Everything a thing is called: the word itself, its canonical name, then the aliases."""
+    text, name = normalise(word), canonical(word)
+    return tuple(dict.fromkeys((text, singular(text), name, *ALIASES.get(name, ()))))
+
+
+def is_kind_of(word: str, broader: str) -> bool:
+    """Whether one word names the same thing as another, or a kind of it.
+
+    >>> is_kind_of("folding chair", "chair"), is_kind_of("armchair", "chair")
+    (True, True)
+    >>> is_kind_of("chair", "armchair")
+    False
+    """
+    wanted = canonical(broader)
+    nouns = [canonical(noun) for noun in head_nouns(word)]
+    return wanted in nouns or any(wanted in BROADER.get(noun, ()) for noun in nouns)
+
+
+def head_phrase(phrase: str) -> str:
+    """The part of a phrase that names the thing.
+
+    >>> head_phrase("the tall white trash bin next to the sofa")
+    'tall white trash bin'
+    """
+    return _AFTER_HEAD.split(normalise(phrase), maxsplit=1)[0]
+
+
+def head_nouns(phrase: str) -> Iterator[str]:
+    """Ever shorter endings of the phrase's head: the first known one is its noun.
+
+    >>> list(head_nouns("tall white trash bin"))
+    ['tall white trash bin', 'white trash bin', 'trash bin', 'bin']
+    """
+    words = head_phrase(phrase).split()
+    for start in range(len(words)):
+        yield " ".join(words[start:])

@@ -1,0 +1,79 @@
+"""What a detector is, and the registry of those there are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from edge import config
+from edge.types import Detections, Observation
+
+
+class Detector(Protocol):
+    """Finds what the prompts name in the images of observations.
+
+    Attributes:
+        name: the model's card, or what it is when it is no model.
+        prompts: what is looked for, `Detections.class_id` counts in them.
+    """
+
+    name: str
+    prompts: tuple[str, ...]
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """Look for something else from the next image on; may be called from another thread.
+
+        Raises:
+            PromptError: a prompt is empty or cannot be turned into an embedding.
+        """
+        ...
+
+    def detect(self, observation: Observation) -> Detections:
+        """Everything above `tau_vl`, highest score first.
+
+        Raises:
+            ValueError: the observation's image is missing, empty or not (h, w, 3) uint8.
+        """
+        ...
+
+    def close(self) -> None: ...
+
+
+def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str]) -> Detector:
+    from edge.perception.onnx_detector import OnnxDetector
+
+    return OnnxDetector(detector, prompts)
+
+
+def _sim(detector: config.DetectorSim, prompts: Sequence[str]) -> Detector:
+    from edge.perception.sim_detector import SimDetector
+
+    return SimDetector(detector, prompts)
+
+
+REGISTRY = {"onnx": _onnx, "sim": _sim}
+
+
+def make_detector(perception: config.Perception, prompts: Sequence[str]) -> Detector:
+    """The detector that the configuration names, ready to use.
+
+    Raises:
+        PromptError: see `Detector.set_prompts`.
+        ModelError: the model cannot be loaded, or not with the providers asked for.
+    """
+    return REGISTRY[perception.detector.kind](perception.detector, prompts)
+
+
+def check_rgb(observation: Observation) -> np.ndarray:
+    """The observation's image, contiguous; raises ValueError if it is unusable."""
+    rgb = observation.rgb
+    if rgb is None:
+        raise ValueError(f"observation {observation.seq}: no image to detect in")
+    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
+        raise ValueError(
+            f"observation {observation.seq}: image is {rgb.dtype} {rgb.shape}, "
+            "must be uint8 (height, width, 3) and not empty"
+        )
+    return np.ascontiguousarray(rgb)

@@ -1,0 +1,53 @@
+"""Detection inside the tick, for lockstep runs that must replay the same."""
+
+from __future__ import annotations
+
+from edge.perception.detector import Detector
+from edge.perception.worker import WorkerStats, log_failure
+from edge.types import Detections, Observation
+
+
+class InlineWorker:
+    """Has the methods of `DetectorWorker`, but `submit` runs the model at once.
+
+    Args:
+        every: the model runs on every `every`-th observation.
+    """
+
+    def __init__(self, detector: Detector, every: int = 1) -> None:
+        self.detector = detector
+        self.stats = WorkerStats()
+        self._every = every
+        self._result: Detections | None = None
+
+    def submit(self, observation: Observation) -> None:
+        """Detect in this now if it is its turn; the result waits for `poll`."""
+        turn = self.stats.submitted % self._every == 0
+        self.stats.submitted += 1
+        if not turn:
+            return
+        self._drop()
+        try:
+            detections = self.detector.detect(observation)
+        except Exception as error:  # the loop must outlive whatever a model does
+            if self.stats.count_failure(error):
+                log_failure(self.detector, error)
+            return
+        observation.hold()
+        self._result = detections
+        self.stats.done += 1
+        self.stats.last_latency_ns = detections.latency_ns
+
+    def poll(self) -> Detections | None:
+        """The detections of the last `submit`, once."""
+        result, self._result = self._result, None
+        return result
+
+    def close(self) -> None:
+        self._drop()
+        self.detector.close()
+
+    def _drop(self) -> None:
+        if self._result is not None:
+            self._result.observation.release()
+            self._result = None

@@ -1,0 +1,380 @@
+"""Things that may be the target, merged over time (VL-Nav III.C)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from edge import config, names
+from edge.geometry import SE2, CameraModel, invert
+from edge.perception import instance_kernels as kernels
+from edge.perception.lift import Lifted
+from edge.types import Instance, Observation
+
+MAX_POINTS = 64
+RISE, FALL = 0.5, 0.15
+"""Weights of a new score that is above, or below, the running one: a good view counts more than
+a bad one, since most views are from afar or from the side."""
+DECAY = 0.9
+"""Factor on the score of an instance that was looked at and not found."""
+GONE = 0.5
+"""An instance whose score fell under this share of `tau_det` is forgotten."""
+FORGET_VIEWS = 100
+"""Every so many views the counts that confirm are halved, so that old ones fade."""
+REFUTE_VIEWS = 30
+"""After so many views, what something else explains better on average is not the target."""
+_LOOK_MIN_M = 0.8
+"""Nearer things do not fit into the image, so not finding them says nothing."""
+_LOOK_RIM = 0.1
+"""Share of the image at each edge where not finding says nothing."""
+_OCCLUDED_M = 0.4
+"""A return this much nearer than the instance hides it."""
+_PROTECTED = ("confirmed", "refuted", "reached")
+
+
+@dataclass(slots=True, eq=False)
+class _Track:
+    """An instance and what deciding about it needs.
+
+    Attributes:
+        name: canonical form of the label.
+        good_hits: views from near by in which it looked like the target.
+        views: views from near by in which it would have shown; `target_sum` and `rival_sum` are
+            the sums of what the detector gave the target and its best rival in them.
+        now_target, now_rival: of the frame at hand.
+        evidence_ns: newest stamp at which anything, even a weak box, was seen there.
+        x_m, y_m, z_m: the centre, as plain numbers.
+        radius_m: the farthest surface point from the centre.
+    """
+
+    instance: Instance
+    name: str
+    evidence_ns: int
+    good_hits: int = 0
+    views: int = 0
+    good_ns: int = -1
+    target_sum: float = 0.0
+    rival_sum: float = 0.0
+    now_target: float = 0.0
+    now_rival: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: float = 0.0
+    radius_m: float = 0.0
+
+    def distance_m(self, x_m: float, y_m: float) -> float:
+        return math.hypot(self.x_m - x_m, self.y_m - y_m)
+
+
+class InstanceTracker:
+    """Keeps one `Instance` per thing seen.
+
+    Scores: a detection above the running score pulls it up by half the difference, one below
+    pulls it down by 0.15 of it; weak detections (under `tau_det`) at a known place count too,
+    but never found a new instance. Each look in vain takes a tenth off (`expire`).
+    """
+
+    def __init__(self, perception: config.Perception) -> None:
+        self.config = perception
+        self.dropped = 0
+        self._tracks: dict[int, _Track] = {}
+        self._next_id = 1
+
+    def __len__(self) -> int:
+        return len(self._tracks)
+
+    @property
+    def all(self) -> list[Instance]:
+        """Every instance, refuted ones too, oldest first."""
+        return [track.instance for track in self._tracks.values()]
+
+    def get(self, instance_id: int) -> Instance | None:
+        track = self._tracks.get(instance_id)
+        return track.instance if track else None
+
+    def of(self, label: str) -> list[Instance]:
+        """Instances that answer to a label (or a synonym) and were not refuted, best first."""
+        name = names.canonical(label)
+        found = [
+            track.instance
+            for track in self._tracks.values()
+            if track.instance.state != "refuted" and track.name == name
+        ]
+        return sorted(found, key=lambda instance: (-instance.score, instance.id))
+
+    def update(self, lifted: Lifted, stamp_ns: int) -> None:
+        """Merge lifted detections, strongest first.
+
+        Args:
+            lifted: of one image.
+            stamp_ns: when that image was taken.
+        """
+        seen = lifted.detections
+        pose = seen.observation.pose
+        words = [names.canonical(prompt) for prompt in seen.prompts]
+        unrivalled = seen.unrivalled()
+        hit: set[int] = set()
+        for i in np.flatnonzero(lifted.valid).tolist():
+            class_id, score = int(seen.class_id[i]), float(seen.score[i])
+            strong = score > self.config.tau_det and bool(unrivalled[i])
+            points = lifted.surface_m(i)
+            x_m, y_m, _ = lifted.center_m[i].tolist()
+            track = self._match(words[class_id], x_m, y_m)
+            if track is None:
+                if not strong:
+                    continue
+                track = self._found(seen.prompts[class_id], points, score, stamp_ns)
+            elif track.instance.id in hit:
+                if strong:
+                    self._grow(track, points)
+                continue
+            elif unrivalled[i]:
+                self._merge(track, points, score, stamp_ns)
+            track.evidence_ns = max(track.evidence_ns, stamp_ns)
+            if score > track.now_target:
+                track.now_target = score
+                track.now_rival = 0.0 if seen.rival is None else float(seen.rival[i])
+            if strong:
+                hit.add(track.instance.id)
+                self._confirm(track, points, score, pose, stamp_ns)
+        for instance_id in hit:
+            self._unite(instance_id)
+        self._limit()
+
+    def expire(self, observation: Observation) -> list[int]:
+        """Take score off what this observation looked at without finding it.
+
+        Call it after `update` with the same observation. Refuted and reached instances stay.
+
+        Returns:
+            Ids of instances that were forgotten.
+        """
+        camera = observation.camera
+        if camera is None or not self._tracks:
+            return []
+        T = invert(observation.T_map_base @ observation.T_base_camera).tolist()
+        pose, near_m = observation.pose, self.config.confirm_range_m
+        gone = []
+        for track in list(self._tracks.values()):
+            instance = track.instance
+            if instance.state in ("refuted", "reached"):
+                continue
+            view = self._view(track, observation, camera, T)
+            if view == "hidden":
+                track.now_target = track.now_rival = 0.0
+                continue
+            near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
+            if near and (view == "well" or track.now_target > 0.0):
+                self._count_view(track)
+            track.now_target = track.now_rival = 0.0
+            if view == "partly" or track.evidence_ns >= observation.stamp_ns:
+                continue
+            instance.score *= DECAY
+            if instance.score < GONE * self.config.tau_det:
+                gone.append(instance.id)
+        for instance_id in gone:
+            self._tracks.pop(instance_id, None)
+        return gone
+
+    def _view(
+        self, track: _Track, observation: Observation, camera: CameraModel, T: list[list[float]]
+    ) -> Literal["hidden", "partly", "well"]:
+        """How well an observation shows the place of an instance.
+
+        Args:
+            T: optical frame from `map`, as nested lists: a handful of products, no arrays.
+        """
+        cx, cy, cz = track.x_m, track.y_m, track.z_m
+        z = T[2][0] * cx + T[2][1] * cy + T[2][2] * cz + T[2][3]
+        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
+        if not 0.1 < z < far_m:
+            return "hidden"
+        x = T[0][0] * cx + T[0][1] * cy + T[0][2] * cz + T[0][3]
+        y = T[1][0] * cx + T[1][1] * cy + T[1][2] * cz + T[1][3]
+        u = camera.fx_px * x / z + camera.cx_px
+        v = camera.fy_px * y / z + camera.cy_px
+        if not (0 <= u < camera.width_px and 0 <= v < camera.height_px):
+            return "hidden"
+        depth = observation.depth_m
+        if depth is not None and 0.0 < depth[int(v), int(u)] < z - _OCCLUDED_M:
+            return "hidden"
+        rim_u, rim_v = _LOOK_RIM * camera.width_px, _LOOK_RIM * camera.height_px
+        inside = rim_u < u < camera.width_px - rim_u and rim_v < v < camera.height_px - rim_v
+        return "well" if inside and z > _LOOK_MIN_M else "partly"
+
+    def confirmed(self, instance: Instance) -> bool:
+        """Whether it was seen well enough, often enough, from near enough to be the target."""
+        return instance.state in ("confirmed", "reached")
+
+    def refute(self, instance_id: int) -> None:
+        """It is not the target: never chase it again, nor anything found within
+        `refute_radius_m` of it."""
+        track = self._tracks.get(instance_id)
+        if track is None:
+            return
+        track.instance.state = "refuted"
+        for other in list(self._tracks.values()):
+            if (
+                other is not track
+                and other.instance.state != "reached"
+                and other.name == track.name
+                and other.distance_m(track.x_m, track.y_m) <= self.config.refute_radius_m
+            ):
+                del self._tracks[other.instance.id]
+
+    def mark_reached(self, instance_id: int) -> None:
+        if track := self._tracks.get(instance_id):
+            track.instance.state = "reached"
+
+    def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
+        """The instance that a detection belongs to; a refuted one near its centre comes first."""
+        best, best_m = None, self.config.merge_m
+        for track in self._tracks.values():
+            if track.name != name:
+                continue
+            apart_m = track.distance_m(x_m, y_m)
+            if track.instance.state == "refuted":
+                if apart_m <= self.config.refute_radius_m:
+                    return track
+                continue
+            if apart_m - track.radius_m >= best_m:
+                continue
+            apart_m = min(apart_m, kernels.nearest(track.instance.points_m, x_m, y_m))
+            if apart_m < best_m:
+                best, best_m = track, apart_m
+        return best
+
+    def _found(self, label: str, points: np.ndarray, score: float, stamp_ns: int) -> _Track:
+        instance = Instance(
+            id=self._next_id,
+            label=label,
+            center_m=np.zeros(3, np.float32),
+            points_m=np.empty((0, 3), np.float32),
+            score=score,
+            hits=1,
+            first_seen_ns=stamp_ns,
+            last_seen_ns=stamp_ns,
+        )
+        track = _Track(instance, names.canonical(label), stamp_ns)
+        self._grow(track, points)
+        self._tracks[self._next_id] = track
+        self._next_id += 1
+        return track
+
+    def _merge(self, track: _Track, points: np.ndarray, score: float, stamp_ns: int) -> None:
+        track.evidence_ns = max(track.evidence_ns, stamp_ns)
+        if track.instance.state == "refuted":
+            return
+        instance = track.instance
+        weight = RISE if score > instance.score else FALL
+        instance.score += weight * (score - instance.score)
+        if score > self.config.tau_det:
+            instance.hits += 1
+            instance.last_seen_ns = max(instance.last_seen_ns, stamp_ns)
+            self._grow(track, points)
+
+    def _grow(self, track: _Track, points: np.ndarray) -> None:
+        """Add surface points, one per voxel, at most MAX_POINTS spread over all of them."""
+        instance = track.instance
+        if instance.state == "refuted":
+            return
+        instance.points_m, instance.center_m, track.radius_m = kernels.merge_points(
+            instance.points_m, points, self.config.voxel_m, MAX_POINTS
+        )
+        track.x_m, track.y_m, track.z_m = instance.center_m.tolist()
+
+    def _confirm(
+        self, track: _Track, points: np.ndarray, score: float, pose: SE2, now_ns: int
+    ) -> None:
+        c, instance = self.config, track.instance
+        if instance.state in ("refuted", "reached") or score < c.confirm_score:
+            return
+        if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
+            return
+        if track.good_ns != now_ns:
+            track.good_ns = now_ns
+            track.good_hits += 1
+            self._judge(track)
+
+    def _count_view(self, track: _Track) -> None:
+        track.views += 1
+        track.target_sum += track.now_target
+        track.rival_sum += track.now_rival
+        if track.views >= FORGET_VIEWS:
+            track.views //= 2
+            track.good_hits //= 2
+            track.target_sum *= 0.5
+            track.rival_sum *= 0.5
+        self._judge(track)
+
+    def _judge(self, track: _Track) -> None:
+        """Confirmed is what was found often enough and, over all looks at it from near by, scored
+        well and clearly better than anything else would.
+
+        A mistake now and then is no confirmation when most looks find nothing, nor is a bed that
+        is also a fair sofa.
+        """
+        c, instance = self.config, track.instance
+        if instance.state not in ("seen", "confirmed"):
+            return
+        sure = (
+            track.good_hits >= c.confirm_hits
+            and track.target_sum >= c.confirm_mean * track.views
+            and track.target_sum >= c.confirm_lead * track.rival_sum
+        )
+        instance.state = "confirmed" if sure else "seen"
+        if track.views >= REFUTE_VIEWS and track.rival_sum > track.target_sum:
+            self.refute(instance.id)
+
+    def _unite(self, instance_id: int) -> None:
+        """Merge instances of one label that grew into each other; the older one stays."""
+        track = self._tracks.get(instance_id)
+        if track is None or track.instance.state in ("refuted", "reached"):
+            return
+        for other in list(self._tracks.values()):
+            if other is track or other.name != track.name:
+                continue
+            if other.instance.id not in self._tracks:
+                continue
+            if other.instance.state in ("refuted", "reached") or not self._overlap(track, other):
+                continue
+            older = other.instance.id < track.instance.id
+            old, new = (other, track) if older else (track, other)
+            del self._tracks[new.instance.id]
+            self._absorb(old, new)
+            track = old
+
+    def _overlap(self, a: _Track, b: _Track) -> bool:
+        """Whether the centre of one lies on the other, give or take half of `merge_m`."""
+        near_m = 0.5 * self.config.merge_m
+        if a.distance_m(b.x_m, b.y_m) > near_m + max(a.radius_m, b.radius_m):
+            return False
+        a_to_b = kernels.nearest(a.instance.points_m, b.x_m, b.y_m)
+        return min(a_to_b, kernels.nearest(b.instance.points_m, a.x_m, a.y_m)) < near_m
+
+    def _absorb(self, old: _Track, new: _Track) -> None:
+        a, b = old.instance, new.instance
+        a.score = max(a.score, b.score)
+        a.hits += b.hits
+        a.last_seen_ns = max(a.last_seen_ns, b.last_seen_ns)
+        old.evidence_ns = max(old.evidence_ns, new.evidence_ns)
+        old.good_hits = max(old.good_hits, new.good_hits)
+        old.views += new.views
+        old.target_sum += new.target_sum
+        old.rival_sum += new.rival_sum
+        self._judge(old)
+        self._grow(old, b.points_m)
+
+    def _limit(self) -> None:
+        """Over `max_instances`, the weakest go, the longest unseen of equals first."""
+        excess = len(self._tracks) - self.config.max_instances
+        if excess <= 0:
+            return
+        free = [t.instance for t in self._tracks.values() if t.instance.state not in _PROTECTED]
+        free.sort(key=lambda instance: (instance.score, instance.last_seen_ns))
+        for instance in free[:excess]:
+            del self._tracks[instance.id]
+            self.dropped += 1

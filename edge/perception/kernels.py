@@ -1,0 +1,186 @@
+"""Image in, boxes out: the arrays around a detector's network. Arrays only, no objects."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(nogil=True, cache=True)
+def to_planes(rgb, scale, top, left, out):
+    """Write an image into planes: out[c, top + y, left + x] = rgb[y, x, c] * scale.
+
+    Args:
+        rgb: (h, w, 3) uint8.
+        scale: float32, 1/255 for 0..1.
+        top, left: where the image starts in `out`.
+        out: (3, H, W) float32; only the image's place is written.
+    """
+    h, w = rgb.shape[0], rgb.shape[1]
+    for y in range(h):
+        red, green, blue = out[0, top + y], out[1, top + y], out[2, top + y]
+        for x in range(w):
+            red[left + x] = rgb[y, x, 0] * scale
+            green[left + x] = rgb[y, x, 1] * scale
+            blue[left + x] = rgb[y, x, 2] * scale
+
+
+@njit(nogil=True, cache=True)
+def iou(a, b):
+    """Intersection over union of two boxes (x0, y0, x1, y1); 0 where either is empty."""
+    w = min(a[2], b[2]) - max(a[0], b[0])
+    h = min(a[3], b[3]) - max(a[1], b[1])
+    if w <= 0.0 or h <= 0.0:
+        return 0.0
+    inter = w * h
+    union = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - inter
+    return inter / union
+
+
+@njit(nogil=True, cache=True)
+def split_scores(boxes, scores, n_targets, tau, best, label, rival):
+    """For every anchor: its best target and its best background prompt.
+
+    Args:
+        boxes: (a, 4) float32.
+        scores: (a, n) float32; columns below `n_targets` are targets, the rest background.
+        tau: scores below it do not count.
+        best: (a,) float32 out, the best target's score, 0 where below `tau`.
+        label: (a,) int32 out, its column.
+        rival: (a,) float32 out, the best background score, 0 where below `tau`.
+
+    Returns:
+        How many anchors were left out since their box or a score is not finite.
+    """
+    invalid = 0
+    for i in range(len(boxes)):
+        best[i] = 0.0
+        rival[i] = 0.0
+        label[i] = 0
+        total = boxes[i, 0] + boxes[i, 1] + boxes[i, 2] + boxes[i, 3]
+        for j in range(scores.shape[1]):
+            s = scores[i, j]
+            total += s
+            if s < tau:
+                continue
+            if j < n_targets:
+                if s > best[i]:
+                    best[i] = s
+                    label[i] = j
+            elif s > rival[i]:
+                rival[i] = s
+        if not np.isfinite(total):
+            best[i] = 0.0
+            rival[i] = 0.0
+            invalid += 1
+    return invalid
+
+
+@njit(nogil=True, cache=True)
+def suppress(boxes, best, label, iou_max, keep):
+    """Greedy class-wise non-maximum suppression.
+
+    Args:
+        boxes: (a, 4) float32.
+        best, label: from `split_scores`.
+        keep: (m,) int32 out, indices of kept boxes, highest score first.
+
+    Returns:
+        How many were kept, at most m.
+    """
+    order = np.argsort(-best, kind="mergesort")
+    n = 0
+    for i in order:
+        if best[i] <= 0.0 or n == len(keep):
+            break
+        alone = True
+        for k in range(n):
+            j = keep[k]
+            if label[j] == label[i] and iou(boxes[i], boxes[j]) > iou_max:
+                alone = False
+                break
+        if alone:
+            keep[n] = i
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def strongest_rivals(boxes, rival, keep, n, iou_max, out):
+    """The best background score on the same place as each kept box (IoU over `iou_max`).
+
+    Args:
+        rival: (a,) float32 from `split_scores`.
+        keep: (m,) int32, the first `n` are indices into `boxes`.
+        out: (m,) float32.
+    """
+    for k in range(n):
+        i = keep[k]
+        out[k] = rival[i]
+        for j in range(len(boxes)):
+            if rival[j] > out[k] and iou(boxes[i], boxes[j]) > iou_max:
+                out[k] = rival[j]
+
+
+@njit(nogil=True, cache=True)
+def to_image(boxes, keep, n, scale, top, left, width, height, out):
+    """Boxes of the network's input as boxes of the image, clipped to it.
+
+    Args:
+        keep: (m,) int32, the first `n` are indices into `boxes`; empty boxes are taken out.
+        scale: input pixels per image pixel; `top`, `left` the image's place in the input.
+        out: (m, 4) float32.
+
+    Returns:
+        How many are left; `keep` and `out` are compacted alike.
+    """
+    k = 0
+    for m in range(n):
+        b = boxes[keep[m]]
+        x0 = min(max((b[0] - left) / scale, 0.0), width)
+        y0 = min(max((b[1] - top) / scale, 0.0), height)
+        x1 = min(max((b[2] - left) / scale, 0.0), width)
+        y1 = min(max((b[3] - top) / scale, 0.0), height)
+        if x1 - x0 < 1.0 or y1 - y0 < 1.0:
+            continue
+        keep[k] = keep[m]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x0, y0, x1, y1
+        k += 1
+    return k
+
+
+@njit(nogil=True, cache=True)
+def object_boxes(ids, depth, box, pixels, distance):
+    """Extent, size and mean distance of every object in an image of object ids.
+
+    Args:
+        ids: (h, w) uint16, 0 = none; ids above n are ignored.
+        depth: (h, w) float32 metres, NaN or 0 = no return.
+        box: (n, 4) int32 out, x0, y0, x1, y1 with x1, y1 one past the end.
+        pixels: (n,) int32 out.
+        distance: (n,) float32 out, mean depth in metres, 0 where nothing returned.
+    """
+    h, w = ids.shape
+    n = len(pixels)
+    returns = np.zeros(n, np.int32)
+    for i in range(n):
+        box[i, 0], box[i, 1], box[i, 2], box[i, 3] = w, h, 0, 0
+        pixels[i] = 0
+        distance[i] = 0.0
+    for y in range(h):
+        for x in range(w):
+            i = np.int64(ids[y, x]) - 1
+            if i < 0 or i >= n:
+                continue
+            pixels[i] += 1
+            box[i, 0] = min(box[i, 0], x)
+            box[i, 1] = min(box[i, 1], y)
+            box[i, 2] = max(box[i, 2], x + 1)
+            box[i, 3] = max(box[i, 3], y + 1)
+            z = depth[y, x]
+            if z > 0.0 and np.isfinite(z):
+                distance[i] += z
+                returns[i] += 1
+    for i in range(n):
+        if returns[i] > 0:
+            distance[i] /= returns[i]

@@ -1,0 +1,260 @@
+"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edge import config, names
+from edge.perception import kernels
+from edge.perception.cards import Card, ModelError, load_card, verify_model
+from edge.perception.detector import check_rgb
+from edge.perception.text import PromptError, TextEmbeddings
+from edge.types import Detections, Observation
+
+log = logging.getLogger(__name__)
+
+INPUTS = ("images", "txt_feats")
+OUTPUTS = ("boxes", "scores")
+
+
+def open_session(path: Path, providers: Sequence[str], threads: int) -> Any:
+    """An onnxruntime session that runs on exactly the providers named.
+
+    Raises:
+        ModelError: onnxruntime or a provider is not there, or the file is no model.
+    """
+    try:
+        import onnxruntime as ort
+    except ImportError:
+        raise ModelError(
+            "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
+        ) from None
+    available = ort.get_available_providers()
+    for provider in providers:
+        if provider not in available:
+            raise ModelError(
+                f"perception.detector.providers: {provider!r} is not available here "
+                f"(available: {', '.join(available)})"
+            )
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    try:
+        session = ort.InferenceSession(str(path), options, providers=list(providers))
+    except Exception as error:  # onnxruntime raises many types of its own
+        reason = str(error).splitlines()[0][:200]
+        raise ModelError(f"{path}: onnxruntime cannot load it: {reason}") from None
+    # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
+    if missing := [p for p in providers if p not in session.get_providers()]:
+        raise ModelError(
+            f"{path}: {', '.join(missing)} did not start; onnxruntime would run on "
+            f"{', '.join(session.get_providers())} instead: check the driver, or change "
+            "perception.detector.providers"
+        )
+    return session
+
+
+def check_interface(session: Any, card: Card) -> None:
+    """Raise ModelError unless the model's inputs and outputs are what a detector's must be."""
+    h, w = card.input.height, card.input.width
+    wanted = {"images": [1, 3, h, w], "txt_feats": [1, None, card.text_dim]}
+    found = {i.name: [d if isinstance(d, int) else None for d in i.shape] for i in _inputs(session)}
+    outputs = tuple(o.name for o in session.get_outputs())
+    if found != wanted or outputs != OUTPUTS:
+        raise ModelError(
+            f"{card.file}: inputs {found}, outputs {list(outputs)}; model {card.name} must have "
+            f"inputs {wanted}, outputs {list(OUTPUTS)}: export it again"
+        )
+
+
+def _inputs(session: Any) -> list[Any]:
+    inputs = session.get_inputs()
+    if any(i.type != "tensor(float)" for i in (*inputs, *session.get_outputs())):
+        raise ModelError("the model's inputs and outputs must be float32: export it again")
+    return inputs
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The prompts of one moment with all buffers bound for them; swapped whole."""
+
+    prompts: tuple[str, ...]
+    text: np.ndarray
+    boxes: np.ndarray
+    scores: np.ndarray
+    binding: Any
+
+
+@dataclass(frozen=True, slots=True)
+class _Placement:
+    """Where an image of some size comes to lie in the network's input."""
+
+    width_px: int
+    height_px: int
+    scale: float
+    top: int
+    left: int
+    resized: np.ndarray | None
+
+
+class OnnxDetector:
+    """Every buffer is made once; an image costs one resize, one run and two kernels.
+
+    Background prompts (`config.background`) are never reported as boxes of their own; the best
+    of them on the place of a box is that box's `Detections.rival`. A background that is a kind of
+    the target (sofa bed, for bed) does not compete with it.
+    """
+
+    def __init__(self, detector: config.DetectorOnnx, prompts: Sequence[str]) -> None:
+        """
+        Raises:
+            ModelError: card, file or providers are unusable.
+            PromptError: see `TextEmbeddings.embed`.
+        """
+        self.config = detector
+        self.card = load_card(detector.model)
+        self.name = self.card.name
+        self.invalid_boxes = 0
+        self._text = TextEmbeddings(detector.vocabulary)
+        if self._text.dim != self.card.text_dim:
+            raise PromptError(
+                f"{self._text.path}: embeddings have length {self._text.dim}, "
+                f"model {self.name} needs {self.card.text_dim}"
+            )
+        self._session = open_session(verify_model(self.card), detector.providers, detector.threads)
+        check_interface(self._session, self.card)
+        height, width = self.card.input.height, self.card.input.width
+        self._images = np.empty((1, 3, height, width), np.float32)
+        self._place = _Placement(0, 0, 1.0, 0, 0, None)
+        self._scale = np.float32(self.card.preprocess.scale)
+        self._anchors = self._count_anchors()
+        self._best = np.empty(self._anchors, np.float32)
+        self._rival = np.empty(self._anchors, np.float32)
+        self._label = np.empty(self._anchors, np.int32)
+        self._keep = np.empty(detector.max_detections, np.int32)
+        self._against = np.empty(detector.max_detections, np.float32)
+        self._xyxy = np.empty((detector.max_detections, 4), np.float32)
+        self.set_prompts(prompts)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        return self._asked.prompts
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """See `Detector.set_prompts`."""
+        if isinstance(prompts, str):
+            raise PromptError(f"prompts must be a list of words, got {prompts!r}")
+        prompts = tuple(prompts)
+        if not prompts:
+            raise PromptError("no prompt: name at least one thing to look for")
+        wanted = {word for p in prompts for word in (p, self._text.resolve(p))}
+        rivals = [
+            rival
+            for rival in self.config.background
+            if not any(names.is_kind_of(rival, word) for word in wanted)
+        ]
+        text = self._text.embed([*prompts, *rivals])
+        boxes = np.empty((1, self._anchors, 4), np.float32)
+        scores = np.empty((1, self._anchors, text.shape[1]), np.float32)
+        binding = self._session.io_binding()
+        for name, array in zip(INPUTS, (self._images, text), strict=True):
+            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        for name, array in zip(OUTPUTS, (boxes, scores), strict=True):
+            binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        self._asked = _Asked(prompts, text, boxes, scores, binding)
+
+    def detect(self, observation: Observation) -> Detections:
+        """See `Detector.detect`."""
+        start_ns = time.perf_counter_ns()
+        rgb, asked = check_rgb(observation), self._asked
+        self._fill_input(rgb)
+        asked.binding.synchronize_inputs()
+        self._session.run_with_iobinding(asked.binding)
+        asked.binding.synchronize_outputs()
+        n = self._pick(asked)
+        kept = self._keep[:n]
+        return Detections(
+            observation=observation,
+            xyxy_px=self._xyxy[:n].copy(),
+            score=self._best[kept],
+            class_id=self._label[kept],
+            prompts=asked.prompts,
+            rival=self._against[:n].copy(),
+            model=self.name,
+            latency_ns=time.perf_counter_ns() - start_ns,
+        )
+
+    def close(self) -> None:
+        """Let the session go; no detect afterwards."""
+        self._session = None
+
+    def _count_anchors(self) -> int:
+        """Boxes per image, from one run on an empty image (it also warms the session up)."""
+        self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
+        text = np.zeros((1, 1, self.card.text_dim), np.float32)
+        text[..., 0] = 1.0
+        boxes, scores = self._session.run(
+            list(OUTPUTS), {"images": self._images, "txt_feats": text}
+        )
+        anchors = boxes.shape[1]
+        if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1):
+            raise ModelError(
+                f"{self.card.file}: boxes {boxes.shape} and scores {scores.shape} do not belong "
+                "together, must be (1, a, 4) and (1, a, n): export it again"
+            )
+        return anchors
+
+    def _fill_input(self, rgb: np.ndarray) -> None:
+        height, width = rgb.shape[:2]
+        if (width, height) != (self._place.width_px, self._place.height_px):
+            self._place = self._placement(width, height)
+            self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
+        place = self._place
+        if place.resized is not None:
+            size = (place.resized.shape[1], place.resized.shape[0])
+            how = cv2.INTER_AREA if place.scale < 1.0 else cv2.INTER_LINEAR
+            rgb = cv2.resize(rgb, size, dst=place.resized, interpolation=how)
+        kernels.to_planes(rgb, self._scale, place.top, place.left, self._images[0])
+
+    def _placement(self, width_px: int, height_px: int) -> _Placement:
+        """Scaled to fit and centred, as in training."""
+        h, w = self.card.input.height, self.card.input.width
+        scale = min(w / width_px, h / height_px)
+        new_w, new_h = max(1, round(width_px * scale)), max(1, round(height_px * scale))
+        resized = None if scale == 1.0 else np.empty((new_h, new_w, 3), np.uint8)
+        top, left = (h - new_h) // 2, (w - new_w) // 2
+        return _Placement(width_px, height_px, scale, top, left, resized)
+
+    def _pick(self, asked: _Asked) -> int:
+        """Scores and boxes of the last run → `_keep`, `_xyxy`, `_against`; how many."""
+        c, place = self.config, self._place
+        boxes, scores = asked.boxes[0], asked.scores[0]
+        invalid = kernels.split_scores(
+            boxes, scores, len(asked.prompts), np.float32(c.tau_vl),
+            self._best, self._label, self._rival,
+        )  # fmt: skip
+        if invalid:
+            if not self.invalid_boxes:
+                log.error(
+                    "model %s: %d of %d boxes are not finite; dropped and counted",
+                    self.name, invalid, self._anchors,
+                )  # fmt: skip
+            self.invalid_boxes += invalid
+        n = kernels.suppress(boxes, self._best, self._label, c.nms_iou, self._keep)
+        n = kernels.to_image(
+            boxes, self._keep, n, place.scale, place.top, place.left,
+            place.width_px, place.height_px, self._xyxy,
+        )  # fmt: skip
+        kernels.strongest_rivals(boxes, self._rival, self._keep, n, c.nms_iou, self._against)
+        return n

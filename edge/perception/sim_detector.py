@@ -1,0 +1,140 @@
+"""A detector for simulated worlds: true object ids with noise, no neural network."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge import config, names
+from edge.perception import kernels
+from edge.perception.text import PromptError
+from edge.types import Detections, Observation
+
+_FULL_VIEW = 0.02
+"""Share of the image that an object must fill for its score not to suffer from smallness."""
+_MAX_JITTER = 0.05
+"""Box edges are off by up to this share of the box."""
+
+
+class SimDetector:
+    """Boxes around the visible pixels of objects that answer to a prompt, made imperfect.
+
+    The score falls with range and smallness and carries Gaussian noise; objects are missed
+    (`miss_rate` near by, three times that at `max_range_m`); now and then another object is
+    taken for the target. Noise depends on `config.seed` and `observation.seq` only, so a run
+    replays the same.
+    """
+
+    name = "sim (ground-truth ids + noise, no neural network)"
+
+    def __init__(self, detector: config.DetectorSim, prompts: Sequence[str]) -> None:
+        """
+        Raises:
+            PromptError: no prompt, or an empty one.
+        """
+        self.config = detector
+        self._labels: tuple[str, ...] = ()
+        self._resize(0)
+        self.set_prompts(prompts)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        return self._asked[0]
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """See `Detector.set_prompts`."""
+        if isinstance(prompts, str) or not prompts:
+            raise PromptError("no prompt: name at least one thing to look for")
+        try:
+            nouns = tuple(_noun(prompt) for prompt in prompts)
+        except ValueError:
+            raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
+        self._asked = (tuple(prompts), nouns)
+
+    def detect(self, observation: Observation) -> Detections:
+        """See `Detector.detect`; the observation must carry object ids and depth."""
+        start_ns = time.perf_counter_ns()
+        ids, depth = observation.object_ids, observation.depth_m
+        if ids is None or depth is None or ids.shape != depth.shape or ids.size == 0:
+            raise ValueError(
+                f"observation {observation.seq}: no object ids with depth; the sim detector "
+                "needs a simulator, use perception.detector.kind: onnx on a real camera"
+            )
+        if len(observation.object_labels) != len(self._pixels):
+            self._resize(len(observation.object_labels))
+        kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
+        prompts, nouns = self._asked
+        found = self._noisy(observation, nouns, ids.shape[0] * ids.shape[1])
+        found.sort(key=lambda row: -row[0])
+        return Detections(
+            observation=observation,
+            xyxy_px=np.array([row[2] for row in found], np.float32).reshape(-1, 4),
+            score=np.array([row[0] for row in found], np.float32),
+            class_id=np.array([row[1] for row in found], np.int32),
+            prompts=prompts,
+            model=self.name,
+            latency_ns=time.perf_counter_ns() - start_ns,
+        )
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+    def _resize(self, n: int) -> None:
+        self._box = np.empty((n, 4), np.int32)
+        self._pixels = np.empty(n, np.int32)
+        self._distance = np.empty(n, np.float32)
+
+    def _noisy(
+        self, observation: Observation, nouns: tuple[str, ...], image_px: int
+    ) -> list[tuple[float, int, np.ndarray]]:
+        """(score, prompt, box) of everything reported, in no order."""
+        c = self.config
+        random = np.random.default_rng((c.seed, observation.seq))
+        h, w = observation.object_ids.shape
+        found = []
+        for i in np.flatnonzero(self._pixels >= c.min_visible_px):
+            # Drawn for every visible object, so that one prompt's noise does not shift another's.
+            missed, mistaken, noise, edges = (
+                random.random(), random.random(), random.normal(), random.uniform(-1, 1, 4),
+            )  # fmt: skip
+            distance = float(self._distance[i])
+            if not 0.0 < distance <= c.max_range_m:
+                continue
+            far = distance / c.max_range_m
+            quality = (1.0 - 0.4 * far) * min(
+                1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * image_px))
+            )
+            class_id = _index(nouns, names.canonical(observation.object_labels[i]))
+            if class_id is None:
+                if mistaken >= c.false_positive_rate:
+                    continue
+                class_id, quality = int(mistaken * 1e6) % len(nouns), 0.5 * quality
+            elif missed < c.miss_rate * (1.0 + 2.0 * far):
+                continue
+            score = min(1.0, max(0.0, 0.9 * quality + c.score_noise * noise))
+            if score >= c.tau_vl and score > 0.0:
+                found.append((score, class_id, _jitter(self._box[i], edges, w, h)))
+        return found
+
+
+def _noun(prompt: str) -> str:
+    """What a prompt asks for: its longest known ending, else its last word's phrase."""
+    phrase = names.head_phrase(prompt)
+    if names.is_known(prompt):
+        return names.canonical(prompt)
+    known = (noun for noun in names.head_nouns(phrase) if names.is_known(noun))
+    return names.canonical(next(known, phrase))
+
+
+def _index(nouns: tuple[str, ...], label: str) -> int | None:
+    return nouns.index(label) if label in nouns else None
+
+
+def _jitter(box: np.ndarray, edges: np.ndarray, width: int, height: int) -> np.ndarray:
+    size = np.array([box[2] - box[0], box[3] - box[1]] * 2)
+    moved = box + edges * _MAX_JITTER * size
+    limit = np.array([width, height] * 2)
+    return np.clip(moved, 0, limit).astype(np.float32)

@@ -1,0 +1,59 @@
+"""Compile the perception kernels before the first image needs them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge import config
+from edge.geometry import CameraModel
+from edge.perception import instance_kernels, kernels
+from edge.perception.instances import MAX_POINTS, InstanceTracker
+from edge.perception.lift import Lifter
+from edge.types import Detections, Observation
+
+
+def warmup() -> None:
+    """Run every kernel once with the types it is called with; cached on disk afterwards."""
+    rgb = np.zeros((16, 16, 3), np.uint8)
+    kernels.to_planes(rgb, np.float32(1 / 255), 0, 0, np.zeros((3, 16, 16), np.float32))
+    boxes = np.array([[0, 0, 8, 8], [1, 1, 9, 9]], np.float32)
+    scores = np.array([[0.9, 0.1], [0.5, 0.8]], np.float32)
+    best, rival = np.zeros(2, np.float32), np.zeros(2, np.float32)
+    label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32)
+    kernels.split_scores(boxes, scores, 1, np.float32(0.05), best, label, rival)
+    n = kernels.suppress(boxes, best, label, 0.5, keep)
+    kernels.strongest_rivals(boxes, rival, keep, n, 0.5, np.zeros(2, np.float32))
+    kernels.to_image(boxes, keep, n, 1.0, 0, 0, 16, 16, np.zeros((2, 4), np.float32))
+    kernels.object_boxes(
+        np.ones((16, 16), np.uint16), np.ones((16, 16), np.float32), np.zeros((1, 4), np.int32),
+        np.zeros(1, np.int32), np.zeros(1, np.float32),
+    )  # fmt: skip
+    _lift()
+
+
+def _lift() -> None:
+    seen = Observation(
+        seq=0,
+        stamp_ns=0,
+        T_map_base=np.eye(4),
+        depth_m=np.ones((16, 16), np.float32),
+        camera=CameraModel.from_hfov(16, 16, 1.3),
+        cloud_m=np.ones((4, 3), np.float32),
+    )
+    detections = Detections(
+        observation=seen,
+        xyxy_px=np.array([[0, 0, 16, 16]], np.float32),
+        score=np.ones(1, np.float32),
+        class_id=np.zeros(1, np.int32),
+        prompts=("chair",),
+    )
+    for way in ("depth", "cloud"):
+        perception = config.Perception(lift=way)
+        lifted = Lifter(perception).lift(detections)
+    tracker = InstanceTracker(perception)
+    tracker.update(lifted, 0)
+    tracker.expire(seen)
+    # What an instance that is seen again needs; nothing here was clear enough to found one.
+    points_m = np.zeros((1, 3), np.float32)
+    instance_kernels.merge_points(points_m, points_m, perception.voxel_m, MAX_POINTS)
+    instance_kernels.nearest(points_m, 0.0, 0.0)

@@ -1,0 +1,186 @@
+"""Puts a service together from a configuration and runs it until it is told to stop."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter_ns
+
+import zenoh
+
+from edge.bus import open_session
+from edge.config import Config
+from edge.perception.detector import make_detector
+from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
+from edge.priority import real_time
+from edge.service import DETECT, INGEST, Service
+from edge.sinks import Sink
+from edge.sinks.zenoh import ZenohSink
+from edge.sources.base import Source
+from edge.sources.goal_status import GoalStatusInbox
+from edge.sources.zenoh import ZenohSource
+from edge.types import MissionStatus, Observation
+from edge.warmup import warm_up
+
+log = logging.getLogger("edge.runner")
+
+_SWITCH_S = 2e-4
+_MISSED_STEPS = 8
+_PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
+
+
+@dataclass
+class Running:
+    """A service with its ears and hands."""
+
+    config: Config
+    session: zenoh.Session
+    service: Service
+    worker: DetectorWorker | InlineWorker
+    source: Source
+    inbox: GoalStatusInbox
+    sinks: list[Sink] = field(default_factory=list)
+    epoch: int = 0
+
+
+@contextmanager
+def open_service(config: Config, sinks: list[Sink]) -> Iterator[Running]:
+    """Load the detector, compile kernels, open Zenoh; everything is closed at exit.
+
+    Args:
+        sinks: take the results besides the Zenoh sink.
+
+    Raises:
+        ModelError: the detector's model is missing or unusable.
+        BusError: the endpoint cannot be listened on.
+    """
+    with ExitStack() as stack:
+        detector = make_detector(config.perception, (config.mission.target,))
+        worker = (
+            InlineWorker(detector, config.loop.detect_every)
+            if config.loop.lockstep
+            else DetectorWorker(detector)
+        )
+        stack.callback(worker.close)
+        warm_up(config)
+        session = stack.enter_context(open_session(config.zenoh, role="listen"))
+        source = ZenohSource(session, config)
+        stack.callback(source.close)
+        every: list[Sink] = [ZenohSink(session, config), *sinks]
+        for sink in every:
+            stack.callback(sink.close)
+        service = Service(config, worker, every)
+        # What start-up made stays for good; the collector need not walk it again in the loop.
+        gc.collect()
+        gc.freeze()
+        # Kernels give the interpreter lock away; by default the loop then waits up to 5 ms for the
+        # detector's or the sink's thread to give it back, more than a whole tick's budget.
+        sys.setswitchinterval(_SWITCH_S)
+        inbox = GoalStatusInbox(session, config.zenoh.prefix)
+        yield Running(config, session, service, worker, source, inbox, every)
+
+
+def loop(
+    running: Running,
+    stop: threading.Event,
+    once: bool = False,
+    each: Callable[[], None] = lambda: None,
+) -> MissionStatus:
+    """Tick at `loop.hz` (or with every observation, in lockstep) until `stop` is set.
+
+    Args:
+        once: return as soon as the mission is over, whether or not anything is to be seen.
+        each: called after every tick.
+    """
+    step = _lockstep if running.config.loop.lockstep else _real_time
+    service = running.service
+    with real_time(running.config.loop.priority):
+        for _ in step(running, stop):
+            each()
+            _count_drops(running)
+            if once and service.status.done:
+                break
+    return service.status
+
+
+def _count_drops(running: Running) -> None:
+    """What never became an observation, and the observations that the detector never saw."""
+    counters, latency = running.source.counters, running.service.latency
+    taken = counters["received"] + counters["observations"]
+    latency.set_drops(INGEST, sum(counters.values()) - taken)
+    latency.set_drops(DETECT, running.worker.stats.replaced)
+
+
+def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
+    """Tick on a fixed beat; a late tick shifts the beat instead of being caught up with.
+
+    A beat that finds nothing is followed by the next a little sooner, so that the loop falls into
+    step with a camera of its own rate: the two would otherwise drift past each other, and the loop
+    find now two frames, of which it drops one, now none.
+
+    The loop's time is the wall clock's at the start, and goes on evenly from there: a clock that
+    is set while the robot drives must not end the mission.
+    """
+    wall_ns = time.time_ns() - time.monotonic_ns()
+    period_ns = int(1e9 / running.config.loop.hz)
+    deadline_ns = perf_counter_ns()
+    while not stop.is_set():
+        observation = _hear(running)
+        now_ns = wall_ns + time.monotonic_ns()
+        if observation is None:
+            running.service.idle(now_ns, running.source.pose)
+        else:
+            _tick(running, observation, now_ns)
+        yield
+        deadline_ns += period_ns if observation is not None else period_ns // _MISSED_STEPS
+        rest_ns = deadline_ns - perf_counter_ns()
+        if rest_ns > 0:
+            time.sleep(rest_ns * 1e-9)
+        elif rest_ns < -period_ns:
+            deadline_ns = perf_counter_ns()
+
+
+def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
+    """Tick once for every observation, on the observation's own clock.
+
+    That clock stands still while nothing is to be seen, and so does the robot. When that has
+    taken as long, in real time, as the mission may, it is over all the same.
+    """
+    limit_s = running.config.mission.time_limit_s
+    seen_s, now_ns = time.monotonic(), 0
+    while not stop.is_set():
+        observation = _hear(running) if running.source.wait(_PATIENCE_S) else None
+        if observation is not None:
+            seen_s, now_ns = time.monotonic(), observation.stamp_ns
+            _tick(running, observation, now_ns)
+        elif time.monotonic() - seen_s > limit_s:
+            running.service.mission.fail(f"nothing to be seen for {limit_s:g} s")
+            running.service.idle(now_ns, running.source.pose)
+        yield
+
+
+def _hear(running: Running) -> Observation | None:
+    """What the controller said, and what there is to be seen now."""
+    running.service.latency.begin_tick(perf_counter_ns())
+    for answer in running.inbox.poll():
+        running.service.goal_answered(answer)
+    return running.source.poll()
+
+
+def _tick(running: Running, observation: Observation, now_ns: int) -> None:
+    service = running.service
+    service.latency.mark(INGEST, perf_counter_ns())
+    # Before the tick, so that the map of the old frame does not take in the first of the new one.
+    if running.source.epoch != running.epoch:
+        running.epoch = running.source.epoch
+        service.forget_places(now_ns)
+    service.tick(observation, now_ns)
+    observation.release()
+    service.latency.end_tick(perf_counter_ns())

@@ -1,0 +1,222 @@
+"""The simulated robot as a process of its own, which speaks only Zenoh.
+
+In real time the body is moved and its odometry sent at `sensors.odometry_hz` by one thread, while
+another takes pictures (and LiDAR sweeps) and leaves out those it has no time for. In lockstep the
+simulated clock stands still until the controller has answered the service's tick.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import zenoh
+
+from edge import bus, topics
+from edge.config import Config
+from edge.geometry import SE2
+from edge.sim.base import World
+from edge.sim.robot import DriveTrain, Motion
+from edge.sim.sensors import CameraRig, LidarRig, Message, odometry_message, truth_message
+from edge.sim.worlds import load_world
+from edge.wire import messages
+
+log = logging.getLogger("edge.sim")
+
+COMMAND_TIMEOUT_S = 0.5
+ANSWER_TIMEOUT_S = 10.0
+REPEAT_S = 0.5
+FIRST_STAMP_NS = 1_000_000_000
+_TRUTH_HZ = 10.0
+_DESCRIPTION_HZ = 1.0
+_POLL_S = 0.0005
+
+
+def main(config: Config, stop: threading.Event) -> int:
+    """Simulate the configured robot in its world until `stop` is set; returns the exit status.
+
+    Raises:
+        edge.errors.UserError: the world cannot be loaded, or the start is not free.
+    """
+    world = load_world(config)
+    start = world.start if config.sim.start is None else SE2(*config.sim.start)
+    first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
+    drive = DriveTrain(config.robot, config.sim, world, start, first_ns)
+    with bus.open_session(config.zenoh, "connect", stop) as session:
+        link = Link(session, config)
+        log.info("simulating %s in %s", config.robot.name, world.name)
+        run = run_lockstep if config.sim.lockstep else run_real_time
+        run(config, world, drive, link, stop)
+    now = drive.motion
+    log.info("drove %.1f m, ran into something %d times", now.path_m, now.collisions)
+    return 0
+
+
+class Link:
+    """The simulator's publishers, and the newest command."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        prefix = config.zenoh.prefix
+        # In lockstep the service waits for every message: none may be dropped.
+        change = {"qos": "block"} if config.sim.lockstep else {}
+        self._publishers = {
+            topic.key: bus.declare_publisher(session, replace(topic, **change), prefix)
+            for topic in topics.ALL
+            if topic.writer == "sensors"
+        }
+        key = topics.CMD_VEL.under(prefix)
+        self._commands = session.declare_subscriber(key, zenoh.handlers.RingChannel(16))
+        self._malformed = 0
+
+    def send(self, batch: Iterable[Message]) -> None:
+        for topic, payload in batch:
+            self._publishers[topic.key].put(payload)
+
+    def commands(self) -> Iterable[tuple[int, float, float]]:
+        """(stamp_ns, v, w) of every command since the last call; malformed ones are counted."""
+        while (sample := self._commands.try_recv()) is not None:
+            try:
+                yield messages.decode_twist_stamped(sample.payload.to_bytes())
+            except messages.DecodeError as error:
+                self._malformed += 1
+                if self._malformed == 1:
+                    log.warning("cmd_vel: malformed command left out: %s", error)
+
+
+def run_real_time(
+    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+) -> None:
+    """Move and send odometry at its rate; pictures come from another thread."""
+    sensors = [_film] if config.sensors.lidar is None else [_film, _sweep]
+    with ThreadPoolExecutor(len(sensors), thread_name_prefix="sensor") as pool:
+        running = [pool.submit(work, config, world, drive, link, stop) for work in sensors]
+        # A sensor that fails ends the simulation, with its error.
+        for future in running:
+            future.add_done_callback(lambda _: stop.set())
+        try:
+            _move(config, drive, link, stop)
+        finally:
+            stop.set()
+    for future in running:
+        future.result()
+
+
+def _move(config: Config, drive: DriveTrain, link: Link, stop: threading.Event) -> None:
+    period_s = 1.0 / config.sensors.odometry_hz
+    truth_every = max(1, round(config.sensors.odometry_hz / _TRUTH_HZ))
+    command, heard_s, count = (0.0, 0.0), -COMMAND_TIMEOUT_S, 0
+    next_s = time.monotonic()
+    while not stop.is_set():
+        now_s = time.monotonic()
+        for _, v, w in link.commands():
+            command, heard_s = (v, w), now_s
+        if now_s - heard_s > COMMAND_TIMEOUT_S:
+            command = (0.0, 0.0)
+        # The body catches up with the clock, however late this thread was woken.
+        lag_s = 1e-9 * (time.time_ns() - drive.motion.stamp_ns)
+        if lag_s > 0.0:
+            motion = drive.step(min(lag_s, 1.0), *command)
+            link.send([odometry_message(motion)])
+            if count % truth_every == 0:
+                link.send([truth_message(motion)])
+            count += 1
+        next_s = max(next_s + period_s, time.monotonic())
+        stop.wait(max(0.0, next_s - time.monotonic()))
+
+
+def _film(
+    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+) -> None:
+    rig = CameraRig(config, world)
+    period_s = 1.0 / config.sensors.camera.rate_hz
+    next_s = described_s = time.monotonic()
+    while not stop.is_set():
+        motion = drive.motion
+        if time.monotonic() >= described_s:
+            link.send(rig.description(motion.stamp_ns))
+            described_s += 1.0 / _DESCRIPTION_HZ
+        rig.look(motion.pose)
+        link.send(rig.messages(motion.stamp_ns))
+        next_s = next_frame(next_s, period_s, time.monotonic())
+        stop.wait(next_s - time.monotonic())
+
+
+def _sweep(
+    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+) -> None:
+    assert config.sensors.lidar is not None
+    rig = LidarRig(config, world)
+    next_s, period_s = time.monotonic(), 1.0 / config.sensors.lidar.rate_hz
+    while not stop.is_set():
+        motion = drive.motion
+        rig.look(motion.pose)
+        link.send(rig.messages(motion.stamp_ns))
+        next_s = next_frame(next_s, period_s, time.monotonic())
+        stop.wait(next_s - time.monotonic())
+
+
+def next_frame(due_s: float, period_s: float, now_s: float) -> float:
+    """When the picture after the one due at `due_s` is due: those already late are left out.
+
+    >>> next_frame(10.0, 0.5, 10.25), next_frame(10.0, 0.5, 11.75)
+    (10.5, 12.0)
+    """
+    late_s = max(0.0, now_s - due_s)
+    return due_s + period_s * (int(late_s / period_s) + 1)
+
+
+def run_lockstep(
+    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+) -> None:
+    """Send what is seen at t, wait for the command that answers t, drive one step, again."""
+    camera = CameraRig(config, world)
+    lidar = None if config.sensors.lidar is None else LidarRig(config, world)
+    first = True
+    while not stop.is_set():
+        motion = drive.motion
+        camera.look(motion.pose)
+        if lidar is not None:
+            lidar.look(motion.pose)
+        answer = _ask(motion, camera, lidar, link, stop, first)
+        # Unanswered, the robot stands: what was asked of it before is no answer to what it sees.
+        command, first = ((0.0, 0.0), first) if answer is None else (answer, False)
+        drive.step(config.sim.step_s, *command)
+
+
+def _ask(
+    motion: Motion,
+    camera: CameraRig,
+    lidar: LidarRig | None,
+    link: Link,
+    stop: threading.Event,
+    first: bool,
+) -> tuple[float, float] | None:
+    """Send one instant, again and again, until a command bears its stamp.
+
+    Returns None after `ANSWER_TIMEOUT_S`; before the `first` answer it waits for ever, since
+    peers may come late.
+    """
+    stamp_ns, begun_s, sent_s, warned = motion.stamp_ns, time.monotonic(), 0.0, False
+    while not stop.is_set():
+        now_s = time.monotonic()
+        if now_s - sent_s > REPEAT_S:
+            sent_s = now_s
+            link.send([odometry_message(motion), truth_message(motion)])
+            link.send(camera.description(stamp_ns))
+            if lidar is not None:
+                link.send(lidar.messages(stamp_ns))
+            link.send(camera.messages(stamp_ns))
+        for answered_ns, v, w in link.commands():
+            if answered_ns == stamp_ns:
+                return v, w
+        if now_s - begun_s > ANSWER_TIMEOUT_S and not warned:
+            warned = True
+            log.warning("no command for t = %.2f s: is the controller running?", stamp_ns * 1e-9)
+            if not first:
+                return None
+        stop.wait(_POLL_S)
+    return None

@@ -1,0 +1,115 @@
+"""What the simulated robot's sensors see, as messages ready to be sent."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from edge import topics
+from edge.config import Config
+from edge.geometry import SE2, CameraModel, camera_mount, se3
+from edge.sim.base import Fan, World
+from edge.sim.robot import Motion
+from edge.topics import Topic
+from edge.wire import messages
+
+CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+Message = tuple[Topic, bytes]
+
+
+class CameraRig:
+    """The camera: colour, depth and object ids; its buffers are used again for every picture."""
+
+    def __init__(self, config: Config, world: World) -> None:
+        camera, self._world = config.sensors.camera, world
+        self.model = CameraModel.from_hfov(
+            camera.width_px, camera.height_px, math.radians(camera.hfov_deg)
+        )
+        self.T_base_camera = camera_mount(camera.x_m, camera.z_m, math.radians(camera.pitch_deg))
+        shape = (camera.height_px, camera.width_px)
+        self.rgb = np.empty((*shape, 3), np.uint8)
+        self.depth_m = np.empty(shape, np.float32)
+        self.ids = np.empty(shape, np.uint16)
+        self._depth_noise = config.sim.depth_noise
+        self._rng = np.random.default_rng([config.sim.seed, 1])
+
+    def look(self, pose: SE2) -> None:
+        """Fill `rgb`, `depth_m` and `ids` as seen from a pose; noise grows with depth squared."""
+        T_map_camera = pose.matrix() @ self.T_base_camera
+        self._world.render(self.model, T_map_camera, self.rgb, self.depth_m, self.ids)
+        if self._depth_noise > 0.0:
+            noise = self._rng.standard_normal(self.depth_m.shape, np.float32)
+            self.depth_m += self._depth_noise * noise * self.depth_m * self.depth_m
+
+    def messages(self, stamp_ns: int) -> Iterator[Message]:
+        """The last picture; colour comes last, since it completes the frame."""
+        depth_mm = np.nan_to_num(self.depth_m * 1000.0, nan=0.0).clip(0, 65535).astype(np.uint16)
+        yield topics.DEPTH, messages.encode_image(stamp_ns, CAMERA_FRAME, depth_mm)
+        yield topics.OBJECT_IDS, messages.encode_image(stamp_ns, CAMERA_FRAME, self.ids)
+        yield topics.RGB, messages.encode_image(stamp_ns, CAMERA_FRAME, self.rgb)
+
+    def description(self, stamp_ns: int) -> Iterator[Message]:
+        """What peers need once: intrinsics, and the label of each object id (id 1 first)."""
+        info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, self.model)
+        yield topics.CAMERA_INFO, info
+        labels = [item.label for item in self._world.objects]
+        yield topics.OBJECT_LABELS, json.dumps(labels).encode()
+
+
+class LidarRig:
+    """The LiDAR: a scan for one ring, a cloud of the returns for several."""
+
+    def __init__(self, config: Config, world: World) -> None:
+        lidar = config.sensors.lidar
+        assert lidar is not None
+        self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
+        self.T_base_lidar = se3(lidar.x_m, 0.0, lidar.z_m, pitch_rad=math.radians(lidar.pitch_deg))
+        self.ranges_m = np.empty(self._fan.directions.shape[:2], np.float32)
+        self._rng = np.random.default_rng([config.sim.seed, 2])
+
+    def look(self, pose: SE2) -> None:
+        """Fill `ranges_m` as seen from a pose."""
+        self._world.cast(self._fan, pose.matrix() @ self.T_base_lidar, self.ranges_m)
+        if self._noise_m > 0.0:
+            noise = self._rng.standard_normal(self.ranges_m.shape, np.float32)
+            self.ranges_m += self._noise_m * noise
+
+    def cloud_m(self) -> np.ndarray:
+        """(n, 3) float32 points of the last look in the LiDAR's frame."""
+        hit = np.isfinite(self.ranges_m)
+        return (self._fan.directions[hit] * self.ranges_m[hit][:, None]).astype(np.float32)
+
+    def messages(self, stamp_ns: int) -> Iterator[Message]:
+        rings, columns = self.ranges_m.shape
+        if rings > 1:
+            cloud = messages.encode_point_cloud(stamp_ns, LIDAR_FRAME, self.cloud_m())
+            yield topics.CLOUD, cloud
+            return
+        ranges = np.where(np.isfinite(self.ranges_m[0]), self.ranges_m[0], np.inf)
+        turn = (-math.pi, 2 * math.pi / columns, self._fan.range_m)
+        scan = messages.encode_laser_scan(stamp_ns, LIDAR_FRAME, *turn, ranges.astype(np.float32))
+        yield topics.SCAN, scan
+
+
+def odometry_message(motion: Motion) -> Message:
+    """Where the robot believes it is."""
+    T_map_base = motion.odometry.matrix()
+    payload = messages.encode_odometry(motion.stamp_ns, T_map_base, motion.v_mps, motion.w_radps)
+    return topics.ODOMETRY, payload
+
+
+def truth_message(motion: Motion) -> Message:
+    """Where it truly is, and what it ran into."""
+    truth = {
+        "stamp_ns": motion.stamp_ns,
+        "pose": [motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad],
+        "v_mps": motion.v_mps,
+        "w_radps": motion.w_radps,
+        "collisions": motion.collisions,
+        "bumped": motion.bumped,
+        "path_m": motion.path_m,
+    }
+    return topics.GROUND_TRUTH, json.dumps(truth).encode()

@@ -1,0 +1,27 @@
+"""Worlds by kind, as the configuration names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from edge.config import Config
+from edge.sim.base import World
+from edge.sim.house import load_house
+from edge.sim.mesh import load_mesh
+from edge.sim.procthor import load_procthor
+
+LOADERS: dict[str, Callable[[Any, Config], World]] = {
+    "house": load_house,
+    "mesh": load_mesh,
+    "procthor": load_procthor,
+}
+
+
+def load_world(config: Config) -> World:
+    """The world that `sim.world` names, for the configured robot and camera.
+
+    Raises:
+        edge.sim.base.WorldError: one line: file, place, what to do.
+    """
+    return LOADERS[config.sim.world.kind](config.sim.world, config)

@@ -1,0 +1,86 @@
+"""The live progress line and the run's record, as sinks of the loop."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from edge.config import Config
+from edge.progress import Progress, ProgressWriter
+from edge.service import Service
+from edge.sinks import SinkBase
+from edge.sinks.recorder import MapSnapshot, Recorder, RunRecord
+from edge.types import Detections, Goal, Observation
+
+# Reports draw it apart from what is occupied itself.
+_TOO_CLOSE = 50
+
+
+class ConsoleSink(SinkBase):
+    """Keeps one line on the terminal up to date."""
+
+    def __init__(self) -> None:
+        self._writer = ProgressWriter()
+
+    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
+        # The line's own beat is the wall clock's: simulated time may run faster or slower.
+        wall_ns = time.monotonic_ns()
+        if self._writer.due(wall_ns):
+            self._writer.update(progress_of(service), wall_ns)
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+def progress_of(service: Service) -> Progress:
+    """How the service stands, for one line."""
+    status, goal, pose = service.status, service.goal, service.pose
+    report = service.latency.report(last=150)
+    detect = report.stage("detect")
+    return Progress(
+        phase=status.phase if pose is not None else "waiting for sensors, looking for",
+        target=status.target,
+        elapsed_s=status.elapsed_s,
+        goal_kind=None if goal is None else goal.kind,
+        goal_distance_m=0.0
+        if goal is None or pose is None
+        else pose.distance_to(*goal.candidate_xy_m),
+        instances=len(service.tracker.of(status.target)),
+        map_m2=service.grid.known_m2,
+        tick_p95_ms=report.tick.p95_ms if report.tick.n else None,
+        detector_ms=detect.p50_ms if detect.n else None,
+    )
+
+
+class RecorderSink(SinkBase):
+    """Feeds a `Recorder` from the loop."""
+
+    def __init__(self, config: Config) -> None:
+        self._recorder = Recorder(config)
+
+    def goal(self, goal: Goal) -> None:
+        self._recorder.goal(goal)
+
+    def detections(self, detections: Detections) -> None:
+        self._recorder.frame(detections)
+
+    def event(self, text: str, now_ns: int) -> None:
+        self._recorder.event(now_ns, text)
+
+    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
+        if observation is not None:
+            self._recorder.pose(observation.stamp_ns, observation.pose)
+
+    def record(self, service: Service, counters: dict[str, int]) -> RunRecord:
+        """The run so far, with the map as it stands now."""
+        grid = service.grid
+        snapshot = grid.snapshot(inflated=_TOO_CLOSE)
+        return self._recorder.finish(
+            service.status,
+            service.latency.report(),
+            MapSnapshot(snapshot.cells, snapshot.origin_xy_m, snapshot.resolution_m),
+            np.array(grid.frontiers.xy_m[: grid.frontiers.n]),
+            service.tracker.of(service.status.target),
+            counters,
+        )

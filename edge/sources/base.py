@@ -1,0 +1,38 @@
+"""What the loop asks of a source of observations."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from edge.geometry import SE2
+from edge.types import Observation
+
+
+class Source(Protocol):
+    """Yields what the robot sees; for one thread.
+
+    Attributes:
+        counters: messages received, and drops by reason (see `edge.sources.zenoh`).
+        epoch: rises when poses before and after have nothing to do with each other.
+        pose: from the newest odometry; None before there was any.
+    """
+
+    counters: dict[str, int]
+
+    @property
+    def epoch(self) -> int: ...
+
+    @property
+    def pose(self) -> SE2 | None: ...
+
+    def poll(self) -> Observation | None:
+        """The newest observation that was not yet given out, or None; never blocks.
+
+        It is held once for the caller, who calls `release` when done with it; another reader
+        (the detector's worker) calls `hold` and `release` for itself.
+        """
+
+    def wait(self, timeout_s: float) -> bool:
+        """Block until a message arrives or time is up; False when none came."""
+
+    def close(self) -> None: ...

@@ -1,0 +1,69 @@
+"""What the motion controller says of the goals it was given."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import zenoh
+
+from edge import topics
+from edge.types import GoalStatus
+
+log = logging.getLogger("edge.sources.goal_status")
+
+STATES = ("accepted", "reached", "failed")
+_MAX_BYTES = 4096
+_KEPT = 64
+
+
+def parse_goal_status(payload: bytes) -> GoalStatus:
+    """`{"stamp": <the goal's, ns>, "state": accepted | reached | failed, "reason": …}`.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    if len(payload) > _MAX_BYTES:
+        raise ValueError(f"{len(payload)} bytes, at most {_MAX_BYTES} are taken")
+    try:
+        data = json.loads(payload)
+    except (ValueError, RecursionError):
+        raise ValueError("not JSON") from None
+    if not isinstance(data, dict):
+        raise ValueError("not a JSON object")
+    stamp, state, reason = data.get("stamp"), data.get("state"), data.get("reason", "")
+    if type(stamp) is not int:
+        raise ValueError(f"stamp: expected nanoseconds, got {stamp!r:.40}")
+    if state not in STATES:
+        raise ValueError(f"state: unknown {state!r:.40} (choices: {', '.join(STATES)})")
+    if not isinstance(reason, str):
+        raise ValueError(f"reason: expected text, got {reason!r:.40}")
+    return GoalStatus(stamp, state, reason)
+
+
+class GoalStatusInbox:
+    """Answers since the last poll, oldest first.
+
+    Attributes:
+        malformed: how many messages were no answer.
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+        self.malformed = 0
+        self._subscriber = session.declare_subscriber(
+            topics.GOAL_STATUS.under(prefix), zenoh.handlers.RingChannel(_KEPT)
+        )
+
+    def poll(self) -> list[GoalStatus]:
+        answers = []
+        while (sample := self._subscriber.try_recv()) is not None:
+            try:
+                answers.append(parse_goal_status(sample.payload.to_bytes()))
+            except ValueError as error:
+                self.malformed += 1
+                if self.malformed == 1:
+                    log.warning("goal_status: %s; further ones are only counted", error)
+        return answers
+
+    def close(self) -> None:
+        self._subscriber.undeclare()

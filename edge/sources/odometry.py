@@ -1,0 +1,175 @@
+"""The last poses of the base, and the pose at any instant between them."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from edge.geometry import SE2, interpolate, se2_of, wrap_angle
+
+RESET_AFTER = 8
+_HASTE = 1.5  # robots are faster than they say, downhill and when pushed
+_MAX_TURN_RAD = 1.0  # what yaw may change at once
+
+Missing = Literal["", "empty", "too_old", "too_new", "gap"]
+
+
+class StampGuard:
+    """Lets stamps through that move forward.
+
+    A sender that starts again may begin with earlier stamps than its last life ended with, and
+    one wild stamp from the future would shut out all that follow. So `RESET_AFTER` stamps in a
+    row that are behind, but move forward among themselves, are a clock that was set anew.
+
+    Attributes:
+        newest_ns: the last stamp that was let in.
+        behind_since_ns: the first stamp of the row that led to the last `clock_reset`.
+    """
+
+    def __init__(self) -> None:
+        self.newest_ns: int | None = None
+        self.behind_since_ns: int | None = None
+        self._behind_ns: int | None = None
+        self._behind = 0
+
+    def judge(self, stamp_ns: int) -> Literal["ok", "repeated", "backward", "clock_reset"]:
+        """What to do with a message of this stamp; only `ok` and `clock_reset` are let in."""
+        if self.newest_ns is None or stamp_ns > self.newest_ns:
+            self._accept(stamp_ns)
+            return "ok"
+        if stamp_ns == self.newest_ns:
+            return "repeated"
+        forward = self._behind_ns is None or stamp_ns > self._behind_ns
+        self._behind = self._behind + 1 if forward else 1
+        self._behind_ns = stamp_ns
+        if self._behind == 1:
+            self.behind_since_ns = stamp_ns
+        if self._behind < RESET_AFTER:
+            return "backward"
+        self._accept(stamp_ns)
+        return "clock_reset"
+
+    def _accept(self, stamp_ns: int) -> None:
+        self.newest_ns = stamp_ns
+        self._behind_ns, self._behind = None, 0
+
+
+class OdometryRing:
+    """Poses in a preallocated ring; for one thread.
+
+    Args:
+        max_jump_m: what a pose may move at once, on top of what the robot can drive in the time.
+        max_speed_mps: of the robot; `max_turn_radps` likewise.
+
+    Attributes:
+        epoch: rises whenever poses before and after have nothing to do with each other, since
+            the pose jumped. The ring then begins anew, as it does when only the sender's clock
+            was set anew.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        max_gap_s: float,
+        max_jump_m: float,
+        max_speed_mps: float = 0.0,
+        max_turn_radps: float = 0.0,
+    ) -> None:
+        if capacity < 2:
+            raise ValueError(f"capacity {capacity}: at least 2 poses are needed")
+        self.epoch = 0
+        self._max_gap_ns = int(max_gap_s * 1e9)
+        self._max_jump_m = max_jump_m
+        self._max_speed_mps = max_speed_mps
+        self._max_turn_radps = max_turn_radps
+        self._stamps_ns = np.zeros(capacity, np.int64)
+        self._poses = np.zeros((capacity, 4, 4))
+        self._written = 0
+        self._kept = 0
+        self._guard = StampGuard()
+
+    def __len__(self) -> int:
+        return self._kept
+
+    @property
+    def newest_ns(self) -> int | None:
+        return self._stamp(0) if self._kept else None
+
+    @property
+    def newest_pose(self) -> SE2 | None:
+        return se2_of(self._pose(0)) if self._kept else None
+
+    def push(self, stamp_ns: int, T_map_base: np.ndarray) -> str:
+        """Take a pose.
+
+        Returns:
+            "", or what was odd: `repeated` and `backward` poses are left out; `clock_reset` goes
+            on with another clock, `pose_jump` begins a new epoch.
+        """
+        last_ns = self._guard.newest_ns
+        verdict: str = self._guard.judge(stamp_ns)
+        if verdict in ("repeated", "backward"):
+            return verdict
+        # Across a clock that was set anew only the time since then is known.
+        since_ns = self._guard.behind_since_ns if verdict == "clock_reset" else last_ns
+        if self._kept and self._jumped(T_map_base, (stamp_ns - since_ns) * 1e-9):
+            self.epoch += 1
+            verdict = "pose_jump"
+        if verdict != "ok":
+            self._kept = 0
+        i = self._written % len(self._stamps_ns)
+        self._stamps_ns[i] = stamp_ns
+        self._poses[i] = T_map_base
+        self._written += 1
+        self._kept = min(self._kept + 1, len(self._stamps_ns))
+        return "" if verdict == "ok" else verdict
+
+    def _jumped(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
+        """Whether no robot could have come from the newest pose to this one in that time."""
+        last = self._pose(0)
+        moved_m = math.dist(T_map_base[:3, 3], last[:3, 3])
+        turned_rad = abs(wrap_angle(se2_of(T_map_base).yaw_rad - se2_of(last).yaw_rad))
+        farthest_m = self._max_jump_m + _HASTE * self._max_speed_mps * elapsed_s
+        widest_rad = _MAX_TURN_RAD + _HASTE * self._max_turn_radps * elapsed_s
+        return moved_m > farthest_m or turned_rad > widest_rad
+
+    def _stamp(self, age: int) -> int:
+        """The stamp of the `age`-th newest pose."""
+        return int(self._stamps_ns[(self._written - 1 - age) % len(self._stamps_ns)])
+
+    def _pose(self, age: int) -> np.ndarray:
+        return self._poses[(self._written - 1 - age) % len(self._stamps_ns)]
+
+    def pose_at(self, stamp_ns: int) -> tuple[np.ndarray | None, Missing]:
+        """The pose at an instant, interpolated between its two neighbours.
+
+        Returns:
+            (T_map_base, "") or (None, why): `too_new` may be answered later, the rest never:
+            `empty`, `too_old` (before the ring begins), `gap` (the neighbours are further apart
+            than the largest gap allowed).
+        """
+        if not self._kept:
+            return None, "empty"
+        if stamp_ns > self._stamp(0):
+            return None, "too_new"
+        age = 0
+        while age < self._kept and self._stamp(age) > stamp_ns:
+            age += 1
+        if age == self._kept:
+            return None, "too_old"
+        before_ns = self._stamp(age)
+        if before_ns == stamp_ns:
+            return self._pose(age).copy(), ""
+        after_ns = self._stamp(age - 1)
+        if after_ns - before_ns > self._max_gap_ns:
+            return None, "gap"
+        fraction = (stamp_ns - before_ns) / (after_ns - before_ns)
+        return interpolate(self._pose(age), self._pose(age - 1), fraction), ""
+
+    def latest(self, stamp_ns: int) -> np.ndarray | None:
+        """The newest pose, where `stamp_ns` is at most the largest gap after it."""
+        if not self._kept or not 0 <= stamp_ns - self._stamp(0) <= self._max_gap_ns:
+            return None
+        return self._pose(0).copy()

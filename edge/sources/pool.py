@@ -1,0 +1,86 @@
+"""Preallocated frames that are used again only when every reader has let them go."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+
+class PoolSlot:
+    """One frame's arrays and the number of readers that hold them (an `edge.types.Slot`).
+
+    Attributes:
+        rgb: (h, w, 3) uint8, or None where the pool has no such shape; so the others.
+        depth_m: (h, w) float32.
+        object_ids: (h, w) uint16.
+        cloud_m: (cap, 3) float32.
+    """
+
+    __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "object_ids", "rgb")
+
+    def __init__(
+        self,
+        lock: threading.Lock,
+        image_hw: tuple[int, int] | None,
+        cloud_points: int,
+        depth: bool,
+        object_ids: bool,
+    ) -> None:
+        self._lock = lock
+        self.holds = 0
+        self.rgb = np.zeros((*image_hw, 3), np.uint8) if image_hw else None
+        self.depth_m = np.zeros(image_hw, np.float32) if image_hw and depth else None
+        self.object_ids = np.zeros(image_hw, np.uint16) if image_hw and object_ids else None
+        self.cloud_m = np.zeros((cloud_points, 3), np.float32) if cloud_points else None
+
+    def hold(self) -> None:
+        with self._lock:
+            if self.holds == 0:
+                raise RuntimeError("a frame was held after its last reader had released it")
+            self.holds += 1
+
+    def release(self) -> None:
+        with self._lock:
+            if self.holds == 0:
+                raise RuntimeError("a frame was released more often than it was held")
+            self.holds -= 1
+
+
+class FramePool:
+    """`n_slots` frames, allocated once; thread-safe.
+
+    Args:
+        image_hw: size of rgb, depth and object ids; None for a robot without a camera.
+        cloud_points: room for points, 0 for none.
+        depth: whether slots have `depth_m`.
+        object_ids: whether slots have `object_ids`.
+    """
+
+    def __init__(
+        self,
+        n_slots: int,
+        image_hw: tuple[int, int] | None = None,
+        cloud_points: int = 0,
+        depth: bool = True,
+        object_ids: bool = False,
+    ) -> None:
+        self.image_hw = image_hw
+        self.exhausted = 0
+        self._lock = threading.Lock()
+        self._next = 0
+        self._slots = [
+            PoolSlot(self._lock, image_hw, cloud_points, depth, object_ids) for _ in range(n_slots)
+        ]
+
+    def acquire(self) -> PoolSlot | None:
+        """A free slot, held once for the caller; None (and counted) when all are being read."""
+        with self._lock:
+            for i in range(len(self._slots)):
+                slot = self._slots[(self._next + i) % len(self._slots)]
+                if slot.holds == 0:
+                    slot.holds = 1
+                    self._next = (self._next + i + 1) % len(self._slots)
+                    return slot
+            self.exhausted += 1
+            return None

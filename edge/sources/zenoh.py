@@ -1,0 +1,91 @@
+"""Observations from Zenoh: ring channels that the loop polls, never callbacks.
+
+A ring keeps the newest messages and lets the rest go, so a loop that lags never lags more.
+"""
+
+from __future__ import annotations
+
+import time
+
+import zenoh
+
+from edge import topics
+from edge.config import Config
+from edge.geometry import SE2
+from edge.sources.assembler import Assembler
+from edge.sources.streams import KEPT
+from edge.topics import Topic
+from edge.types import Observation
+
+_PAUSE_S = 0.0003
+
+
+class ZenohSource:
+    """The sensors under `zenoh.prefix` as Observations (an `edge.sources.base.Source`).
+
+    Raises:
+        ConfigError: a cloud is asked for and no LiDAR is described.
+    """
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        self._assembler = Assembler(config)
+        self._max_bytes = int(config.source.max_message_mb * 1e6)
+        self._subscribers = {
+            topic: session.declare_subscriber(
+                topic.under(config.zenoh.prefix), zenoh.handlers.RingChannel(kept)
+            )
+            for topic, kept in self._rings(config).items()
+        }
+
+    def _rings(self, config: Config) -> dict[Topic, int]:
+        """How many messages of each topic to keep between polls; odometry is drained first."""
+        rings = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
+        rings |= dict.fromkeys(self._assembler.streams, KEPT)
+        if topics.CLOUD in rings:
+            rings[topics.SCAN] = KEPT
+        if topics.OBJECT_IDS in rings:
+            rings[topics.OBJECT_LABELS] = 1
+        return rings
+
+    @property
+    def counters(self) -> dict[str, int]:
+        return self._assembler.counters
+
+    @property
+    def epoch(self) -> int:
+        return self._assembler.odometry.epoch
+
+    @property
+    def pose(self) -> SE2 | None:
+        return self._assembler.odometry.newest_pose
+
+    def poll(self) -> Observation | None:
+        """See `edge.sources.base.Source`."""
+        self._drain()
+        return self._assembler.poll()
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `edge.sources.base.Source`; looks every 0.3 ms, since rings cannot be waited on."""
+        deadline_s = time.monotonic() + timeout_s
+        while not self._drain():
+            if time.monotonic() >= deadline_s:
+                return False
+            time.sleep(_PAUSE_S)
+        return True
+
+    def close(self) -> None:
+        for subscriber in self._subscribers.values():
+            subscriber.undeclare()
+
+    def _drain(self) -> int:
+        """Hand everything that has arrived to the assembler; how many messages it was."""
+        n = 0
+        for topic, subscriber in self._subscribers.items():
+            while (sample := subscriber.try_recv()) is not None:
+                n += 1
+                size = len(sample.payload)
+                if size > self._max_bytes:
+                    self._assembler.count(topic, "oversized", f"{size} bytes")
+                else:
+                    self._assembler.offer(topic, sample.payload.to_bytes())
+        return n

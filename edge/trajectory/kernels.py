@@ -1,0 +1,269 @@
+"""A* on a weighted grid: the search kernel.
+
+Weights are integers and a step costs the weight of the cell it enters times its length, so keys
+are integers too and a queue of buckets needs no heap. Two facts make it fast:
+
+- a neighbour that the parent reaches at no greater step length is never reached better through
+  the child (entering a cell costs the same weight from anywhere), so each cell looks at five
+  neighbours, those within 90 degrees of the way it was entered;
+- a bucket is a stack, so of two entries of a cell the newest, which has the smallest key, comes
+  out first; later ones find the cell closed. A cell that improves again is opened again, which
+  keeps the result exact although a bucket is not sorted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import int64, njit, uint32
+
+# Step lengths in units of 1/29 cell: 41/29 is sqrt(2) but for 0.03 %.
+STRAIGHT = 29
+DIAGONAL = 41
+BUCKETS = 1024
+UNSEEN = np.int32(2**31 - 1)
+G_LIMIT = 2**30 - 1 - DIAGONAL * 255
+MAX_SIDE = 1 << 14
+
+FOUND, UNREACHABLE, POOL_FULL, TOO_FAR = 0, 1, 2, 3
+
+# Directions counter-clockwise from +x, so that odd ones are diagonals.
+_DX = (1, 1, 0, -1, -1, -1, 0, 1)
+_DY = (0, 1, 1, 1, 0, -1, -1, -1)
+_XY = (1 << 14) - 1
+_CELL = (1 << 28) - 1
+
+
+def step_tables(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each direction: change of the flat index, of the packed cell, and twice the length."""
+    dx, dy = np.array(_DX), np.array(_DY)
+    packed = (dy << 14) + dx + (np.arange(8) << 28)
+    length = np.where(np.arange(8) % 2 == 0, 2 * STRAIGHT, 2 * DIAGONAL)
+    return dy * width + dx, packed, length
+
+
+@njit(nogil=True, cache=True)
+def _heuristic(cell, goal_x, goal_y, h_long, h_short):
+    """Octile distance at the least weight: never more than the cost to go."""
+    dx = abs((cell & _XY) - goal_x)
+    dy = abs(((cell >> 14) & _XY) - goal_y)
+    return h_long * max(dx, dy) + h_short * min(dx, dy)
+
+
+@njit(nogil=True, cache=True)
+def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, packed, length, out):
+    """A* from `start` to `goal`.
+
+    Args:
+        weight: (n,) uint8, row by row, with a border of zeros; 0 = not to be entered.
+        width: cells in a row, border included; at most MAX_SIDE.
+        start, goal: flat indices.
+        h_weight: the heuristic's weight: at most the least weight above 0 (0: Dijkstra).
+        shift: a bucket spans 1 << shift.
+        g: (n,) int32, all UNSEEN on entry; twice the cost from the start, odd while open.
+        head: (BUCKETS,) int32, newest entry of each bucket, all -1 on entry.
+        pool: (m,) int64, entries: cell and direction below, next entry in the high half.
+        offset, packed, length: `step_tables(width)`.
+        out: (3,) int64: expansions, first and last flat index expanded.
+
+    Returns:
+        FOUND, UNREACHABLE, POOL_FULL (run again with a larger pool) or TOO_FAR (cost overflow).
+    """
+    goal_x, goal_y = goal % width, goal // width
+    full, limit = pool.size - 8, 2 * G_LIMIT
+    h_long, h_short = STRAIGHT * h_weight, (DIAGONAL - STRAIGHT) * h_weight
+    for e in range(pool.size):
+        pool[e] = int64(e + 1) << 32
+    # The start has no way it was entered: two entries, east and west, cover all neighbours.
+    cell = ((start // width) << 14) | (start % width)
+    bucket = _heuristic(cell, goal_x, goal_y, h_long, h_short) >> shift
+    pool[0], pool[1] = cell | (int64(1) << 32), cell | (int64(4) << 28) | (int64(-1) << 32)
+    head[bucket & (BUCKETS - 1)] = 0
+    g[start] = 1
+    free = int64(2)
+    expansions, lo, hi, idle = -1, start, start, 0  # the start comes out twice
+    status = UNREACHABLE
+    while idle < BUCKETS:
+        if g[goal] != UNSEEN and g[goal] >> 1 >> shift < bucket:
+            status = FOUND
+            break
+        slot = uint32(bucket & (BUCKETS - 1))
+        entry = int64(head[slot])
+        idle = idle + 1 if entry < 0 else 0
+        while entry >= 0:
+            cell = pool[uint32(entry)]
+            head[slot] = cell >> 32
+            pool[uint32(entry)] = free << 32
+            free = entry
+            i = ((cell >> 14) & _XY) * width + (cell & _XY)
+            g_i = int64(g[uint32(i)])
+            if g_i & 1 or i == start:
+                g_i |= 1
+                g[uint32(i)] = g_i - 1
+                expansions += 1
+                lo = min(lo, i)
+                hi = max(hi, i)
+                d = ((cell >> 28) & 7) + 6
+                for m in range(5):
+                    k = uint32((d + m) & 7)
+                    j = uint32(i + offset[k])
+                    w = int64(weight[j])
+                    g_j = g_i + w * length[k]
+                    if (
+                        g_j < g[j]
+                        and w != 0
+                        and (
+                            # No cutting of corners: both cells beside a diagonal have to be free.
+                            k & 1 == 0
+                            or (
+                                weight[uint32(i + offset[uint32((k + 1) & 7)])] != 0
+                                and weight[uint32(i + offset[uint32(k - 1)])] != 0
+                            )
+                        )
+                    ):
+                        g[j] = g_j
+                        entered = (cell & _CELL) + packed[k]
+                        f = g_j >> 1
+                        if h_weight > 0:
+                            f += _heuristic(entered, goal_x, goal_y, h_long, h_short)
+                        into = uint32((f >> shift) & (BUCKETS - 1))
+                        new = free
+                        free = pool[uint32(new)] >> 32
+                        pool[uint32(new)] = entered | (int64(head[into]) << 32)
+                        head[into] = new
+                if free >= full or g_i > limit:
+                    status = POOL_FULL if free >= full else TOO_FAR
+                    break
+            entry = int64(head[slot])
+        if status > UNREACHABLE:
+            break
+        bucket += 1
+    out[0], out[1], out[2] = expansions, lo, hi
+    return status
+
+
+@njit(nogil=True, cache=True)
+def backtrack(weight, start, goal, g, offset, packed, length, path):
+    """Follow a finished search from the goal back to the start.
+
+    Args:
+        path: (m,) int32, filled with flat indices, the goal first.
+
+    Returns:
+        The number of indices, or -1 when `path` is too short.
+    """
+    i, n = goal, 0
+    while True:
+        if n == path.size:
+            return -1
+        path[n] = i
+        n += 1
+        if i == start:
+            return n
+        best, best_g = -1, int64(UNSEEN)
+        for k in range(8):
+            # The step from j to i; g grows along a path, so this ends at the start.
+            j = i - offset[k]
+            if weight[j] == 0 or g[j] == UNSEEN:
+                continue
+            if k & 1 and (weight[i - offset[(k + 1) & 7]] == 0 or weight[i - offset[k - 1]] == 0):
+                continue
+            through = (g[j] >> 1) * 2 + length[k] * int64(weight[i])
+            if through < best_g:
+                best, best_g = j, through
+        i = best
+
+
+@njit(nogil=True, cache=True)
+def line_cost(weight, x0, y0, x1, y1):
+    """Weight along a straight line: the sum over its cells of weight times length inside.
+
+    Args:
+        weight: (h, w) uint8 with a border of zeros.
+        x0, y0, x1, y1: ends in grid coordinates (`CostMap.grid_of`).
+
+    Returns:
+        The sum in cells, or -1 when the line leaves the map or enters a closed cell; a line
+        through a corner needs both cells beside it.
+    """
+    rows, columns = weight.shape
+    for x, y in ((x0, y0), (x1, y1)):
+        if not (0.0 <= x < columns and 0.0 <= y < rows):  # a NaN is outside too
+            return -1.0
+    dx, dy = x1 - x0, y1 - y0
+    total = np.sqrt(dx * dx + dy * dy)
+    column, row = int(x0), int(y0)
+    step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    # Fractions of the line at which the next column and row are entered.
+    next_x = ((column + (dx > 0)) - x0) / dx if dx != 0 else np.inf
+    next_y = ((row + (dy > 0)) - y0) / dy if dy != 0 else np.inf
+    done, cost = 0.0, 0.0
+    while True:
+        if weight[row, column] == 0:
+            return -1.0
+        ahead = min(next_x, next_y, 1.0)
+        cost += weight[row, column] * (ahead - done) * total
+        done = ahead
+        if done >= 1.0:
+            return cost
+        corner = abs(next_x - next_y) * total < 1e-9
+        if corner and (weight[row, column + step_x] == 0 or weight[row + step_y, column] == 0):
+            return -1.0
+        if corner or next_x < next_y:
+            column += step_x
+            next_x += step_x / dx
+        if corner or next_y <= done:
+            row += step_y
+            next_y += step_y / dy
+
+
+@njit(nogil=True, cache=True)
+def shortcut(weight, points, out):
+    """Pull a path straight wherever a line costs no more than the path it replaces.
+
+    Args:
+        weight: (h, w) uint8 with a border of zeros.
+        points: (n, 2) float64 in grid coordinates, n >= 2.
+        out: (n, 2) float64, filled with the points that are kept.
+
+    Returns:
+        How many are kept; the first and the last always are.
+    """
+    n = len(points)
+    out[0] = points[0]
+    kept, anchor = 1, 0
+    while anchor < n - 1:
+        walked = line_cost(
+            weight, points[anchor, 0], points[anchor, 1],
+            points[anchor + 1, 0], points[anchor + 1, 1],
+        )  # fmt: skip
+        best = anchor + 1
+        j = anchor + 2
+        while j < n and walked >= 0:
+            leg = line_cost(weight, points[j - 1, 0], points[j - 1, 1], points[j, 0], points[j, 1])
+            line = line_cost(
+                weight, points[anchor, 0], points[anchor, 1], points[j, 0], points[j, 1]
+            )
+            if leg < 0 or line < 0:
+                break
+            walked += leg
+            if line <= walked * 1.001:
+                best = j
+            elif j > best + 8:
+                break
+            j += 1
+        out[kept] = points[best]
+        kept += 1
+        anchor = best
+    return kept
+
+
+@njit(nogil=True, cache=True)
+def polyline_cost(weight, points):
+    """The sum of `line_cost` over the legs of (n, 2) grid points; -1 when one is closed."""
+    cost = 0.0
+    for k in range(len(points) - 1):
+        leg = line_cost(weight, points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1])
+        if leg < 0:
+            return -1.0
+        cost += leg
+    return cost

@@ -1,0 +1,60 @@
+"""From a path of cells to one that a robot can follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge.trajectory import kernels
+from edge.trajectory.costmap import CostMap
+
+
+def smooth(costmap: CostMap, path_m: np.ndarray, spacing_m: float = 0.05) -> np.ndarray:
+    """Straighten where the map allows, then space the points evenly.
+
+    Args:
+        path_m: (n, 2) float64 in `map`.
+
+    Returns:
+        (k, 2) float64 with the same ends; enters closed cells only where the path did, and
+        costs no more than it.
+    """
+    if len(path_m) < 2:
+        return path_m
+    grid = costmap.grid_of(path_m)
+    out = np.empty_like(grid)
+    kept = kernels.shortcut(costmap.weight, grid, out)
+    corners = costmap.metres_of(out[:kept])
+    corners[0], corners[-1] = path_m[0], path_m[-1]
+    return resample(corners, spacing_m)
+
+
+def resample(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
+    """Points on the same polyline, at most `spacing_m` apart; corners and ends are kept.
+
+    Args:
+        path_m: (n, 2) float64.
+    """
+    legs = np.hypot(*np.diff(path_m, axis=0).T)
+    pieces = [path_m[:1]]
+    for start, end, length in zip(path_m[:-1], path_m[1:], legs, strict=True):
+        if length > 0:
+            fractions = np.arange(1, math.ceil(length / spacing_m) + 1)[:, None]
+            pieces.append(start + (end - start) * fractions / len(fractions))
+    return np.concatenate(pieces)
+
+
+def line_is_free(
+    costmap: CostMap, from_xy_m: tuple[float, float], to_xy_m: tuple[float, float]
+) -> bool:
+    """Whether a straight line enters no closed cell and stays in the map."""
+    (x0, y0), (x1, y1) = costmap.grid_of(np.array([from_xy_m, to_xy_m]))
+    return kernels.line_cost(costmap.weight, x0, y0, x1, y1) >= 0
+
+
+def polyline_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
+    """Cost along a polyline in metres of free ground; inf where it enters a closed cell."""
+    grid = costmap.grid_of(path_m)
+    cost = kernels.polyline_cost(costmap.weight, grid)
+    return cost * costmap.resolution_m / costmap.unit if cost >= 0 else math.inf

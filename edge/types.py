@@ -1,0 +1,183 @@
+"""What the stages hand to each other. Frozen; arrays are shared, not copied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from edge.geometry import SE2, CameraModel, se2_of
+
+
+class Slot(Protocol):
+    """A reference-counted place in a frame pool (see `edge.sources.pool`)."""
+
+    def hold(self) -> None: ...
+
+    def release(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What the robot saw at one instant, and where it stood then.
+
+    Attributes:
+        seq: counts observations of this source from 0.
+        stamp_ns: capture time of the image or cloud.
+        T_map_base: (4, 4) float64, the pose interpolated at `stamp_ns`.
+        rgb: (h, w, 3) uint8, or None.
+        depth_m: (h, w) float32 registered to `rgb`; NaN or 0 = no return; or None.
+        camera: intrinsics of `rgb` and `depth_m`; None when there is no image.
+        T_base_camera: (4, 4) float64, base from optical frame.
+        cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
+        T_base_lidar: (4, 4) float64.
+        object_ids: (h, w) uint16 from a simulator, 0 = no object; else None.
+        object_labels: label of id i at index i - 1.
+        slot: the pool slot that owns the arrays; None when nothing is pooled.
+    """
+
+    seq: int
+    stamp_ns: int
+    T_map_base: np.ndarray
+    rgb: np.ndarray | None = None
+    depth_m: np.ndarray | None = None
+    camera: CameraModel | None = None
+    T_base_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    cloud_m: np.ndarray | None = None
+    T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
+    object_ids: np.ndarray | None = None
+    object_labels: tuple[str, ...] = ()
+    slot: Slot | None = None
+
+    @property
+    def pose(self) -> SE2:
+        return se2_of(self.T_map_base)
+
+    def hold(self) -> None:
+        """Keep the arrays from being overwritten until `release` is called as often."""
+        if self.slot is not None:
+            self.slot.hold()
+
+    def release(self) -> None:
+        if self.slot is not None:
+            self.slot.release()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Boxes of one image, as parallel arrays, highest score first.
+
+    Attributes:
+        observation: the observation they were found in (held until they are lifted).
+        xyxy_px: (n, 4) float32 in pixels of `observation.rgb`.
+        score: (n,) float32 in [0, 1].
+        class_id: (n,) int32, index into `prompts`.
+        prompts: what was asked for.
+        rival: (n,) float32, the best score of anything else on the same place (a background
+            prompt); None where nothing else was asked for.
+        model: card name of the model.
+        latency_ns: time from image to boxes.
+    """
+
+    observation: Observation
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    class_id: np.ndarray
+    prompts: tuple[str, ...]
+    rival: np.ndarray | None = None
+    model: str = ""
+    latency_ns: int = 0
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def unrivalled(self) -> np.ndarray:
+        """(n,) bool: the boxes that nothing else explains better."""
+        if self.rival is None:
+            return np.ones(len(self), np.bool_)
+        return self.score >= self.rival
+
+
+InstanceState = Literal["seen", "confirmed", "refuted", "reached"]
+
+
+@dataclass(slots=True, eq=False)
+class Instance:
+    """A thing in the map that may be the target (VL-Nav III.C), merged over time.
+
+    Attributes:
+        id: unique within a run.
+        label: the prompt it answers to.
+        center_m: (3,) float32 in `map`, median of its surface points.
+        points_m: (k, 3) float32 in `map`, voxel-filtered surface points.
+        score: running confidence in [0, 1].
+        hits: frames it was detected in.
+        last_seen_ns: stamp of the newest of them.
+        state: `refuted` ones are never chased again.
+    """
+
+    id: int
+    label: str
+    center_m: np.ndarray
+    points_m: np.ndarray
+    score: float
+    hits: int
+    first_seen_ns: int
+    last_seen_ns: int
+    state: InstanceState = "seen"
+
+    def distance_m(self, x_m: float, y_m: float) -> float:
+        """Planar distance from a point to the nearest known surface point."""
+        d = self.points_m[:, :2] - np.array([x_m, y_m], dtype=np.float32)
+        return float(np.sqrt((d * d).sum(axis=1).min()))
+
+
+# "look" turns on the spot: there was nothing to go to.
+CandidateKind = Literal["frontier", "instance", "look"]
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Where the robot should go next.
+
+    Attributes:
+        stamp_ns: when it was chosen; its identity on the wire.
+        pose: a free, reachable cell of the map that faces the candidate.
+        candidate_xy_m: the frontier or instance that it is for.
+    """
+
+    stamp_ns: int
+    pose: SE2
+    kind: CandidateKind
+    candidate_id: int
+    candidate_xy_m: tuple[float, float]
+    score: float
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class GoalStatus:
+    """The motion controller's answer to one goal (`stamp_ns` is the goal's)."""
+
+    stamp_ns: int
+    state: Literal["accepted", "reached", "failed"]
+    reason: str = ""
+
+
+MissionPhase = Literal["searching", "approaching", "verifying", "reached", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class MissionStatus:
+    """How the mission stands; `reached` and `failed` are final."""
+
+    target: str
+    phase: MissionPhase
+    reason: str = ""
+    elapsed_s: float = 0.0
+    path_m: float = 0.0
+
+    @property
+    def done(self) -> bool:
+        return self.phase in ("reached", "failed")

@@ -1,0 +1,113 @@
+"""CDR little-endian (the header `00 01 00 00`), read with bounds checks and written."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+HEADER = b"\x00\x01\x00\x00"
+
+U8 = struct.Struct("<B")
+U32 = struct.Struct("<I")
+STAMP = struct.Struct("<iI")
+
+
+class DecodeError(ValueError):
+    """A payload that is not what its topic promises; one line."""
+
+
+class Reader:
+    """Walks over one payload; whatever lies outside of it is a DecodeError, never memory.
+
+    >>> Reader(HEADER + U32.pack(7)).read(U32, 4)
+    (7,)
+    """
+
+    __slots__ = ("_size", "at", "payload")
+
+    def __init__(self, payload: bytes | bytearray | memoryview) -> None:
+        if bytes(payload[:2]) != HEADER[:2] or len(payload) < len(HEADER):
+            raise DecodeError(
+                f"not little-endian CDR: begins {bytes(payload[:4]).hex() or 'empty'}"
+            )
+        self.payload = payload
+        self.at = len(HEADER)
+        self._size = len(payload)
+
+    def _take(self, size: int, align: int) -> int:
+        """Where the next `size` bytes begin; moves past them. Alignment counts after the header."""
+        begin = self.at + (-(self.at - len(HEADER))) % align
+        if size > self._size - begin:
+            raise DecodeError(f"truncated: {size} bytes wanted at {begin} of {self._size}")
+        self.at = begin + size
+        return begin
+
+    def read(self, layout: struct.Struct, align: int) -> tuple:
+        """The fields of `layout`, which has no padding inside and begins aligned to `align`."""
+        return layout.unpack_from(self.payload, self._take(layout.size, align))
+
+    def skip(self, size: int, align: int) -> None:
+        """Move past a field that nobody asks for."""
+        self._take(size, align)
+
+    def string(self) -> str:
+        (length,) = self.read(U32, 4)
+        begin = self._take(length, 1)
+        try:
+            return bytes(self.payload[begin : begin + length]).rstrip(b"\0").decode()
+        except UnicodeDecodeError:
+            raise DecodeError(f"not UTF-8: the string at {begin}") from None
+
+    def sequence(self, item_size: int) -> tuple[int, int]:
+        """(count, offset of the first item) of a sequence of numbers; moves past it."""
+        (count,) = self.read(U32, 4)
+        return count, self._take(count * item_size, item_size if count else 1)
+
+    def stamp_ns(self) -> int:
+        seconds, nanoseconds = self.read(STAMP, 4)
+        if nanoseconds >= 1_000_000_000:
+            raise DecodeError(f"not a time: {nanoseconds} ns in the second")
+        return seconds * 1_000_000_000 + nanoseconds
+
+    def header(self) -> tuple[int, str]:
+        """std_msgs/Header as (stamp_ns, frame_id)."""
+        return self.stamp_ns(), self.string()
+
+
+class Writer:
+    """Builds one payload.
+
+    >>> Writer().write(U32, 4, 7).bytes() == HEADER + U32.pack(7)
+    True
+    """
+
+    __slots__ = ("_buffer",)
+
+    def __init__(self) -> None:
+        self._buffer = bytearray(HEADER)
+
+    def write(self, layout: struct.Struct, align: int, *values: float) -> Writer:
+        self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
+        self._buffer += layout.pack(*values)
+        return self
+
+    def string(self, text: str) -> Writer:
+        data = text.encode() + b"\0"
+        self.write(U32, 4, len(data))
+        self._buffer += data
+        return self
+
+    def stamp_ns(self, stamp_ns: int) -> Writer:
+        return self.write(STAMP, 4, *divmod(int(stamp_ns), 1_000_000_000))
+
+    def header(self, stamp_ns: int, frame_id: str) -> Writer:
+        return self.stamp_ns(stamp_ns).string(frame_id)
+
+    def floats(self, values: Sequence[float], code: str) -> Writer:
+        """A fixed array of `f` (float32) or `d` (float64)."""
+        layout = struct.Struct(f"<{len(values)}{code}")
+        return self.write(layout, 4 if code == "f" else 8, *values)
+
+    def bytes(self, tail: bytes | memoryview = b"") -> bytes:
+        """The payload, `tail` (such as an image's pixels) behind what was written: one copy."""
+        return b"".join((self._buffer, tail))

@@ -1,0 +1,183 @@
+"""The whole chain for one model card: checkpoint → FP32 → INT8, with a parity check per step.
+
+    python -m exporters yolo-world-s-256x320-int8-cpu --weights FILE.pt --calibration DIR \\
+        --vocabulary FILE.npz --cache DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import os
+import sys
+from pathlib import Path
+
+from exporters.cards import ExportCard, cards_folder, load_card, update_parity
+from exporters.files import ExportError, replace_atomically, sha256_of, write_json
+from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
+from exporters.parity import FP32_LIMITS, INT8_LIMITS, Limits, ParityReport, check_limits, measure
+from exporters.quantize import quantize, split_images
+
+TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
+FAMILIES = ("yolo-world-s",)
+
+
+def default_cache() -> Path:
+    """Where the service looks for model files."""
+    if "EDGE_CACHE_DIR" in os.environ:
+        return Path(os.environ["EDGE_CACHE_DIR"]) / "models"
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "edge-vln" / "models"
+
+
+def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | None:
+    """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
+    if card.family not in FAMILIES:
+        raise ExportError(
+            f"{card.path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
+        )
+    text = _prompts(card, args)
+    if card.derived_from is None:
+        return _export_fp32(card, args, text)
+    fp32 = load_card(card.derived_from, card.path.parent)
+    if args.calibration is None:
+        raise ExportError(
+            f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
+            "camera, or render some with exporters.render_calibration"
+        )
+    _export_fp32(fp32, args, text)
+    return _export_int8(card, fp32, args, text)
+
+
+def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
+    """Household words of a vocabulary file, or the COCO names inside the checkpoint."""
+    if args.vocabulary is not None:
+        return load_text_embeddings(args.vocabulary)
+    from exporters.yolo_world import coco_prompts
+
+    return coco_prompts(args.weights, card.weights_sha256[0])
+
+
+def _validation_images(args: argparse.Namespace) -> list[Path]:
+    """Images to compare on; none where no folder was given."""
+    if args.calibration is not None:
+        return split_images(args.calibration, args.validation)[1]
+    return list_images(args.validation) if args.validation is not None else []
+
+
+def _export_fp32(
+    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+) -> ParityReport | None:
+    """Checkpoint → FP32 ONNX, compared with torch where there are images to compare on."""
+    from exporters.yolo_world import export_onnx, load_detector
+
+    out = args.cache / card.file
+    print(f"{card.name}: exporting {out}", file=sys.stderr)
+    detector = load_detector(args.weights, card.weights_sha256[0])
+    report = None
+    with replace_atomically(out) as made:  # a file that fails its limits never gets its name
+        export_onnx(detector, *card.hw, made)
+        if validation := _validation_images(args):
+            report = measure(args.weights, made, validation, text)
+            _conclude(card, args, report, FP32_LIMITS, reference="torch")
+    _write_sidecar(card, out, report, "torch", calibration=None)
+    return report
+
+
+def _export_int8(
+    card: ExportCard, fp32: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+) -> ParityReport:
+    """FP32 ONNX → INT8, compared with the FP32 on images it was not calibrated on."""
+    out = args.cache / card.file
+    calibration, validation = split_images(args.calibration, args.validation)
+    print(f"{card.name}: quantizing on {len(calibration)} images", file=sys.stderr)
+    with replace_atomically(out) as made:
+        quantize(args.cache / fp32.file, made, calibration, text, card.precision)
+        report = measure(args.cache / fp32.file, made, validation, text)
+        _conclude(card, args, report, INT8_LIMITS, reference=fp32.name)
+    _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
+    return report
+
+
+def _conclude(
+    card: ExportCard,
+    args: argparse.Namespace,
+    report: ParityReport,
+    limits: Limits,
+    reference: str,
+) -> None:
+    """Print a step's parity, write it to the card if asked, and hold it to its limits."""
+    print(f"{card.name} against {reference}:\n{report.table()}", file=sys.stderr)
+    if not args.no_gate:
+        check_limits(report, limits, card.name)
+    if args.update_card:
+        update_parity(card.path, card_parity(report, reference))
+
+
+def card_parity(report: ParityReport, reference: str) -> dict:
+    """The part of a report that a card keeps."""
+    return {
+        "reference": reference,
+        "images": report.images,
+        "recall": round(report.recall, 3),
+        "precision": round(report.precision, 3),
+        "score_error": round(report.score_error, 3),
+    }
+
+
+def _write_sidecar(
+    card: ExportCard,
+    out: Path,
+    report: ParityReport | None,
+    reference: str,
+    calibration: str | None,
+) -> None:
+    """`FILE.onnx.json`: the digest the service checks the model against, and how it was made.
+
+    The digest is here and not in the card since the file depends on the calibration images and on
+    the versions of the tools.
+    """
+    content = {
+        "name": card.name,
+        "sha256": sha256_of(out),
+        "bytes": out.stat().st_size,
+        "parity": card_parity(report, reference) if report else None,
+        "weights_sha256": card.weights_sha256[0],
+        "calibration_sha256": calibration,
+        "tools": {tool: importlib.metadata.version(tool) for tool in TOOLS},
+    }
+    write_json(out.with_name(out.name + ".json"), content)
+    print(f"{card.file} sha256 {content['sha256']}")
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters", description="make a card's model file from its weights"
+    )
+    parser.add_argument("card", help="a card's name, such as yolo-world-s-256x320-int8-cpu")
+    parser.add_argument("--weights", type=Path, required=True, help="the .pt file")
+    parser.add_argument("--calibration", type=Path, help="folder of images (int8 needs it)")
+    parser.add_argument(
+        "--validation",
+        type=Path,
+        help="folder of other images for the parity; default: every fourth calibration image",
+    )
+    parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
+    parser.add_argument("--cache", type=Path, default=default_cache(), help="folder for the files")
+    parser.add_argument("--cards", type=Path, help="folder of model cards")
+    parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
+    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
+    args = parser.parse_args(argv)
+    try:
+        card = load_card(args.card, args.cards or cards_folder())
+        report = export_card(card, args)
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    if report is not None:
+        print(report.to_json())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

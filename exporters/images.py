@@ -1,0 +1,100 @@
+"""Images and prompts that a model is calibrated and checked on."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from exporters.files import ExportError
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
+LETTERBOX_PAD = 114
+"""Grey around an image whose aspect is not the input's, as YOLO was trained with."""
+PROMPTS = (
+    "chair,armchair,sofa,bed,dining table,coffee table,desk,nightstand,cabinet,bookcase,"
+    "refrigerator,microwave oven,oven,sink,toilet,bathtub,television,lamp,chandelier,vase,"
+    "potted plant,picture frame,mirror,pillow,carpet,curtain,door,window,trash can,dumbbell,ball,"
+    "box,bottle,book,person,car,bicycle,tree,traffic light,fan,clock"
+)
+"""What robots are sent to find, in the words of the CLIP vocabulary file."""
+
+
+@dataclass(frozen=True)
+class TextEmbeddings:
+    """Prompt words with their CLIP embeddings.
+
+    Attributes:
+        names: n words.
+        emb: (n, 512) float32, unit rows.
+    """
+
+    names: tuple[str, ...]
+    emb: np.ndarray
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Image files of a folder and its subfolders in name order; raises ExportError if none."""
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+    if not paths:
+        raise ExportError(
+            f"{folder}: no images ({', '.join(sorted(SUFFIXES))}); give a folder of pictures "
+            "from the robot's camera, or render some with exporters.render_calibration"
+        )
+    return paths
+
+
+def digest_of(paths: list[Path]) -> str:
+    """One sha256 over the contents of files, in the order given."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
+    """One image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
+    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise ExportError(f"{path}: not a readable image; remove it from the folder")
+    rgb = letterbox(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), hw)
+    return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+
+
+def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+    """Scale (h, w, 3) uint8 to fit H×W, centred on grey; (H, W, 3) uint8."""
+    scale = min(hw[0] / rgb.shape[0], hw[1] / rgb.shape[1])
+    height, width = round(rgb.shape[0] * scale), round(rgb.shape[1] * scale)
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    canvas = np.full((*hw, 3), LETTERBOX_PAD, np.uint8)
+    top, left = (hw[0] - height) // 2, (hw[1] - width) // 2
+    canvas[top : top + height, left : left + width] = cv2.resize(
+        rgb, (width, height), interpolation=interpolation
+    )
+    return canvas
+
+
+def load_text_embeddings(path: Path, words: list[str] | None = None) -> TextEmbeddings:
+    """Embeddings of `words` (default `PROMPTS`) from a vocabulary .npz with `names` and `emb`.
+
+    Words that are asked for by name must be there; of the default list, those that are.
+    """
+    try:
+        with np.load(path) as archive:
+            names, emb = archive["names"].tolist(), archive["emb"].astype(np.float32)
+    except (OSError, KeyError, ValueError) as error:
+        raise ExportError(
+            f"{path}: not a vocabulary file ({error}); needs arrays names (n,) and emb (n, 512)"
+        ) from None
+    index = {name: row for row, name in enumerate(names)}
+    missing = [word for word in words or () if word not in index]
+    if missing:
+        raise ExportError(f"{path}: no embedding for {', '.join(missing)}; choose words it has")
+    chosen = [word for word in words or PROMPTS.split(",") if word in index]
+    if not chosen:
+        raise ExportError(f"{path}: has none of the default prompts; name some with --prompts")
+    rows = emb[[index[word] for word in chosen]]
+    return TextEmbeddings(tuple(chosen), rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -1,0 +1,262 @@
+"""How well one detector repeats another: the check at the end of each export step.
+
+    python -m exporters.parity REFERENCE CANDIDATE --images DIR --txt-feats VOCABULARY.npz
+
+Either model may be an .onnx file or YOLO-World's .pt checkpoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from exporters.files import ExportError
+from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
+from exporters.onnx_format import check_format
+
+SCORE_THRESHOLD = 0.3
+NMS_IOU = 0.5
+MATCH_IOU = 0.5
+SCORE_BAND = (0.05, 0.3)
+"""Scores below the detection threshold that the policy still weighs (VL-Nav eq. 3)."""
+
+Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(images (1, 3, H, W), txt_feats (1, n, 512)) → boxes (1, A, 4) xyxy px, scores (1, A, n)."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The worst parity that still passes; None leaves a figure ungated."""
+
+    recall: float = 0.95
+    precision: float = 0.8
+    score_error: float | None = None
+    max_abs_diff: float | None = None
+
+
+FP32_LIMITS = Limits(recall=1.0, precision=1.0, score_error=0.01, max_abs_diff=0.01)
+INT8_LIMITS = Limits()
+
+
+@dataclass(frozen=True)
+class ParityReport:
+    """What a candidate kept of a reference.
+
+    Attributes:
+        images: number of images.
+        detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
+        recall: share of those that the candidate also has (same class, IoU >= `MATCH_IOU`).
+        precision: share of the candidate's detections that the reference also has.
+        score_error: mean of |candidate - reference| / reference over every anchor and class whose
+            reference score lies in `SCORE_BAND`; NaN where there is none.
+        score_bias: mean of (candidate - reference) / reference over the same.
+        max_abs_diff: largest score difference anywhere.
+    """
+
+    images: int
+    detections: int
+    recall: float
+    precision: float
+    score_error: float
+    score_bias: float
+    max_abs_diff: float
+
+    def to_json(self) -> str:
+        """One JSON object on one line; an undefined score error is null."""
+        values = {k: None if v != v else v for k, v in asdict(self).items()}
+        return json.dumps(values)
+
+    def table(self) -> str:
+        """One readable line per figure."""
+        rows = [(name, f"{value:.4g}") for name, value in asdict(self).items()]
+        return "\n".join(f"  {name:<14}{value:>10}" for name, value in rows)
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Detections of one image: parallel arrays, best score first.
+
+    Attributes:
+        xyxy_px: (m, 4) float32.
+        score: (m,) float32.
+        class_id: (m,) int64.
+    """
+
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    class_id: np.ndarray
+
+
+def box_iou(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> np.ndarray:
+    """Intersection over union of (m, 4) and (k, 4) boxes, (m, k); 0 where a union is empty."""
+    top_left = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
+    bottom_right = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
+    intersection = np.clip(bottom_right - top_left, 0, None).prod(axis=2)
+    area = lambda xyxy: np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1)  # noqa: E731
+    union = area(a_xyxy)[:, None] + area(b_xyxy)[None] - intersection
+    return np.divide(intersection, union, out=np.zeros_like(union), where=union > 0)
+
+
+def select_boxes(
+    xyxy_px: np.ndarray, scores: np.ndarray, threshold: float = SCORE_THRESHOLD
+) -> Boxes:
+    """Boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
+    anchor, class_id = np.nonzero(scores > threshold)
+    order = np.argsort(-scores[anchor, class_id], kind="stable")
+    anchor, class_id = anchor[order], class_id[order]
+    boxes = xyxy_px[anchor]
+    rivals = (box_iou(boxes, boxes) > NMS_IOU) & (class_id[:, None] == class_id[None])
+    kept = np.ones(len(boxes), bool)
+    for row in range(len(boxes)):
+        if kept[row]:
+            kept[row + 1 :] &= ~rivals[row, row + 1 :]
+    return Boxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
+
+
+def count_matches(reference: Boxes, candidate: Boxes) -> int:
+    """Pairs of one class and IoU >= `MATCH_IOU`, each box used once, best candidate first."""
+    iou = box_iou(candidate.xyxy_px, reference.xyxy_px)
+    iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
+    matches = 0
+    for row in range(len(iou)):
+        column = int(iou[row].argmax()) if iou.shape[1] else 0
+        if iou.shape[1] and iou[row, column] >= MATCH_IOU:
+            iou[:, column] = 0.0
+            matches += 1
+    return matches
+
+
+def compare(
+    reference: Model, candidate: Model, images: Iterable[np.ndarray], txt_feats: np.ndarray
+) -> ParityReport:
+    """Run both models over `images`, each (1, 3, H, W), with one prompt set (1, n, 512)."""
+    count = matched = wanted = found = 0
+    errors: list[np.ndarray] = []
+    worst = 0.0
+    for image in images:
+        count += 1
+        ref_boxes, ref_scores = (output[0] for output in reference(image, txt_feats))
+        cand_boxes, cand_scores = (output[0] for output in candidate(image, txt_feats))
+        ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
+        matched += count_matches(ref, cand)
+        wanted += len(ref.score)
+        found += len(cand.score)
+        band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
+        errors.append((cand_scores[band] - ref_scores[band]) / ref_scores[band])
+        worst = max(worst, float(np.abs(cand_scores - ref_scores).max(initial=0.0)))
+    error = np.concatenate(errors) if errors else np.empty(0)
+    return ParityReport(
+        images=count,
+        detections=wanted,
+        recall=matched / wanted if wanted else 1.0,
+        precision=matched / found if found else 1.0,
+        score_error=float(np.abs(error).mean()) if error.size else float("nan"),
+        score_bias=float(error.mean()) if error.size else float("nan"),
+        max_abs_diff=worst,
+    )
+
+
+def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
+    """Raise ExportError if a figure of the report is worse than its limit, or nothing was seen."""
+    if not report.detections:
+        raise ExportError(
+            f"{what}: the reference sees nothing above {SCORE_THRESHOLD} in {report.images} "
+            "images, so parity means nothing; give images that show the prompted things"
+        )
+    worse = [
+        f"{name} {getattr(report, name):.3g} < {getattr(limits, name):.3g}"
+        for name in ("recall", "precision")
+        if getattr(report, name) < getattr(limits, name)
+    ] + [
+        f"{name} {getattr(report, name):.3g} > {getattr(limits, name):.3g}"
+        for name in ("score_error", "max_abs_diff")
+        if getattr(limits, name) is not None and getattr(report, name) > getattr(limits, name)
+    ]
+    if worse:
+        raise ExportError(
+            f"{what}: parity below its limits ({', '.join(worse)}); calibrate on more images "
+            "like those the robot sees, or pass --no-gate to keep the file anyway"
+        )
+
+
+def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:
+    """An ONNX detector on the CPU, and its input height and width in pixels."""
+    import onnxruntime
+
+    check_format(path)
+    options = onnxruntime.SessionOptions()
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.intra_op_num_threads = 2
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    height, width = session.get_inputs()[0].shape[2:]
+
+    def run(images: np.ndarray, txt_feats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        boxes, scores = session.run(["boxes", "scores"], {"images": images, "txt_feats": txt_feats})
+        return boxes, scores
+
+    return run, (height, width)
+
+
+def torch_model(detector: object) -> Model:
+    """A torch detector as a parity model."""
+    import torch
+
+    def run(images: np.ndarray, txt_feats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with torch.inference_mode():
+            boxes, scores = detector(torch.from_numpy(images), torch.from_numpy(txt_feats))
+        return boxes.numpy(), scores.numpy()
+
+    return run
+
+
+def measure(
+    reference: Path, candidate: Path, images: list[Path], text: TextEmbeddings
+) -> ParityReport:
+    """Compare two model files, an .onnx or YOLO-World's .pt against an .onnx, on image files."""
+    run_candidate, hw = onnx_model(candidate)
+    if reference.suffix == ".pt":
+        from exporters.yolo_world import SHA256, load_detector
+
+        run_reference = torch_model(load_detector(reference, SHA256["yolo-world-s"]))
+    else:
+        run_reference, reference_hw = onnx_model(reference)
+        if reference_hw != hw:
+            raise ExportError(
+                f"{candidate}: input is {hw}, that of {reference} is {reference_hw}; "
+                "compare models of one size"
+            )
+    inputs = (load_input(path, hw) for path in images)
+    return compare(run_reference, run_candidate, inputs, text.emb[None])
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m exporters.parity")
+    parser.add_argument("reference", type=Path)
+    parser.add_argument("candidate", type=Path)
+    parser.add_argument("--images", type=Path, required=True)
+    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
+    parser.add_argument("--prompts", help="comma-separated words; default: a household list")
+    parser.add_argument("--no-gate", action="store_true", help="report only")
+    args = parser.parse_args(argv)
+    try:
+        words = args.prompts.split(",") if args.prompts else None
+        text = load_text_embeddings(args.txt_feats, words)
+        report = measure(args.reference, args.candidate, list_images(args.images), text)
+        print(report.to_json())
+        print(report.table(), file=sys.stderr)
+        if not args.no_gate:
+            check_limits(report, INT8_LIMITS, str(args.candidate))
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

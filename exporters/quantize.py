@@ -1,0 +1,222 @@
+"""Static QDQ INT8 of an FP32 detector, for onnxruntime on a CPU.
+
+    python -m exporters.quantize FP32.onnx --calibration DIR --txt-feats VOCABULARY.npz --out FILE
+
+Activations are uint8 with a zero point, weights int8 per output channel. Three things keep the
+scores: ranges that lose least where the value is used (`calibration`), weights rounded against
+their inputs (`rounding`), and the few nodes of `FLOAT_NODES` that stay in float.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+
+from exporters.calibration import Feed, collect_histograms, least_loss_range, silu
+from exporters.files import ExportError, replace_atomically
+from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
+from exporters.onnx_format import check_format
+from exporters.rounding import round_weights
+
+PRECISIONS = ("int8-cpu",)
+MIN_IMAGES = 4
+MAX_ROUNDING_IMAGES = 40
+"""Images that the weights are rounded against; the ranges use all of them."""
+HELD_OUT_EVERY = 4
+"""Where one folder serves for both, every fourth image is kept for measuring."""
+FEW_PROMPTS = 4
+"""Prompts per image in half of the calibration: missions name few, benchmarks many."""
+
+FLOAT_NODES = (
+    r"^/model\.[01]/",  # 2 % of the work, and every later layer repeats their error
+    r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the total error
+    r"^/model\.22/(?!cv\d)",  # contrast with the text, box decoding: class scores die in 8 bits
+)
+"""Nodes that stay in float, as patterns of their names."""
+
+PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsqueeze", "Expand"}
+"""Operators whose output shares its input's range, so that 8-bit values pass unchanged."""
+
+
+def quantize(
+    fp32: Path, out: Path, images: list[Path], text: TextEmbeddings, precision: str = "int8-cpu"
+) -> None:
+    """Write the INT8 model of `fp32` to `out`, calibrated on `images` with prompts `text`."""
+    if precision not in PRECISIONS:
+        choices = ", ".join(PRECISIONS)
+        raise ExportError(f"--precision: unknown {precision!r} (choices: {choices})")
+    if len(images) < MIN_IMAGES:
+        raise ExportError(
+            f"calibration: {len(images)} images, at least {MIN_IMAGES} are needed "
+            "(40 or more for good scores); add pictures from the robot's camera"
+        )
+    model = onnx.load(fp32)
+    float_nodes = float_node_names(model)
+    feeds = calibration_feeds(images, text, input_hw(model))
+    ranges = activation_ranges(model, feeds)
+    convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in float_nodes]
+    steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
+    scales = round_weights(model, convs, feeds[::steps])
+    with replace_atomically(out) as temporary:
+        _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), float_nodes)
+        check_format(temporary)
+
+
+def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
+    """Height and width in pixels of a model's image input."""
+    dims = model.graph.input[0].type.tensor_type.shape.dim
+    return dims[2].dim_value, dims[3].dim_value
+
+
+def float_node_names(model: onnx.ModelProto) -> list[str]:
+    """Names of the nodes that stay in float; raises ExportError if a pattern finds none."""
+    names = [node.name for node in model.graph.node]
+    for pattern in FLOAT_NODES:
+        if not any(re.search(pattern, name) for name in names):
+            raise ExportError(
+                f"quantize: no node is named like {pattern}; export the FP32 model with "
+                "exporters.yolo_world, which keeps the module path in node names"
+            )
+    return [name for name in names if any(re.search(p, name) for p in FLOAT_NODES)]
+
+
+def calibration_feeds(
+    images: list[Path], text: TextEmbeddings, hw: tuple[int, int], seed: int = 0
+) -> list[Feed]:
+    """One feed per image, by turns with all prompts and with a random few."""
+    rng = np.random.default_rng(seed)
+    feeds = []
+    for index, path in enumerate(images):
+        rows = np.arange(len(text.names))
+        if index % 2 and len(rows) > FEW_PROMPTS:
+            rows = rng.choice(rows, FEW_PROMPTS, replace=False)
+        feeds.append({"images": load_input(path, hw), "txt_feats": text.emb[rows][None]})
+    return feeds
+
+
+def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tuple[float, float]]:
+    """The 8-bit range of every activation that has one of its own, by tensor name."""
+    histograms = collect_histograms(model, feeds)
+    producer = {name: node.op_type for node in model.graph.node for name in node.output}
+    consumers: dict[str, set[str]] = {}
+    for node in model.graph.node:
+        for name in node.input:
+            consumers.setdefault(name, set()).add(node.op_type)
+    ranges = {}
+    for name, histogram in histograms.items():
+        if producer.get(name) in PASSES_RANGE_ON:
+            continue
+        if producer.get(name) == "Sigmoid":
+            ranges[name] = (0.0, 1.0)
+            continue
+        into_silu = producer.get(name) == "Conv" and consumers.get(name) == {"Sigmoid", "Mul"}
+        ranges[name] = least_loss_range(histogram, silu if into_silu else None)
+    return ranges
+
+
+def _overrides(
+    ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray]
+) -> dict[str, list[dict]]:
+    """Our ranges and weight scales in the form that onnxruntime's quantizer takes."""
+    from onnxruntime.quantization import QuantType
+
+    overrides: dict[str, list[dict]] = {
+        name: [{"rmin": np.float32(low), "rmax": np.float32(high)}]
+        for name, (low, high) in ranges.items()
+    }
+    fixed = {"quant_type": QuantType.QInt8, "zero_point": np.int8(0)}
+    for name, channels in scales.items():
+        overrides[name] = [{**fixed, "scale": np.float32(scale)} for scale in channels]
+        overrides[name][0]["axis"] = 0
+    return overrides
+
+
+def _write_qdq(
+    model: onnx.ModelProto, out: Path, feed: Feed, overrides: dict, float_nodes: list[str]
+) -> None:
+    """Insert the quantize/dequantize pairs; onnxruntime fuses them into integer kernels."""
+    from onnxruntime.quantization import (
+        CalibrationDataReader,
+        QuantFormat,
+        QuantType,
+        quantize_static,
+    )
+
+    class OneFeed(CalibrationDataReader):
+        """The quantizer insists on a calibration of its own; the overrides replace its ranges."""
+
+        def __init__(self) -> None:
+            self._feeds = iter([feed])
+
+        def get_next(self) -> Feed | None:
+            return next(self._feeds, None)
+
+    root = logging.getLogger()
+    level = root.level
+    root.setLevel(logging.ERROR)  # advice on shape inference that does not apply here
+    try:
+        quantize_static(
+            model,
+            out,
+            OneFeed(),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            nodes_to_exclude=float_nodes,
+            extra_options={"TensorQuantOverrides": overrides},
+        )
+    finally:
+        root.setLevel(level)
+
+
+def main(argv: list[str] | None = None) -> int:
+    from exporters.parity import INT8_LIMITS, check_limits, measure
+
+    parser = argparse.ArgumentParser(prog="python -m exporters.quantize")
+    parser.add_argument("fp32", type=Path)
+    parser.add_argument("--precision", choices=PRECISIONS, default="int8-cpu")
+    parser.add_argument("--calibration", type=Path, required=True, help="folder of images")
+    parser.add_argument("--validation", type=Path, help="folder of other images for the parity")
+    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
+    args = parser.parse_args(argv)
+    try:
+        text = load_text_embeddings(args.txt_feats)
+        calibration, validation = split_images(args.calibration, args.validation)
+        with replace_atomically(args.out) as made:
+            quantize(args.fp32, made, calibration, text, args.precision)
+            report = measure(args.fp32, made, validation, text)
+            print(report.to_json())
+            print(report.table(), file=sys.stderr)
+            if not args.no_gate:
+                check_limits(report, INT8_LIMITS, str(args.out))
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
+    """Images to calibrate on and to measure on: two folders, or every fourth of one held out."""
+    images = list_images(calibration)
+    if validation is not None:
+        return images, list_images(validation)
+    held_out = images[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
+    if not held_out:
+        raise ExportError(
+            f"{calibration}: {len(images)} images leave none to measure on; "
+            f"give at least {HELD_OUT_EVERY}, or a folder with --validation"
+        )
+    return [path for path in images if path not in set(held_out)], held_out
+
+
+if __name__ == "__main__":
+    sys.exit(main())

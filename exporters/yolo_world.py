@@ -1,0 +1,211 @@
+"""YOLO-World v2 from its PyTorch checkpoint to one ONNX file that takes the prompt as an input.
+
+    python -m exporters.yolo_world --weights yolov8s-worldv2.pt --size 256x320 --out FILE.onnx
+
+Every detector ONNX of this project has the same contract, see `INPUTS` and `OUTPUTS`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+# Ultralytics pip-installs what it misses and writes settings to the home folder unless told
+# otherwise; an export must not change the host.
+os.environ.setdefault("YOLO_AUTOINSTALL", "false")
+os.environ.setdefault("YOLO_CONFIG_DIR", tempfile.gettempdir())
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+
+from exporters.files import ExportError, check_sha256, replace_atomically
+from exporters.images import TextEmbeddings, list_images
+from exporters.onnx_format import OPSET, check_format
+
+INPUTS = ("images", "txt_feats")
+"""`images` (1, 3, H, W) float32 RGB 0..1, letterboxed; `txt_feats` (1, n, 512), unit rows."""
+OUTPUTS = ("boxes", "scores")
+"""`boxes` (1, A, 4) float32 xyxy in input pixels; `scores` (1, A, n) float32 after the sigmoid."""
+TEXT_DIM = 512
+SHA256 = {
+    "yolo-world-s": "7c951d3baac2de906e3deda859b2ff965350fbfa14f51b81ea52f0e3d98519c8",
+}
+"""Checkpoints that may be unpickled, by family; the cards repeat them for the downloader."""
+
+
+class YoloWorldDetector(nn.Module):
+    """YOLO-World with its text embeddings as an input and boxes and scores as two outputs.
+
+    Ultralytics' own forward bakes the number of classes into the graph; this one leaves it free.
+    """
+
+    def __init__(self, world_model: nn.Module):
+        super().__init__()
+        # The name `model` keeps ONNX node names at `/model.<layer>/…`, which the quantizer reads.
+        self.model = world_model.model
+        self.model[-1] = WorldHead(self.model[-1])
+        self.save = frozenset(world_model.save)
+
+    def forward(self, images: Tensor, txt_feats: Tensor) -> tuple[Tensor, Tensor]:
+        """See `INPUTS` and `OUTPUTS`."""
+        x, outputs = images, []
+        for layer in self.model[:-1]:
+            if layer.f != -1:
+                x = outputs[layer.f] if isinstance(layer.f, int) else _gather(layer.f, x, outputs)
+            x = layer(x, txt_feats) if type(layer).__name__ == "C2fAttn" else layer(x)
+            outputs.append(x if layer.i in self.save else None)
+        head = self.model[-1]
+        return head(_gather(head.f, x, outputs), txt_feats)
+
+
+def _gather(sources: list[int], latest: Tensor, outputs: list[Tensor | None]) -> list[Tensor]:
+    """The inputs of a layer by layer number, where -1 is the layer before."""
+    return [latest if i == -1 else outputs[i] for i in sources]
+
+
+class WorldHead(nn.Module):
+    """Detection head at strides 8, 16 and 32: Ultralytics' WorldDetect layers, decoded in full."""
+
+    def __init__(self, head: nn.Module):
+        super().__init__()
+        self.cv2, self.cv3, self.cv4, self.dfl = head.cv2, head.cv3, head.cv4, head.dfl
+        self.f, self.i = head.f, head.i
+        self.strides_px = [float(stride) for stride in head.stride]
+
+    def forward(self, features: list[Tensor], txt_feats: Tensor) -> tuple[Tensor, Tensor]:
+        """Feature maps (1, C, rows, columns) per level → boxes (1, A, 4), scores (1, A, n)."""
+        logits = [self._logits(i, x, txt_feats) for i, x in enumerate(features)]
+        return self._boxes(features), torch.cat(logits, dim=1).sigmoid()
+
+    def _boxes(self, features: list[Tensor]) -> Tensor:
+        """Distribution focal loss decoding at all levels; (1, A, 4) xyxy in input pixels."""
+        distances = torch.cat([self.cv2[i](x).flatten(2) for i, x in enumerate(features)], dim=2)
+        ltrb = self.dfl(distances).transpose(1, 2)
+        centres, strides = _anchors(features, self.strides_px)
+        corners = torch.cat((centres - ltrb[..., :2], centres + ltrb[..., 2:]), dim=2)
+        return corners * strides
+
+    def _logits(self, level: int, x: Tensor, txt_feats: Tensor) -> Tensor:
+        """Class logits of one level, (1, cells, n): image features against the text embeddings."""
+        contrast = self.cv4[level]
+        embedding = contrast.norm(self.cv3[level](x)).flatten(2).transpose(1, 2)
+        text = nn.functional.normalize(txt_feats, dim=-1).transpose(1, 2)
+        # The scale goes onto the text: n is far smaller than the number of cells.
+        return embedding @ (text * contrast.logit_scale.exp()) + contrast.bias
+
+
+def _anchors(features: list[Tensor], strides_px: list[float]) -> tuple[Tensor, Tensor]:
+    """Cell centres (1, A, 2) xy in cells, and strides (1, A, 1) in pixels, as constants."""
+    centres, strides = [], []
+    for x, stride_px in zip(features, strides_px, strict=True):
+        rows, columns = int(x.shape[2]), int(x.shape[3])
+        xy = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5
+        centres.append(xy.reshape(1, -1, 2).astype(np.float32))
+        strides.append(np.full((1, rows * columns, 1), stride_px, np.float32))
+    return tuple(torch.from_numpy(np.concatenate(part, axis=1)) for part in (centres, strides))
+
+
+def load_detector(weights: Path, sha256: str) -> YoloWorldDetector:
+    """The checkpoint as an evaluation-mode module; refuses a file whose sha256 is another.
+
+    The check comes first since a .pt file is a pickle: loading one runs what is in it.
+    """
+    check_sha256(weights, sha256)
+    checkpoint = torch.load(weights, map_location="cpu", weights_only=False)
+    detector = YoloWorldDetector(checkpoint["model"].float())
+    return detector.eval().requires_grad_(False)
+
+
+def coco_prompts(weights: Path, sha256: str) -> TextEmbeddings:
+    """The 80 COCO names with the text embeddings that come inside the checkpoint."""
+    check_sha256(weights, sha256)
+    model = torch.load(weights, map_location="cpu", weights_only=False)["model"]
+    names = tuple(model.names[index] for index in range(len(model.names)))
+    return TextEmbeddings(names, model.txt_feats[0].float().numpy())
+
+
+def export_onnx(detector: nn.Module, height_px: int, width_px: int, out: Path) -> None:
+    """Write the detector as ONNX with a static image size and a free number of prompts."""
+    images = torch.zeros(1, 3, height_px, width_px)
+    txt_feats = nn.functional.normalize(torch.ones(1, 3, TEXT_DIM), dim=-1)
+    with replace_atomically(out) as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # dynamo=False is deprecated, see below
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
+        torch.onnx.export(
+            detector,
+            (images, txt_feats),
+            str(temporary),
+            dynamo=False,  # the only exporter that keeps the module path in node names
+            opset_version=OPSET,
+            input_names=list(INPUTS),
+            output_names=list(OUTPUTS),
+            dynamic_axes={"txt_feats": {1: "n"}, "scores": {1: "anchors", 2: "n"}},
+        )
+        onnx.save(_slimmed(onnx.load(temporary), height_px, width_px), temporary)
+        check_format(temporary)
+
+
+def _slimmed(model: onnx.ModelProto, height_px: int, width_px: int) -> onnx.ModelProto:
+    """Fold constants and drop dead nodes, then state the output shapes that tracing left open."""
+    import onnxslim
+
+    slim = onnxslim.slim(model)
+    anchors = sum((height_px // s) * (width_px // s) for s in (8, 16, 32))
+    shapes = {"boxes": (1, anchors, 4), "scores": (1, anchors, "n")}
+    for output in slim.graph.output:
+        del output.type.tensor_type.shape.dim[:]
+        for size in shapes[output.name]:
+            dim = output.type.tensor_type.shape.dim.add()
+            setattr(dim, "dim_param" if isinstance(size, str) else "dim_value", size)
+    onnx.checker.check_model(slim)
+    return slim
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """'256x320' → (256, 320): height and width in pixels, multiples of the coarsest stride."""
+    try:
+        height, width = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise ExportError(f"--size: {text!r} is not HEIGHTxWIDTH, for example 256x320") from None
+    if height <= 0 or width <= 0 or height % 32 or width % 32:
+        raise ExportError(f"--size: {text!r}: height and width must be positive multiples of 32")
+    return height, width
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m exporters.yolo_world", description=__doc__)
+    parser.add_argument("--weights", type=Path, required=True)
+    parser.add_argument("--size", required=True, help="HEIGHTxWIDTH in pixels, such as 256x320")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--validation", type=Path, help="images to compare with torch on")
+    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
+    parser.add_argument("--family", choices=sorted(SHA256), default="yolo-world-s")
+    args = parser.parse_args(argv)
+    from exporters.parity import FP32_LIMITS, check_limits, measure
+
+    try:
+        height, width = parse_size(args.size)
+        sha256 = SHA256[args.family]
+        with replace_atomically(args.out) as made:
+            export_onnx(load_detector(args.weights, sha256), height, width, made)
+            if args.validation is not None:
+                text = coco_prompts(args.weights, sha256)
+                report = measure(args.weights, made, list_images(args.validation), text)
+                print(f"{report.to_json()}\n{report.table()}", file=sys.stderr)
+                if not args.no_gate:
+                    check_limits(report, FP32_LIMITS, str(args.out))
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(args.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""Map update with frontiers, unknown-area ratio and reach field, against their budgets."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.geometry import SE2, CameraModel, camera_mount
+from edge.mapping import grid, layers
+
+CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
+T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
+MAPPING = config.Mapping()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled():
+    grid.warmup(MAPPING)
+
+
+def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
+    """What the camera sees in a square room with pillars (cylinders of 0.2 m) every 2 m."""
+    u, v = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
+    optical = np.stack(
+        [
+            (u - CAMERA.cx_px) / CAMERA.fx_px,
+            (v - CAMERA.cy_px) / CAMERA.fy_px,
+            np.ones(u.shape),
+        ],
+        axis=-1,
+    )
+    rays, origin = optical @ T[:3, :3].T, T[:3, 3]
+    depth = np.full(u.shape, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis, at in ((0, half_m), (0, -half_m), (1, half_m), (1, -half_m), (2, 0.0), (2, 2.5)):
+            t = (at - origin[axis]) / rays[..., axis]
+            depth = np.minimum(depth, np.where(t > 1e-6, t, np.inf))
+        for x, y in itertools.product((-3.0, -1.0, 1.0, 3.0), repeat=2):
+            a = (rays[..., :2] ** 2).sum(-1)
+            b = rays[..., 0] * (origin[0] - x) + rays[..., 1] * (origin[1] - y)
+            c = (origin[0] - x) ** 2 + (origin[1] - y) ** 2 - 0.01
+            t = (-b - np.sqrt(b * b - a * c)) / a
+            depth = np.minimum(depth, np.where(t > 1e-6, t, np.inf))
+    return depth.astype(np.float32)
+
+
+def frames() -> list[tuple[np.ndarray, np.ndarray, SE2]]:
+    """A turn on the spot while drifting: new views all the time."""
+    out = []
+    for yaw in np.arange(0.0, 2 * math.pi, 0.1):
+        pose = SE2(0.1 * math.cos(yaw), 0.1 * math.sin(yaw), yaw)
+        T = pose.matrix() @ T_BASE_CAMERA
+        out.append((room_depth(T), T, pose))
+    return out
+
+
+def explored_map(cells: int) -> grid.RollingMap:
+    """A map whose window is explored all over: free, with obstacles and unknown specks."""
+    m = grid.RollingMap(MAPPING.model_copy(update={"extent_m": cells * MAPPING.resolution_m}))
+    m._follow(0, 0)
+    rng = np.random.default_rng(0)
+    n = m._n
+    m._layers.raw[:] = rng.random((n, n)) < 0.9998
+    bits = np.packbits(m._layers.raw, axis=1, bitorder="little").view(np.uint64)
+    m._layers.known[:] = bits
+    for x, y in rng.integers(0, n, (n * n // 2000, 2)):
+        if m._layers.raw[y, x] < layers.OCCUPIED:
+            m._layers.raw[y, x] = layers.OCCUPIED
+            layers.bit_set(m._layers.known, y, x, True)
+            window = ((x - m._shift[0]) % n, (y - m._shift[1]) % n)
+            layers.add_disc(m._layers, *m._shift, *window, 1, m._disc, (0, 0, n, n), m._changed)
+    m._explored[:] = (0, 0, n, n)
+    m._changed[:] = (0, 0, n, n)
+    m._refresh_frontiers(True)
+    return m
+
+
+def update_all_round(m: grid.RollingMap):
+    views = itertools.cycle(frames())
+
+    def step() -> None:
+        depth, T, pose = next(views)
+        m.update_depth(depth, CAMERA, T, pose)
+
+    return step
+
+
+@pytest.mark.parametrize(
+    ("cells", "budget"),
+    [
+        (400, "map_update_grid_400"),
+        (1000, "map_update_depth_480x640_grid_1000"),
+        (4000, "map_update_grid_4000"),
+    ],
+)
+def test_map_update(benchmark, cells, budget):
+    benchmark.extra_info["budget"] = budget
+    m = explored_map(cells)
+    benchmark.pedantic(update_all_round(m), rounds=500, warmup_rounds=20)
+    assert m._layers.frontier.any()
+
+
+def test_unknown_ratio_of_200_candidates(benchmark):
+    benchmark.extra_info["budget"] = "unknown_ratio_200"
+    m = explored_map(1000)
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-5, 5, (200, 2)).astype(np.float32)
+    out = np.zeros(200, np.float32)
+    benchmark.pedantic(m.unknown_ratio, args=(xy, 200, 1.0, out), rounds=500, warmup_rounds=20)
+    assert np.ptp(out) > 0
+
+
+def test_reach_step_in_the_open(benchmark):
+    benchmark.extra_info["budget"] = "reach_step"
+    m = explored_map(1000)
+    benchmark.pedantic(m.reach.step, args=(SE2(0.0, 0.0, 0.0),), rounds=500, warmup_rounds=20)
+    assert m.reach.generation > 0

@@ -1,0 +1,137 @@
+"""How long detection, lifting and merging take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.geometry import CameraModel, camera_mount
+from edge.perception import kernels
+from edge.perception.cards import ModelError
+from edge.perception.detector import make_detector
+from edge.perception.instances import InstanceTracker
+from edge.perception.lift import Lifter
+from edge.perception.text import PromptError
+from edge.perception.warmup import warmup
+from edge.types import Detections, Observation
+
+SHARED_VOCABULARY = (
+    Path(__file__).resolve().parents[2] / "shared" / "models" / "clip_vitb32_vocab.npz"
+)
+BACKGROUND = ("window", "door", "picture frame", "cabinet", "curtain", "person")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warm():
+    warmup()
+
+
+def observe(seed=0, seq=0):
+    """A 640 × 480 image of noise with depth that steps between near and far blocks."""
+    random = np.random.default_rng(seed)
+    depth = np.kron(random.uniform(0.5, 7, (12, 16)), np.ones((40, 40))).astype(np.float32)
+    depth[random.random(depth.shape) < 0.05] = np.nan
+    return Observation(
+        seq=seq,
+        stamp_ns=seq * 33_000_000,
+        T_map_base=np.eye(4),
+        rgb=random.integers(0, 256, (480, 640, 3), np.uint8),
+        depth_m=depth,
+        camera=CameraModel.from_hfov(640, 480, 1.3),
+        T_base_camera=camera_mount(0.1, 0.6, 0.0),
+        cloud_m=random.uniform(-8, 8, (60000, 3)).astype(np.float32),
+    )
+
+
+def boxes_in(observation, n, seed=1):
+    random = np.random.default_rng(seed)
+    corner = random.uniform(0, (480, 320), (n, 2))
+    xyxy = np.hstack((corner, corner + random.uniform(40, 160, (n, 2)))).astype(np.float32)
+    score = np.sort(random.uniform(0.05, 0.9, n).astype(np.float32))[::-1].copy()
+    prompts = ("chair", "sofa", "bed", "desk")
+    return Detections(observation, xyxy, score, random.integers(0, 4, n).astype(np.int32), prompts)
+
+
+@pytest.fixture
+def detector():
+    vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
+    chosen = config.DetectorOnnx(vocabulary=vocabulary, background=BACKGROUND)
+    try:
+        return make_detector(config.Perception(detector=chosen), ["chair"])
+    except (ModelError, PromptError) as error:
+        pytest.skip(str(error))
+
+
+def test_detect(benchmark, detector):
+    """Image in, boxes out: the whole of it on two threads."""
+    benchmark.extra_info["budget"] = "detect_int8_cpu_256x320"
+    seen = observe()
+    benchmark.pedantic(detector.detect, (seen,), rounds=60, warmup_rounds=5)
+
+
+def test_around_the_network(benchmark, detector):
+    """The same without the network's own run: letterbox, scores, NMS."""
+    benchmark.extra_info["budget"] = "detect_pre_and_post"
+    seen = observe()
+    detector.detect(seen)
+
+    def around():
+        detector._fill_input(seen.rgb)
+        return detector._pick(detector._asked)
+
+    benchmark(around)
+
+
+def test_suppress(benchmark):
+    """Decoding and NMS with 300 anchors over the threshold."""
+    benchmark.extra_info["budget"] = "nms_1680_anchors"
+    random = np.random.default_rng(0)
+    n = 1680
+    corner = random.uniform(0, 250, (n, 2))
+    boxes = np.hstack((corner, corner + random.uniform(10, 90, (n, 2)))).astype(np.float32)
+    scores = np.zeros((n, 7), np.float32)
+    hot = random.choice(n, 300, replace=False)
+    scores[hot] = random.uniform(0, 0.9, (300, 7)) ** 3
+    best, rival = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    label, keep = np.zeros(n, np.int32), np.zeros(64, np.int32)
+
+    against = np.zeros(len(keep), np.float32)
+
+    def decode():
+        kernels.split_scores(boxes, scores, 1, np.float32(0.05), best, label, rival)
+        n = kernels.suppress(boxes, best, label, 0.5, keep)
+        kernels.strongest_rivals(boxes, rival, keep, n, 0.5, against)
+        return n
+
+    assert benchmark(decode) > 0
+
+
+@pytest.mark.parametrize("way", ["depth", "cloud"])
+def test_lift(benchmark, way):
+    """Twenty boxes of a 640 × 480 image."""
+    benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
+    seen = observe()
+    lifter = Lifter(config.Perception(lift=way))
+    out = benchmark(lifter.lift, boxes_in(seen, 20))
+    assert out.valid.any()
+
+
+def test_track(benchmark):
+    """Eight boxes into a tracker that knows some thirty things, with a look at all of them."""
+    benchmark.extra_info["budget"] = "instances_update_8"
+    perception = config.Perception()
+    tracker, lifter = InstanceTracker(perception), Lifter(perception)
+    for seed in range(20):
+        tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed)), seed)
+    seen = observe()
+    lifted = lifter.lift(boxes_in(seen, 8))
+
+    def step():
+        tracker.update(lifted, 1_000_000_000)
+        tracker.expire(seen)
+
+    benchmark(step)
+    assert len(tracker) > 10

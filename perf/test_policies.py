@@ -1,0 +1,75 @@
+"""Scoring 200 candidates and choosing a goal among them, unknown-area search included."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map
+
+from edge import config
+from edge.candidates import CandidatePool
+from edge.geometry import SE2
+from edge.mapping import grid
+from edge.mapping.results import Frontiers
+from edge.policies import make_policy
+from edge.policies.select import GoalSelector
+from edge.types import Detections, Observation
+
+POSE = SE2(0.02, 0.02, 0.3)
+CANDIDATES, BOXES = 200, 8
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled():
+    grid.warmup(MAPPING)
+
+
+def detections(stamp_ns: int) -> Detections:
+    """Boxes all over the image, some of them mere hints."""
+    rng = np.random.default_rng(2)
+    left = rng.uniform(0, CAMERA.width_px - 60, BOXES)
+    top = rng.uniform(0, CAMERA.height_px - 60, BOXES)
+    seen = Observation(0, stamp_ns, POSE.matrix(), camera=CAMERA, T_base_camera=T_BASE_CAMERA)
+    return Detections(
+        seen,
+        np.stack([left, top, left + 60, top + 60], axis=1).astype(np.float32),
+        np.sort(rng.uniform(0.05, 0.9, BOXES))[::-1].astype(np.float32),
+        np.zeros(BOXES, np.int32),
+        ("chair",),
+    )
+
+
+def test_score_and_select_200(benchmark):
+    """Every round looks with fresh candidates, so that eq. 3 is worked out for all in view."""
+    benchmark.extra_info["budget"] = "score_and_select_200"
+    m = explored_map(1000)
+    while m.reach.generation == 0:
+        m.reach.step(POSE)
+    rng = np.random.default_rng(1)
+    radius_m, angle = rng.uniform(1.0, 8.0, CANDIDATES), rng.uniform(-math.pi, math.pi, CANDIDATES)
+    xy_m = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle)], axis=1)
+    frontiers = Frontiers(
+        CANDIDATES,
+        xy_m.astype(np.float32),
+        np.full(CANDIDATES, 10, np.int32),
+        np.arange(CANDIDATES, dtype=np.int32),
+    )
+    pool = CandidatePool(CANDIDATES, 0.01)
+    pool.update(frontiers, [], 1, 1)
+    policy = make_policy(config.PolicyHvl())
+    seen = detections(stamp_ns=1)
+
+    def fresh() -> tuple[tuple[GoalSelector], dict]:
+        pool.vl[:CANDIDATES] = np.nan
+        return (GoalSelector(policy),), {}
+
+    def score_and_select(selector: GoalSelector):
+        policy.score(pool, m, seen, POSE)
+        return selector.select(pool, m, {}, POSE, 2, "chair")
+
+    goal = benchmark.pedantic(score_and_select, setup=fresh, rounds=500, warmup_rounds=20)
+    assert pool.n == CANDIDATES
+    assert goal is not None
+    assert np.ptp(pool.score[:CANDIDATES]) > 0

@@ -1,0 +1,77 @@
+"""What a frame costs from the wire into its slot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge import topics
+from edge.config import parse
+from edge.geometry import SE2, CameraModel
+from edge.sources.assembler import Assembler
+from edge.wire import messages
+
+CAMERA = CameraModel.from_hfov(320, 256, 1.3)
+PERIOD_NS = 33_333_333
+
+
+def images() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (256, 320, 3), dtype=np.uint8)
+    return rgb, rng.integers(300, 8000, (256, 320), dtype=np.uint16)
+
+
+def test_decode_rgb_and_depth(benchmark):
+    rgb, depth = images()
+    payloads = [messages.encode_image(1, "camera", array) for array in (rgb, depth)]
+    out = np.zeros_like(rgb), np.zeros(depth.shape, np.float32)
+
+    def decode():
+        for payload, array in zip(payloads, out, strict=True):
+            messages.decode_image_into(payload, messages.decode_image_header(payload), array)
+
+    benchmark.extra_info["budget"] = "decode_images_320x256"
+    benchmark(decode)
+    assert (out[0] == rgb).all()
+
+
+def test_ingest_a_frame(benchmark):
+    """Camera, depth and two odometry samples in, one observation out, as in every tick."""
+    rgb, depth = images()
+    assembler = Assembler(parse({"perception": {"detector": {"kind": "onnx"}}}))
+    assembler.offer(topics.CAMERA_INFO, messages.encode_camera_info(1, "camera", CAMERA))
+
+    def arrivals():
+        k = arrivals.k = arrivals.k + 1
+        stamps = [(2 * k + i) * PERIOD_NS // 2 for i in (0, 1)]
+        pose = SE2(0.01 * k, 0.0, 0.0).matrix()
+        frame = [(topics.ODOMETRY, messages.encode_odometry(s, pose, 0.3, 0.0)) for s in stamps]
+        frame.append((topics.RGB, messages.encode_image(stamps[0] + 5, "camera", rgb)))
+        frame.append((topics.DEPTH, messages.encode_image(stamps[0] + 5, "camera", depth)))
+        return (frame,), {}
+
+    arrivals.k = 0
+
+    def ingest(frame):
+        for topic, payload in frame:
+            assembler.offer(topic, payload)
+        assembler.poll().release()
+
+    benchmark.extra_info["budget"] = "ingest_decode_320x256"
+    benchmark.pedantic(ingest, setup=arrivals, rounds=500, warmup_rounds=20)
+    assert assembler.counters["observations"] == 520
+
+
+@pytest.mark.parametrize("n", [131072])
+def test_decode_a_cloud(benchmark, n):
+    points = np.random.default_rng(0).normal(size=(n, 3)).astype(np.float32)
+    payload, out = messages.encode_point_cloud(1, "lidar", points), np.zeros((n, 3), np.float32)
+    messages.decode_point_cloud_into(payload, out)
+    benchmark.extra_info["budget"] = "decode_cloud_131072"
+    assert benchmark(messages.decode_point_cloud_into, payload, out) == n
+
+
+def test_encode_a_map(benchmark):
+    cells = np.zeros((1000, 1000), np.int8)
+    benchmark.extra_info["budget"] = "encode_map_1000"
+    benchmark(messages.encode_occupancy_grid, 1, cells, (0.0, 0.0), 0.05)

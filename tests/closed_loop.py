@@ -1,0 +1,112 @@
+"""Robot, controller and service in one process and one thread: exact, fast, no Zenoh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import SE2
+from edge.motion.controller import Controller
+from edge.perception.detector import make_detector
+from edge.perception.inline import InlineWorker
+from edge.service import Service
+from edge.sim.base import World
+from edge.sim.robot import DriveTrain
+from edge.sim.sensors import CameraRig
+from edge.sim.worlds import load_world
+from edge.sinks import Sink, SinkBase
+from edge.types import Goal, GoalStatus, Observation
+
+START_NS = 1_000_000_000
+
+
+class Notes(SinkBase):
+    """Everything a run said."""
+
+    def __init__(self) -> None:
+        self.goals: list[Goal] = []
+        self.events: list[str] = []
+        self.answers: list[GoalStatus] = []
+
+    def goal(self, goal: Goal) -> None:
+        self.goals.append(goal)
+
+    def event(self, text: str, now_ns: int) -> None:
+        self.events.append(text)
+
+    def answered(self, answer: GoalStatus) -> None:
+        self.answers.append(answer)
+
+
+@dataclass
+class ClosedLoop:
+    """A simulated robot that obeys a service; `step` is one tick and what follows from it."""
+
+    config: Config
+    notes: Notes = field(default_factory=Notes)
+    sinks: list[Sink] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        config = self.config
+        self.world: World = load_world(config)
+        start = self.world.start if config.sim.start is None else SE2(*config.sim.start)
+        self.drive = DriveTrain(config.robot, config.sim, self.world, start, START_NS)
+        self.rig = CameraRig(config, self.world)
+        self.labels = tuple(o.label for o in self.world.objects)
+        worker = InlineWorker(make_detector(config.perception, (config.mission.target,)))
+        self.service = Service(config, worker, [self.notes, *self.sinks])
+        self.controller = Controller(config)
+        self._seq = 0
+        self._map_due_ns = 0
+
+    def observe(self) -> Observation:
+        motion = self.drive.motion
+        self.rig.look(motion.pose)
+        self._seq += 1
+        return Observation(
+            self._seq, motion.stamp_ns, motion.odometry.matrix(),
+            rgb=self.rig.rgb.copy(), depth_m=self.rig.depth_m.copy(), camera=self.rig.model,
+            T_base_camera=self.rig.T_base_camera, object_ids=self.rig.ids.copy(),
+            object_labels=self.labels,
+        )  # fmt: skip
+
+    def step(self) -> None:
+        motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
+        before = len(self.notes.goals)
+        self.service.latency.begin_tick(0)
+        self.service.tick(self.observe(), now_ns)
+        self.service.latency.end_tick(0)
+        if now_ns >= self._map_due_ns:
+            self._map_due_ns = now_ns + 500_000_000
+            grid = self.service.grid.snapshot()
+            self.controller.on_map(grid.cells, grid.origin_xy_m, grid.resolution_m, now_ns)
+        answers: list[GoalStatus] = []
+        for goal in self.notes.goals[before:]:
+            answers += self.controller.on_goal(goal.stamp_ns, goal.pose, now_ns)
+        command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
+        for answer in answers + more:
+            self.service.goal_answered(answer)
+        self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
+
+    def run(self, seconds: float) -> ClosedLoop:
+        """Step until the mission is over or time is up."""
+        end_ns = START_NS + int(seconds * 1e9)
+        while self.drive.motion.stamp_ns < end_ns and not self.service.status.done:
+            self.step()
+        return self
+
+    def distance_m(self, label: str) -> float:
+        """True distance to the nearest footprint of that label."""
+        pose = self.drive.motion.pose
+        return min(o.distance_m(pose.x_m, pose.y_m) for o in self.world.objects if o.label == label)
+
+
+def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
+    """A frame in which nothing returned."""
+    depth = np.full(loop.rig.depth_m.shape, np.nan, np.float32)
+    return Observation(
+        seq, stamp_ns, pose.matrix(), rgb=np.zeros_like(loop.rig.rgb), depth_m=depth,
+        camera=loop.rig.model, T_base_camera=loop.rig.T_base_camera,
+    )  # fmt: skip

@@ -1,0 +1,24 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# CI must not fail today on an example that it did not draw yesterday.
+settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared_dir() -> Path:
+    """The folder of papers, worlds, logs and weights beside the clone; skips where it is not."""
+    if not SHARED.is_dir():
+        pytest.skip(f"test data not there: {SHARED.name}/ beside the clone")
+    return SHARED

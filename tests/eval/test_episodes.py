@@ -1,0 +1,45 @@
+"""Which episodes are planned, and what becomes of one whose process fails."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from edge.config import parse
+from edge.errors import UserError
+from edge.eval import episodes
+from edge.eval.episodes import Episode
+
+HOUSE = parse({})
+
+
+def test_no_targets_give_no_episodes():
+    assert episodes.plan_episodes(HOUSE, [], 4, 0, 3.0) == []
+
+
+def test_episodes_are_seeded_free_and_far():
+    planned = episodes.plan_episodes(HOUSE, ["television", "bed"], 2, 0, 2.0)
+    assert [e.target for e in planned] == ["television"] * 2 + ["bed"] * 2
+    assert all(e.shortest_m >= 2.0 for e in planned)
+    assert planned == episodes.plan_episodes(HOUSE, ["television", "bed"], 2, 0, 2.0)
+    assert planned != episodes.plan_episodes(HOUSE, ["television", "bed"], 2, 1, 2.0)
+
+
+def test_too_few_starts_are_told():
+    with pytest.raises(UserError, match="only 0 of 1 starts lie 500 m"):
+        episodes.plan_episodes(HOUSE, ["bed"], 1, 0, 500.0)
+
+
+def test_a_process_that_fails_fails_its_episode():
+    planned = [Episode("bed", (0.0, 0.0, 0.0), 3.0)]
+    stop = threading.Event()
+    (outcome,) = episodes._run_all("nowhere.yaml", planned, 1, None, stop)
+    assert not outcome.success
+    assert outcome.reason.startswith("crashed (2): nowhere.yaml: no such file")
+
+
+def test_nothing_begins_after_a_stop():
+    stop = threading.Event()
+    stop.set()
+    assert list(episodes._run_all("demo", [Episode("bed", (0, 0, 0), 3.0)], 1, None, stop)) == []

@@ -1,0 +1,39 @@
+"""Fixtures of the exporter tests: everything they need, or a skip that says what is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ["YOLO_AUTOINSTALL"] = "false"
+
+
+@pytest.fixture(scope="session")
+def weights(shared_dir: Path) -> Path:
+    """YOLO-World's checkpoint; skips without it or without torch and ultralytics."""
+    for module in ("torch", "ultralytics", "onnxslim", "onnxruntime"):
+        pytest.importorskip(module, reason=f"{module} is not installed (extra `export`)")
+    path = shared_dir / "models" / "yolov8s-worldv2.pt"
+    if not path.is_file():
+        pytest.skip(f"test data not there: {path.name}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def vocabulary(shared_dir: Path) -> Path:
+    """CLIP text embeddings of common words."""
+    path = shared_dir / "models" / "clip_vitb32_vocab.npz"
+    if not path.is_file():
+        pytest.skip(f"test data not there: {path.name}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def photos(shared_dir: Path) -> Path:
+    """A folder with a few real pictures of rooms."""
+    path = shared_dir / "logs" / "redwood_rgbd" / "color"
+    if not path.is_dir():
+        pytest.skip(f"test data not there: {path.name}/")
+    return path

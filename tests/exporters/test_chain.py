@@ -1,0 +1,113 @@
+"""The export of a real card from real weights: what the file takes, gives and is recorded as."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
+
+CARDS = Path(__file__).resolve().parents[2] / "models"
+NAME = "yolo-world-s-256x320-int8-cpu"
+
+
+@pytest.fixture(scope="module")
+def cache(weights, vocabulary, photos, tmp_path_factory) -> Path:
+    """A cache folder after `python -m exporters` of the INT8 card on a handful of photos."""
+    from exporters.__main__ import main
+
+    folder = tmp_path_factory.mktemp("cache")
+    cards = shutil.copytree(CARDS, folder / "cards")
+    arguments = [NAME, "--weights", weights, "--vocabulary", vocabulary, "--cache", folder]
+    arguments += ["--calibration", photos, "--cards", cards, "--update-card", "--no-gate"]
+    assert main([str(argument) for argument in arguments]) == 0
+    return folder
+
+
+def session(path: Path):
+    import onnxruntime
+
+    return onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("name", [NAME, NAME.replace("int8-cpu", "fp32")])
+@pytest.mark.parametrize("prompts", [1, 7])
+def test_the_contract_of_a_detector(cache, name, prompts):
+    text = np.random.default_rng(0).normal(size=(1, prompts, 512)).astype(np.float32)
+    text /= np.linalg.norm(text, axis=2, keepdims=True)
+    feed = {"images": np.full((1, 3, 256, 320), 0.5, np.float32), "txt_feats": text}
+    boxes, scores = session(cache / f"{name}.onnx").run(["boxes", "scores"], feed)
+    assert boxes.shape == (1, 1680, 4)
+    assert scores.shape == (1, 1680, prompts)
+    assert boxes.dtype == scores.dtype == np.float32
+    assert (boxes[..., 2:] >= boxes[..., :2]).all()
+    assert ((scores >= 0) & (scores <= 1)).all()
+
+
+def test_the_sidecar_belongs_to_the_file(cache):
+    from exporters.files import sha256_of
+
+    sidecar = json.loads((cache / f"{NAME}.onnx.json").read_text())
+    assert sidecar["sha256"] == sha256_of(cache / f"{NAME}.onnx")
+    assert sidecar["bytes"] == (cache / f"{NAME}.onnx").stat().st_size
+    assert sidecar["tools"]["onnxruntime"]
+    assert not list(cache.glob(".*")), "temporary files are gone"
+
+
+def test_the_card_takes_the_measured_parity(cache):
+    import yaml
+
+    card = yaml.safe_load((cache / "cards" / f"{NAME}.yaml").read_text())
+    assert card["parity"]["reference"] == NAME.replace("int8-cpu", "fp32")
+    assert card["parity"]["images"] == 1  # every fourth of five photos
+    fp32 = yaml.safe_load(
+        (cache / "cards" / f"{NAME.replace('int8-cpu', 'fp32')}.yaml").read_text()
+    )
+    assert fp32["parity"]["recall"] == fp32["parity"]["precision"] == 1.0
+
+
+def test_int8_sees_what_fp32_sees(cache, photos, vocabulary):
+    from exporters.images import list_images, load_text_embeddings
+    from exporters.parity import measure
+
+    report = measure(
+        cache / f"{NAME.replace('int8-cpu', 'fp32')}.onnx",
+        cache / f"{NAME}.onnx",
+        list_images(photos),
+        load_text_embeddings(vocabulary),
+    )
+    assert report.detections > 0
+    assert report.recall >= 0.8
+    assert report.score_error < 0.4
+
+
+def test_the_export_is_the_same_twice(cache, weights, tmp_path):
+    from exporters.yolo_world import SHA256, export_onnx, load_detector
+
+    again = tmp_path / "again.onnx"
+    export_onnx(load_detector(weights, SHA256["yolo-world-s"]), 256, 320, again)
+    assert again.read_bytes() == (cache / f"{NAME.replace('int8-cpu', 'fp32')}.onnx").read_bytes()
+
+
+def test_a_checkpoint_that_is_not_the_cards_is_not_loaded(weights, tmp_path, capsys):
+    from exporters.__main__ import main
+
+    false = tmp_path / "weights.pt"
+    false.write_bytes(b"cos\nsystem\n(S'true'\ntR.")
+    name = NAME.replace("int8-cpu", "fp32")
+    assert main([name, "--weights", str(false), "--cache", str(tmp_path)]) == 1
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "weights.pt: sha256 is" in error
+    assert "not loaded" in error
+    assert not list(tmp_path.glob("*.onnx"))
+
+
+def test_int8_without_images_says_so(weights, tmp_path, capsys):
+    from exporters.__main__ import main
+
+    assert main([NAME, "--weights", str(weights), "--cache", str(tmp_path)]) == 1
+    assert "--calibration is missing" in capsys.readouterr().err

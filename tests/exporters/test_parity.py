@@ -1,0 +1,128 @@
+"""The parity figures, on boxes small enough to count by hand."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
+
+from exporters.files import ExportError
+from exporters.parity import (
+    Boxes,
+    Limits,
+    ParityReport,
+    box_iou,
+    check_limits,
+    compare,
+    count_matches,
+    select_boxes,
+)
+
+pytestmark = pytest.mark.export
+
+A = (0.0, 0.0, 10.0, 10.0)
+A_SHIFTED = (1.0, 0.0, 11.0, 10.0)  # IoU with A: 9 / 11
+FAR = (50.0, 50.0, 60.0, 60.0)
+IMAGE = np.zeros((1, 3, 32, 32), np.float32)
+TEXT = np.zeros((1, 2, 512), np.float32)
+
+
+def boxes(*rows: tuple[tuple[float, ...], float, int]) -> Boxes:
+    return Boxes(
+        np.array([row[0] for row in rows], np.float32).reshape(-1, 4),
+        np.array([row[1] for row in rows], np.float32),
+        np.array([row[2] for row in rows], np.int64),
+    )
+
+
+def model(xyxy_px: list, scores: list):
+    """A detector that always answers the same."""
+    answer = np.array([xyxy_px], np.float32).reshape(1, -1, 4), np.array([scores], np.float32)
+    return lambda images, txt_feats: answer
+
+
+@pytest.mark.parametrize(
+    ("xyxy_px", "scores", "kept"),
+    [
+        pytest.param([], np.empty((0, 2)), [], id="no anchors"),
+        pytest.param([A], [[0.1, 0.3]], [], id="threshold is exclusive"),
+        pytest.param([A, A_SHIFTED], [[0.5, 0.0], [0.9, 0.0]], [(0.9, 0)], id="best of a pair"),
+        pytest.param([A, FAR], [[0.5, 0], [0.9, 0]], [(0.9, 0), (0.5, 0)], id="best first"),
+        pytest.param([A], [[0.5, 0.6]], [(0.6, 1), (0.5, 0)], id="classes do not suppress"),
+    ],
+)
+def test_select_boxes(xyxy_px, scores, kept):
+    found = select_boxes(
+        np.array(xyxy_px, np.float32).reshape(-1, 4), np.array(scores, np.float32), 0.3
+    )
+    pairs = zip(found.score, found.class_id, strict=True)
+    assert [(pytest.approx(s), c) for s, c in kept] == list(pairs)
+
+
+@pytest.mark.parametrize(
+    ("reference", "candidate", "matches"),
+    [
+        pytest.param([], [], 0, id="empty"),
+        pytest.param([(A, 0.9, 0)], [], 0, id="lost"),
+        pytest.param([], [(A, 0.9, 0)], 0, id="invented"),
+        pytest.param([(A, 0.9, 0)], [(A_SHIFTED, 0.4, 0)], 1, id="moved a little"),
+        pytest.param([(A, 0.9, 0)], [(A, 0.9, 1)], 0, id="another class"),
+        pytest.param([(A, 0.9, 0)], [(A, 0.9, 0), (A_SHIFTED, 0.8, 0)], 1, id="used once"),
+        pytest.param([(A, 0.9, 0)], [(FAR, 0.9, 0)], 0, id="elsewhere"),
+    ],
+)
+def test_count_matches(reference, candidate, matches):
+    assert count_matches(boxes(*reference), boxes(*candidate)) == matches
+
+
+def test_box_iou():
+    iou = box_iou(np.array([A, FAR]), np.array([A, A_SHIFTED, (5.0, 5.0, 5.0, 5.0)]))
+    np.testing.assert_allclose(iou, [[1.0, 9 / 11, 0.0], [0.0, 0.0, 0.0]])
+    assert box_iou(np.empty((0, 4)), np.array([A])).shape == (0, 1)
+
+
+def test_compare_without_images():
+    report = compare(model([A], [[0.9, 0]]), model([A], [[0.9, 0]]), [], TEXT)
+    assert (report.images, report.detections, report.recall) == (0, 0, 1.0)
+    assert json.loads(report.to_json())["score_error"] is None
+
+
+def test_compare_counts_lost_new_and_moved_scores():
+    reference = model([A, FAR], [[0.9, 0.0], [0.4, 0.1]])
+    candidate = model([A, FAR], [[0.8, 0.5], [0.2, 0.15]])
+    report = compare(reference, candidate, [IMAGE, IMAGE], TEXT)
+    assert (report.images, report.detections) == (2, 4)
+    assert report.recall == 0.5  # FAR fell below the threshold
+    assert report.precision == 0.5  # A is also seen as class 1
+    assert report.score_error == pytest.approx(0.5)  # only 0.1 → 0.15 lies in the band
+    assert report.score_bias == pytest.approx(0.5)
+    assert report.max_abs_diff == pytest.approx(0.5)
+
+
+def report(**changed: float) -> ParityReport:
+    figures = {"images": 3, "detections": 5, "recall": 1.0, "precision": 1.0}
+    figures |= {"score_error": 0.1, "score_bias": 0.0, "max_abs_diff": 0.1}
+    return ParityReport(**(figures | changed))
+
+
+def test_check_limits_accepts_good_figures():
+    check_limits(report(), Limits(), "card")
+
+
+@pytest.mark.parametrize(
+    ("changed", "limits", "text"),
+    [
+        ({"recall": 0.9}, Limits(), "recall 0.9 < 0.95"),
+        ({"precision": 0.5}, Limits(), "precision 0.5 < 0.8"),
+        ({"score_error": 0.2}, Limits(score_error=0.1), "score_error 0.2 > 0.1"),
+        ({"detections": 0}, Limits(), "sees nothing above 0.3"),
+    ],
+)
+def test_check_limits_says_what_is_worse(changed, limits, text):
+    with pytest.raises(ExportError, match="card: ") as caught:
+        check_limits(report(**changed), limits, "card")
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)

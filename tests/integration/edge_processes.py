@@ -1,0 +1,96 @@
+"""`edge` commands as processes, started and looked after by tests."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+PATIENCE_S = 120.0  # only a failing test waits this long
+STOP_S = 15.0
+
+
+class Edge:
+    """One `edge` command; its output is read as it comes."""
+
+    def __init__(self, *arguments: object, cwd: Path, **environ: str) -> None:
+        command = [sys.executable, "-m", "edge.cli", *map(str, arguments)]
+        self.process = subprocess.Popen(
+            command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env={**os.environ, **environ}, start_new_session=True,
+        )  # fmt: skip
+        self.lines: list[str] = []
+        self._family: dict[int, psutil.Process] = {}
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+
+    @property
+    def output(self) -> str:
+        return "\n".join(self.lines)
+
+    def says(self, text: str) -> Edge:
+        """Waits until it has said this."""
+        self.until(lambda: text in self.output, f"never said {text!r}")
+        return self
+
+    def until(self, what: Callable[[], object], otherwise: str = "it did not happen") -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not what():
+            assert time.monotonic() < deadline_s, f"{otherwise}:\n{self.output}"
+            assert self.process.poll() is None or what(), f"{otherwise}, ended:\n{self.output}"
+            time.sleep(0.02)
+
+    def children(self) -> list[psutil.Process]:
+        """What it has started and still runs; remembered for `end`."""
+        found = psutil.Process(self.process.pid).children(recursive=True)
+        self._family.update((child.pid, child) for child in found)
+        return found
+
+    def stop(self, number: int) -> int:
+        """Send a signal; the exit code."""
+        self.children()
+        self.process.send_signal(number)
+        return self.wait(STOP_S)
+
+    def wait(self, timeout_s: float = PATIENCE_S) -> int:
+        """The exit code, once it has ended by itself."""
+        try:
+            code = self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running after {timeout_s} s:\n{self.output}") from None
+        self._reader.join(STOP_S)
+        return code
+
+    def orphans(self) -> list[psutil.Process]:
+        """Its children that have outlived it."""
+        return [child for child in self._family.values() if child.is_running()]
+
+    def kill(self) -> None:
+        """SIGKILL for it and all that it started."""
+        if self.process.poll() is None:
+            self.children()
+            self.process.kill()
+        self.process.wait()
+        for child in self.orphans():
+            child.kill()
+        self._reader.join(STOP_S)
+        self.process.stdout.close()
+
+
+def write_config(folder: Path, **sections: dict) -> Path:
+    """A configuration file for the built-in house and the simulated detector."""
+    path = folder / "config.yaml"
+    base = {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
+    path.write_text(json.dumps({**base, **sections}), encoding="utf-8")
+    return path

@@ -1,0 +1,55 @@
+"""A furnished house, real weights, every process: one episode from the command line to its end."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from edge import config, resources
+from edge.perception.cards import ModelError, load_card, verify_model
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+
+CLONE = Path(__file__).resolve().parents[2]  # the configuration's paths are relative to it
+
+
+@pytest.fixture
+def environ(shared_dir) -> dict[str, str]:
+    """Where the model's words are; skips where the world, its extra or the model is missing."""
+    for module in ("trimesh", "embreex", "onnxruntime"):
+        pytest.importorskip(module, reason=f"{module} is not installed (extras `worlds`, `cpu`)")
+    settings = config.load("aws-house")
+    if not (CLONE / settings.sim.world.mesh).is_file():
+        pytest.skip("test data not there: the furnished house")
+    try:
+        verify_model(load_card(settings.perception.detector.model))
+    except ModelError as error:
+        pytest.skip(str(error))
+    return {
+        "EDGE_VOCABULARY": str(shared_dir / "models" / "clip_vitb32_vocab.npz"),
+        "EDGE_CACHE_DIR": str(resources.cache_dir()),
+        "EDGE__MISSION__TIME_LIMIT_S": "120",
+    }
+
+
+def test_an_episode_ends_with_a_clear_outcome(environ, tmp_path):
+    command = [sys.executable, "-m", "edge.cli", "eval", "episodes", "config/aws-house.yaml"]
+    command += ["--targets", "chair", "--starts", "1", "--report", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=CLONE, env={**os.environ, **environ}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    (outcome,) = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert outcome["target"] == "chair"
+    assert outcome["reason"]
+    assert not outcome["reason"].startswith(("crashed", "no end")), outcome
+    assert outcome["elapsed_s"] > 1.0
+    assert outcome["path_m"] > 0.1
+    assert "1/1" in done.stdout
+    assert done.stdout.splitlines()[-1].startswith("all")
+    assert (tmp_path / "01-chair" / "report.png").stat().st_size > 10_000

@@ -1,0 +1,179 @@
+"""The product as its user starts it: processes that come, go, stop, and are talked nonsense to."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+from edge_processes import Edge, write_config
+
+from edge import topics
+from edge.bus import open_session
+from edge.config import Zenoh
+from edge.geometry import SE2
+from edge.wire import messages
+
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+PREFIX = "edge"
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def config(endpoint, tmp_path) -> Path:
+    """The built-in house, at an address of this test's own, with a target not far off."""
+    return write_config(tmp_path, zenoh={"endpoint": endpoint})
+
+
+@pytest.fixture
+def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
+    """Starts `edge` commands; all are killed at the end."""
+    started = []
+
+    def start(*arguments: object) -> Edge:
+        started.append(Edge(*arguments, cwd=tmp_path))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+def check_report(folder: Path, outcome: str) -> None:
+    """A picture with something in it, and a page that needs nothing else."""
+    picture = cv2.imread(str(folder / "report.png"))
+    assert min(picture.shape[:2]) > 300
+    assert picture.std() > 5.0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert f">{outcome}<" in page
+    assert "data:image/png;base64," in page
+    assert not re.search(r"(?:src|href)=[\"'](?!data:|#)", page)
+    assert "<script" not in page
+
+
+def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path):
+    demo = edge("demo")
+    assert demo.wait() == 0, demo.output
+    assert demo.lines[-3].startswith("reached: ")
+    assert [Path(line).name for line in demo.lines[-2:]] == ["report.html", "report.png"]
+    check_report(tmp_path / "report", "reached")
+
+
+@SIGNALS
+def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, tmp_path, number):
+    demo = edge("demo", "--target", "bed", "--report", "here").says("ready:")
+    assert len(demo.children()) == 2
+    demo.says("frontier")
+    assert demo.stop(number) == 0, demo.output
+    assert not demo.orphans()
+    assert "stopped while" in demo.output
+    check_report(tmp_path / "here", "searching")
+
+
+@SIGNALS
+def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_path, number):
+    service = edge("run", config, "--report", tmp_path / "report").says("ready:")
+    assert service.stop(number) == 0, service.output
+    assert (tmp_path / "report" / "report.png").stat().st_size > 5000
+
+
+@SIGNALS
+def test_a_simulator_that_waits_for_the_service_stops(edge, config, number):
+    simulator = edge("sim", config).says("waiting for somebody")
+    assert len(simulator.children()) == 1
+    assert simulator.stop(number) == 0, simulator.output
+    assert not simulator.orphans()
+
+
+def test_a_demo_ends_when_its_simulator_does(edge):
+    demo = edge("demo").says("ready:")
+    victim = next(child for child in demo.children() if "sim" in child.cmdline())
+    victim.kill()
+    assert demo.wait() == 2
+    assert "edge sim ended before its time (signal 9)" in demo.lines[-1]
+    assert not demo.orphans()
+
+
+def test_a_killed_demo_takes_its_children_along(edge):
+    demo = edge("demo").says("ready:")
+    children = demo.children()
+    assert len(children) >= 2
+    demo.process.kill()
+    gone, alive = psutil.wait_procs(children, timeout=30)
+    assert not alive
+    assert len(gone) == len(children)
+
+
+def test_the_mission_outlives_simulator_and_controller(edge, config, endpoint):
+    """Killed, back again, and a controller that comes only after the goal was sent."""
+    service = edge("run", config, "--once").says("ready:")
+    simulator = edge("sim", config, "--no-motion")
+    service.says("seen | map")
+    controller = edge("motion", config)
+    with odometer(endpoint) as driven_m:
+        service.until(lambda: driven_m[0] > 0.4, "the robot never drove")
+        controller.kill()
+        controller = edge("motion", config)
+        before_m = driven_m[0]
+        service.until(lambda: driven_m[0] > before_m + 0.3, "it never drove on")
+        simulator.kill()
+        edge("sim", config, "--no-motion")  # the robot stands at the start again
+        assert service.wait() == 0, service.output
+    assert "reached: television" in service.output
+
+
+@contextmanager
+def odometer(endpoint: str) -> Iterator[list[float]]:
+    """Metres that the robot has moved so far, in a list of one."""
+    driven_m, last = [0.0], []
+
+    def take(sample) -> None:
+        x, y = messages.decode_odometry(sample.payload.to_bytes()).T_map_base[:2, 3]
+        if last:
+            driven_m[0] += float(np.hypot(x - last[0], y - last[1]))
+        last[:] = [x, y]
+
+    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        session.declare_subscriber(topics.ODOMETRY.under(PREFIX), take)
+        yield driven_m
+
+
+def test_the_mission_outlives_nonsense_on_every_key(edge, config, endpoint):
+    service = edge("run", config, "--once").says("ready:")
+    edge("sim", config)
+    over = threading.Event()
+    talker = threading.Thread(target=talk_nonsense, args=(endpoint, over))
+    talker.start()
+    try:
+        assert service.wait() == 0, service.output
+    finally:
+        over.set()
+        talker.join()
+    assert "reached: television" in service.output
+    assert "dropped: malformed" in service.output
+    assert "dropped: empty" in service.output
+
+
+def talk_nonsense(endpoint: str, over: threading.Event) -> None:
+    """Bytes that are no message, empty ones, and old stamps, on all keys, ten times a second."""
+    old = messages.encode_odometry(1, SE2(50.0, 50.0, 0.0).matrix(), 0.0, 0.0)
+    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        while not over.wait(0.1):
+            for topic in topics.ALL:
+                for payload in (b"", b"\xff" * 40, b'{"stamp": "x"}', bytes(5000)):
+                    session.put(topic.under(PREFIX), payload)
+            session.put(topics.ODOMETRY.under(PREFIX), old)

@@ -1,0 +1,187 @@
+"""The simulated robot as a process of its own, over real Zenoh."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zenoh
+
+from edge import bus, topics
+from edge.config import Config, parse
+from edge.wire import messages
+
+WAIT_S = 60.0
+SIMULATE = """
+import json, signal, sys, threading
+from edge.config import parse
+from edge.sim.process import main
+stop = threading.Event()
+signal.signal(signal.SIGTERM, lambda *_: stop.set())
+sys.exit(main(parse(json.loads(sys.argv[1])), stop))
+"""
+
+
+def settings(**sim: object) -> dict:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    camera = {"width_px": 64, "height_px": 48}
+    return {
+        "zenoh": {"endpoint": f"tcp/127.0.0.1:{port}", "prefix": "test/sim"},
+        "sensors": {"camera": camera, "lidar": {"rings": 4, "columns": 90}},
+        "sim": {"step_s": 0.1, **sim},
+    }
+
+
+@contextmanager
+def simulator(data: dict) -> Iterator[subprocess.Popen]:
+    process = subprocess.Popen([sys.executable, "-c", SIMULATE, json.dumps(data)])
+    try:
+        yield process
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(WAIT_S) == 0, "SIGTERM ends it cleanly"
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Peer:
+    """Plays service and controller: listens, reads everything, sends commands."""
+
+    def __init__(self, session: zenoh.Session, config: Config) -> None:
+        self._prefix = config.zenoh.prefix
+        self._all = session.declare_subscriber(
+            f"{self._prefix}/**", zenoh.handlers.FifoChannel(4096)
+        )
+        self._commands = bus.declare_publisher(session, topics.CMD_VEL, self._prefix)
+
+    def drive(self, stamp_ns: int, v_mps: float, w_radps: float) -> None:
+        self._commands.put(messages.encode_twist_stamped(stamp_ns, v_mps, w_radps))
+
+    def read(self) -> Iterator[tuple[str, bytes]]:
+        """(topic key, payload) of what the simulator sends, for as long as `WAIT_S`."""
+        deadline_s = time.monotonic() + WAIT_S
+        while time.monotonic() < deadline_s:
+            sample = self._all.try_recv()
+            if sample is None:
+                time.sleep(0.001)
+                continue
+            key = str(sample.key_expr).removeprefix(f"{self._prefix}/")
+            if key != topics.CMD_VEL.key:
+                yield key, sample.payload.to_bytes()
+        pytest.fail(f"the simulator sent nothing of what was waited for in {WAIT_S} s")
+
+
+def run_lockstep(data: dict, steps: int) -> list[dict[str, bytes]]:
+    """The messages of each instant, by topic; every instant is answered with a command."""
+    config, instants, seen = parse(data), [], {}
+    with bus.open_session(config.zenoh, "listen") as session:
+        peer = Peer(session, config)
+        with simulator(data):
+            for key, payload in peer.read():
+                seen[key] = payload
+                if key != topics.RGB.key:
+                    continue
+                stamp_ns = messages.peek_stamp_ns(payload)
+                if not instants or stamp_ns != messages.peek_stamp_ns(instants[-1]["odom"]):
+                    instants.append(seen)
+                seen = {}
+                if len(instants) == steps:
+                    break
+                peer.drive(stamp_ns, 0.4, 0.5)
+    return instants
+
+
+def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
+    data = settings(lockstep=True, seed=3, depth_noise=0.002, drift_m_per_m=0.02)
+    first = run_lockstep(data, 12)
+    expected = {
+        topic.key for topic in topics.ALL if topic.writer == "sensors" and topic is not topics.SCAN
+    }
+    assert [messages.peek_stamp_ns(instant["odom"]) for instant in first] == [
+        10**9 + k * 10**8 for k in range(12)
+    ]
+    for instant in first:
+        assert set(instant) == expected
+        truth = json.loads(instant["sim/ground_truth"])
+        odometry = messages.decode_odometry(instant["odom"])
+        stamps = {
+            messages.peek_stamp_ns(instant[topic.key])
+            for topic in (
+                topics.RGB,
+                topics.DEPTH,
+                topics.OBJECT_IDS,
+                topics.CLOUD,
+                topics.ODOMETRY,
+            )
+        }
+        assert stamps == {truth["stamp_ns"]}
+        assert odometry.v_mps == pytest.approx(truth["v_mps"])
+    assert json.loads(first[-1]["sim/ground_truth"])["path_m"] > 0.2
+    labels = json.loads(first[0]["camera/object_labels"])
+    assert "trash can" in labels
+    header = messages.decode_image_header(first[0]["camera/depth"])
+    depth = np.empty((48, 64), np.uint16)
+    messages.decode_image_into(first[0]["camera/depth"], header, depth)
+    assert 300 < np.median(depth[depth > 0]) < 8000
+    second = run_lockstep({**data, "zenoh": settings()["zenoh"]}, 12)
+    assert first == second
+
+
+def test_lockstep_repeats_the_first_instant_until_somebody_answers():
+    data = settings(lockstep=True)
+    config = parse(data)
+    with bus.open_session(config.zenoh, "listen") as session:
+        peer, stamps = Peer(session, config), []
+        with simulator(data):
+            for key, payload in peer.read():
+                if key != topics.ODOMETRY.key:
+                    continue
+                stamps.append(messages.peek_stamp_ns(payload))
+                if len(stamps) == 3:
+                    peer.drive(7, 0.1, 0.0)  # no instant's stamp: not an answer
+                if len(stamps) == 5:
+                    peer.drive(10**9, 0.1, 0.0)
+                if stamps[-1] != 10**9:
+                    break
+        assert stamps[:5] == [10**9] * 5
+        assert stamps[-1] == 11 * 10**8
+
+
+def test_real_time_drives_on_command_and_stops_when_commands_stop():
+    data = settings()
+    config, fastest, stamps, commands = parse(data), 0.0, [], 0
+    with bus.open_session(config.zenoh, "listen") as session:
+        peer = Peer(session, config)
+        with simulator(data):
+            for key, payload in peer.read():
+                if key == topics.RGB.key and commands < 10:
+                    commands += 1
+                    peer.drive(messages.peek_stamp_ns(payload), 0.0, 0.6)
+                if key != topics.ODOMETRY.key:
+                    continue
+                odometry = messages.decode_odometry(payload)
+                stamps.append(odometry.stamp_ns)
+                fastest = max(fastest, odometry.w_radps)
+                if fastest > 0.3 and odometry.w_radps == 0.0:
+                    break
+    assert fastest == pytest.approx(0.6)
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_a_start_in_a_wall_ends_with_one_line():
+    data = settings(start=[0.0, 0.0, 0.0])
+    done = subprocess.run(
+        [sys.executable, "-c", SIMULATE, json.dumps(data)], capture_output=True, text=True
+    )
+    assert done.returncode != 0
+    assert "sim.start: (0.00, 0.00) in demo" in done.stderr.splitlines()[-1]

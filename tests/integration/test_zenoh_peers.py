@@ -1,0 +1,213 @@
+"""Real Zenoh between real processes that vanish, come back, stop, and talk nonsense."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge import recording, topics
+from edge.bus import open_session
+from edge.config import Config, parse
+from edge.geometry import SE2, CameraModel
+from edge.sinks.zenoh import ZenohSink
+from edge.sources.goal_status import GoalStatusInbox
+from edge.sources.zenoh import ZenohSource
+from edge.types import Goal, GoalStatus, Observation
+from edge.wire import messages
+
+PEER = Path(__file__).with_name("zenoh_peer.py")
+CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
+PATIENCE_S = 30.0  # only a failing test waits this long
+
+
+@pytest.fixture
+def config() -> Config:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{s.getsockname()[1]}"
+    return parse(
+        {
+            "zenoh": {"endpoint": endpoint},
+            "perception": {"detector": {"kind": "onnx"}},
+            "source": {"max_message_mb": 0.1},
+        }
+    )
+
+
+@pytest.fixture
+def start(config) -> Iterator[Callable[[str], subprocess.Popen]]:
+    """Starts a peer of a role; all are killed at the end."""
+    started = []
+
+    def start(role: str) -> subprocess.Popen:
+        command = [sys.executable, str(PEER), role, config.zenoh.endpoint]
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def eventually(what: Callable[[], object]) -> object:
+    """The first truthy answer; fails after a while."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (answer := what()):
+        assert time.monotonic() < deadline_s, "it did not happen"
+        time.sleep(0.005)
+    return answer
+
+
+def see(source: ZenohSource, n: int = 3) -> list[Observation]:
+    """`n` observations, each released at once."""
+    seen = []
+    for _ in range(n):
+        seen.append(eventually(source.poll))
+        seen[-1].release()
+    return seen
+
+
+def test_a_robot_that_vanishes_and_comes_back(config, start):
+    with open_session(config.zenoh, "listen") as session:
+        source = ZenohSource(session, config)
+        first = start("robot")
+        seen = see(source)
+        assert seen[-1].rgb.shape == (24, 32, 3)
+        assert (seen[-1].pose.x_m, seen[-1].pose.y_m) == (1.0, 2.0)
+        np.testing.assert_allclose(seen[-1].depth_m, 1.5)
+        first.kill()
+        first.wait()
+        while source.wait(0.5):
+            if (late := source.poll()) is not None:
+                late.release()
+        assert source.poll() is None
+        start("robot")
+        assert see(source)[0].stamp_ns > seen[-1].stamp_ns
+        source.close()
+
+
+def test_a_service_that_vanishes_and_comes_back(config, start):
+    start("robot")
+    for _ in range(2):
+        with open_session(config.zenoh, "listen") as session:
+            source = ZenohSource(session, config)
+            see(source)
+            source.close()
+
+
+def test_a_second_service_is_told_what_is_wrong(config):
+    with open_session(config.zenoh, "listen"):
+        command = [sys.executable, str(PEER), "service", config.zenoh.endpoint]
+        second = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert second.returncode == 2
+    assert second.stderr.strip().splitlines() == [
+        f"zenoh.endpoint: {config.zenoh.endpoint} is in use: another service runs there; "
+        "stop it, or give this one another port"
+    ]
+
+
+def test_nonsense_is_counted_and_the_robot_is_still_seen(config, start):
+    with (
+        open_session(config.zenoh, "listen") as session,
+        open_session(config.zenoh, "connect") as other,
+    ):
+        source = ZenohSource(session, config)
+        inbox = GoalStatusInbox(session, config.zenoh.prefix)
+
+        def nonsense() -> bool:
+            for topic in (topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO):
+                other.put(topic.under("edge"), b"\xff" * 50)
+                other.put(topic.under("edge"), b"")
+                other.put(topic.under("edge"), bytes(200_000))
+            other.put("edge/goal_status", b"reached!")
+            other.put("edge/goal_status", b'{"stamp": 5, "state": "reached"}')
+            time.sleep(0.02)
+            source.poll()
+            return all(source.counters[r] > 3 for r in ("malformed", "empty", "oversized"))
+
+        eventually(nonsense)
+        assert eventually(inbox.poll)[-1] == GoalStatus(5, "reached")
+        assert inbox.malformed
+        start("robot")
+        see(source)
+        source.close()
+
+
+def test_a_stopped_subscriber_stops_nobody_else(config, start):
+    big = SimpleNamespace(
+        cells=np.zeros((1500, 1500), np.int8), origin_xy_m=(0.0, 0.0), resolution_m=0.05
+    )
+    with open_session(config.zenoh, "listen") as session:
+        sink = ZenohSink(session, config)
+        stopped, alive = start("listener"), start("listener")
+        assert [p.stdout.readline() for p in (stopped, alive)] == ["ready\n"] * 2
+        stopped.send_signal(signal.SIGSTOP)
+        try:
+            heard: list[int] = []
+            thread = threading.Thread(
+                target=lambda: heard.extend(map(int, alive.stdout)), daemon=True
+            )
+            thread.start()
+            slowest_s = 0.0
+            for k in range(1, 41):
+                begin_s = time.monotonic()
+                sink.publish_map(k, lambda: big)
+                pose = SE2(0.0, 0.0, 0.0)
+                sink.publish_goal(Goal(k, pose, "frontier", 0, (0.0, 0.0), 0.0, "chair"))
+                slowest_s = max(slowest_s, time.monotonic() - begin_s)
+                time.sleep(0.03)
+            # A put to the stopped peer was seen to wait 5 s; the caller must not feel it.
+            assert slowest_s < 1.0
+            eventually(lambda: 40 in heard)
+            begin_s = time.monotonic()
+            sink.close()
+            assert time.monotonic() - begin_s < 3.0
+        finally:
+            stopped.send_signal(signal.SIGCONT)
+
+
+def test_a_recording_is_played_by_another_process(config, tmp_path):
+    def drive():
+        for k in range(60):
+            stamp_ns = k * 16_666_667
+            pose = SE2(0.01 * k, 0.0, 0.0).matrix()
+            yield topics.ODOMETRY, stamp_ns, messages.encode_odometry(stamp_ns, pose, 0.5, 0.0)
+            if k % 2 == 0:
+                images = np.full((24, 32, 3), k, np.uint8), np.full((24, 32), 1500, np.uint16)
+                for topic, image in zip((topics.RGB, topics.DEPTH), images, strict=True):
+                    yield topic, stamp_ns, messages.encode_image(stamp_ns, "camera", image)
+            if k % 30 == 0:
+                yield (
+                    topics.CAMERA_INFO,
+                    stamp_ns,
+                    messages.encode_camera_info(stamp_ns, "camera", CAMERA),
+                )
+
+    path = tmp_path / "drive.mcap"
+    recording.record_messages(path, drive())
+    again = tmp_path / "again.mcap"
+    with open_session(config.zenoh, "listen") as session:
+        source = ZenohSource(session, config)
+        with recording.player(config, path, loop=True) as process:
+            for _ in range(10):
+                seen = eventually(source.poll)
+                assert seen.pose.x_m == pytest.approx(0.01 * seen.rgb[0, 0, 0], abs=1e-6)
+                assert abs(time.time_ns() - seen.stamp_ns) < PATIENCE_S * 1e9
+                seen.release()
+            assert recording.record(session, config, again, 1.0) > 30
+        assert process.returncode == 0
+        source.close()
+    keys = {message.topic.key for message in recording.read(again)}
+    assert keys >= {"odom", "camera/rgb", "camera/depth"}

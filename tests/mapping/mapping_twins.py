@@ -1,0 +1,190 @@
+"""Plain NumPy and Python twins of the mapping kernels, and small worlds to look at."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+
+import numpy as np
+
+from edge import config
+from edge.geometry import SE2, CameraModel, camera_mount
+from edge.mapping.grid import RollingMap
+
+CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
+T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
+SMALL = config.Mapping(extent_m=9.0, range_m=3.0, inflation_m=0.2)
+Box = tuple[float, float, float, float, float, float]
+
+
+def render(camera: CameraModel, T: np.ndarray, boxes: list[Box], floor: bool = True) -> np.ndarray:
+    """Depth image (h, w) float32 of axis-aligned boxes (x0, y0, z0, x1, y1, z1) and the floor."""
+    u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    optical = np.stack(
+        [
+            (u - camera.cx_px) / camera.fx_px,
+            (v - camera.cy_px) / camera.fy_px,
+            np.ones_like(u, np.float64),
+        ],
+        axis=-1,
+    )
+    rays, origin = optical @ T[:3, :3].T, T[:3, 3]
+    depth = np.full(u.shape, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if floor:
+            t = -origin[2] / rays[..., 2]
+            depth = np.where(t > 0, t, depth)
+        for box in boxes:
+            a = (np.array(box[:3]) - origin) / rays
+            b = (np.array(box[3:]) - origin) / rays
+            enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+            depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    return depth.astype(np.float32)
+
+
+def look(grid: RollingMap, pose: SE2, boxes: list[Box], camera: CameraModel = CAMERA):
+    """One update from what a camera on a robot at `pose` sees."""
+    T = pose.matrix() @ T_BASE_CAMERA
+    return grid.update_depth(render(camera, T, boxes), camera, T, pose)
+
+
+def room(half_m: float, height_m: float = 2.5) -> list[Box]:
+    """Four walls around the origin."""
+    h, t = half_m, 0.1
+    return [
+        (h, -h, 0, h + t, h, height_m),
+        (-h - t, -h, 0, -h, h, height_m),
+        (-h, h, 0, h, h + t, height_m),
+        (-h, -h - t, 0, h, -h, height_m),
+    ]
+
+
+def window(grid: RollingMap, layer: str) -> np.ndarray:
+    """A layer in window coordinates: [0, 0] is the lower-left cell."""
+    shift_x, shift_y = grid._shift
+    array = getattr(grid._layers, layer)
+    if array.dtype == np.uint64:
+        array = np.unpackbits(array.view(np.uint8), axis=1, bitorder="little")
+    return np.roll(array, (-shift_y, -shift_x), axis=(0, 1))
+
+
+def states(grid: RollingMap) -> np.ndarray:
+    """The published state of the whole window, -1, 0 or 100, inflated here from scratch."""
+    raw = window(grid, "raw")
+    blocked = np.zeros(raw.shape, bool)
+    disc = grid._disc
+    radius, n = len(disc) // 2, len(raw)
+    for y, x in np.argwhere(raw >= 2):
+        for k, half in enumerate(disc):
+            row = y + k - radius
+            if 0 <= row < n:
+                blocked[row, max(x - half, 0) : x + half + 1] = True
+    return np.where(blocked, 100, np.where(raw > 0, 0, -1)).astype(np.int8)
+
+
+def frontier_cells(state: np.ndarray) -> np.ndarray:
+    """Free cells with an unknown one among their four neighbours, (n, n) bool."""
+    unknown = np.pad(state == -1, 1)
+    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
+    return (state == 0) & beside
+
+
+def unknown_ratio(state: np.ndarray, x: int, y: int, radius: float) -> float:
+    """VL-Nav eq. 6 around one window cell, by breadth-first search."""
+    n = len(state)
+    if not (0 <= x < n and 0 <= y < n) or state[y, x] == 100:
+        return 0.0
+    reached, queue = {(x, y)}, deque([(x, y)])
+    while queue:
+        a, b = queue.popleft()
+        for c, d in ((a + 1, b), (a - 1, b), (a, b + 1), (a, b - 1)):
+            if not (0 <= c < n and 0 <= d < n) or (c, d) in reached or state[d, c] == 100:
+                continue
+            if math.hypot(c - x, d - y) > radius + 1e-6:
+                continue
+            reached.add((c, d))
+            queue.append((c, d))
+    return sum(state[b, a] == -1 for a, b in reached) / len(reached)
+
+
+def geodesic(state: np.ndarray, x: int, y: int, straight: int, diagonal: int) -> np.ndarray:
+    """Dijkstra's distances over free cells, 8-connected without cutting the corners of occupied
+    ones; -1 where nothing leads."""
+    passable, occupied = state == 0, state == 100
+    n = len(passable)
+    distance = np.full(passable.shape, -1)
+    best = {(x, y): 0}
+    queue = [(0, x, y)]
+    while queue:
+        cost, a, b = heapq.heappop(queue)
+        if distance[b, a] >= 0:
+            continue
+        distance[b, a] = cost
+        for c in range(max(a - 1, 0), min(a + 2, n)):
+            for d in range(max(b - 1, 0), min(b + 2, n)):
+                if occupied[b, c] or occupied[d, a]:
+                    continue
+                further = cost + (diagonal if c != a and d != b else straight)
+                if passable[d, c] and further < best.get((c, d), 1 << 60):
+                    best[c, d] = further
+                    heapq.heappush(queue, (further, c, d))
+    return distance
+
+
+def scan_twin(xyz, sensor_z, range_m, inv_res, fx, fy, polar):
+    """Twin of `bin_points`: (lowest_m, far_slope, cell, z_m)."""
+    x, y, z = xyz
+    d2 = x * x + y * y
+    near = d2 <= range_m * range_m
+    scale = np.where(near, np.float32(1), range_m / np.sqrt(np.maximum(d2, np.float32(1e-12))))
+    cx = (x * scale * inv_res + fx).astype(np.int64)
+    cy = (y * scale * inv_res + fy).astype(np.int64)
+    lowest = np.full((polar.sectors, polar.rings), np.inf, np.float32)
+    np.minimum.at(lowest.ravel(), polar.bin_of[cy, cx][near], z[near])
+    far_slope = np.full(polar.sectors, np.inf, np.float32)
+    slope = (z - sensor_z) * scale / range_m
+    np.minimum.at(far_slope, polar.sector_of[cy, cx][~near], slope[~near])
+    return lowest, far_slope, (cy * polar.bin_of.shape[1] + cx)[near], z[near]
+
+
+def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, range_m):
+    """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m)."""
+    sectors, rings = lowest.shape
+    ground = np.full(lowest.shape, np.nan)
+    passing = np.full(lowest.shape, np.inf)
+    reach = np.zeros(sectors)
+    for s in range(sectors):
+        hit = np.flatnonzero(np.isfinite(lowest[s]))
+        far = np.isfinite(far_slope[s])
+        if len(hit) == 0 and not far:
+            continue
+        level, at, drop = floor_z, 0.0, False
+        for r in range(rings):
+            if r in hit:
+                d, z = (r + 0.5) * ring_m, lowest[s, r]
+                limit = step_m if at == 0.0 else 2 * step_m
+                if abs(z - level) <= min(slope * (d - at) + 0.02, limit):
+                    level, at, drop = z, d, False
+                elif z < level:
+                    drop = True
+            ground[s, r] = level
+        last = hit[-1] if len(hit) else 0
+        end = range_m if far else last * ring_m
+        reach[s] = min(at, last * ring_m) if drop else end
+        for r in range(rings):
+            slopes = [(lowest[s, k] - sensor_z) / ((k + 0.5) * ring_m) for k in hit if k >= r + 2]
+            passing[s, r] = min([*slopes, far_slope[s]])
+    return ground, passing, reach
+
+
+def classify_twin(cell, z_m, ground, polar, low_m, high_m):
+    """Twin of `classify`: (side, side) uint8 codes."""
+    height = z_m - ground.ravel()[polar.bin_of.ravel()[cell]]
+    codes = np.zeros(polar.bin_of.size, np.uint8)
+    floor = (height < np.float32(low_m)) & (height > -np.float32(low_m))
+    codes[cell[floor]] = 1
+    obstacle = (height >= np.float32(low_m)) & (height <= np.float32(high_m))
+    code = 2 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
+    np.maximum.at(codes, cell[obstacle], code.astype(np.uint8))
+    return codes.reshape(polar.bin_of.shape)

@@ -1,0 +1,288 @@
+"""The rolling map: what an update marks, clears, forgets; bad input; its ceiling of memory."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+
+import mapping_twins as twins
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, room
+
+from edge import config
+from edge.geometry import SE2, CameraModel
+from edge.mapping import clusters, layers, points, reach, unknown, update
+from edge.mapping.grid import RollingMap, warmup
+
+ORIGIN = SE2(0.0, 0.0, 0.0)
+
+
+def test_an_empty_map_is_unknown_everywhere():
+    grid = RollingMap(SMALL)
+    assert grid.state_at(0.0, 0.0) == -1
+    assert grid.frontiers.n == 0
+    assert grid.snapshot().cells.shape == (0, 0)
+    assert grid.reach.nearest(0.0, 0.0, 1.0) is None
+    out = np.zeros(1, np.float32)
+    grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, 1.0, out)
+    assert out[0] == 1.0
+
+
+@pytest.mark.parametrize("value", [np.nan, 0.0, np.inf, -1.0])
+def test_an_image_without_returns_frees_the_footprint_alone(value):
+    grid = RollingMap(SMALL)
+    result = grid.update_depth(np.full((120, 160), value, np.float32), CAMERA, np.eye(4), ORIGIN)
+    assert result.n_points == 0
+    assert result.n_dropped > 0
+    assert grid.state_at(0.0, 0.0) == 0
+    assert grid.state_at(1.0, 0.0) == -1
+
+
+def test_a_room_seen_all_around_is_free_inside_and_walled():
+    grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
+    for yaw in np.arange(0, 6.3, 0.3):
+        look(grid, SE2(0, 0, yaw), room(1.5))
+    for angle in np.arange(0, 6.3, 0.1):
+        for r in np.arange(0, 1.4, 0.1):
+            assert grid.state_at(r * math.cos(angle), r * math.sin(angle)) == 0
+    walls = [grid.state_at(1.51, y) for y in np.arange(-1.3, 1.3, 0.05)]
+    assert all(s == 100 for s in walls)
+    assert grid.state_at(1.8, 0.0) == -1
+
+
+def test_the_blind_zone_before_the_first_visible_floor_is_free():
+    grid = RollingMap(SMALL)
+    look(grid, ORIGIN, [])
+    assert all(grid.state_at(x, 0.0) == 0 for x in np.arange(0.0, 2.8, 0.05))
+
+
+def test_obstacles_are_inflated_by_a_disc():
+    grid = RollingMap(SMALL)
+    look(grid, ORIGIN, [(2.0, -0.05, 0.0, 2.1, 0.05, 0.8)])
+    assert grid.state_at(2.02, 0.0) == 100
+    assert grid.state_at(1.88, 0.0) == 100
+    assert grid.state_at(1.70, 0.0) == 0
+    np.testing.assert_array_equal(twins.states(grid) == 100, twins.window(grid, "near") > 0)
+
+
+def test_a_walking_person_leaves_no_ghost():
+    """VL-Nav V.C: a moving obstacle is where it is and nowhere it was."""
+    grid = RollingMap(SMALL)
+    for step in range(30):
+        y = -0.8 + 0.05 * step
+        look(grid, ORIGIN, [*room(2.5), (1.5, y - 0.15, 0.0, 1.7, y + 0.15, 1.7)])
+    for _ in range(grid.config.clear_after):
+        look(grid, ORIGIN, room(2.5))
+    occupied = np.argwhere(twins.window(grid, "raw") >= 2)
+    x_m = (occupied[:, 1] + grid._origin[0]) * grid.resolution_m
+    y_m = (occupied[:, 0] + grid._origin[1]) * grid.resolution_m
+    assert not (np.hypot(x_m - 1.6, y_m) < 0.8).any()
+    assert all(grid.state_at(1.6, y) == 0 for y in np.arange(-0.7, 0.7, 0.05))
+    assert len(occupied) > 20, "the walls stay"
+
+
+def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
+    grid = RollingMap(SMALL)
+    door = (1.5, -0.4, 0.0, 1.55, 0.4, 2.0)
+    walls = [(1.5, 0.4, 0, 1.55, 2, 2.0), (1.5, -2, 0, 1.55, -0.4, 2.0)]
+    for closed in (True, False, True):
+        for _ in range(3):
+            look(grid, ORIGIN, [*walls, door] if closed else walls)
+        assert grid.state_at(1.52, 0.0) == (100 if closed else 0)
+
+
+def test_a_low_obstacle_stays_while_it_is_below_the_view():
+    """Seen from afar, then under the camera's blind zone: nothing flew low enough to clear it."""
+    grid = RollingMap(SMALL)
+    low = (1.5, -0.1, 0.0, 1.6, 0.1, 0.2)
+    for x in np.arange(0.0, 1.1, 0.1):
+        look(grid, SE2(x, 0, 0), [low])
+    for _ in range(5):
+        look(grid, SE2(1.05, 0, 0), [low])
+    assert grid.state_at(1.52, 0.0) == 100
+
+
+def test_an_obstacle_hidden_by_another_is_not_cleared():
+    grid = RollingMap(SMALL)
+    far = (2.5, -0.3, 0.0, 2.6, 0.3, 0.8)
+    look(grid, ORIGIN, [far])
+    for _ in range(4):
+        look(grid, ORIGIN, [far, (1.0, -0.6, 0.0, 1.1, 0.6, 1.5)])
+    assert grid.state_at(2.52, 0.0) == 100
+
+
+def test_missing_returns_clear_nothing():
+    grid = RollingMap(SMALL)
+    look(grid, ORIGIN, [(1.5, -0.3, 0.0, 1.6, 0.3, 0.8)])
+    before = twins.states(grid)
+    T = ORIGIN.matrix() @ T_BASE_CAMERA
+    for _ in range(4):
+        grid.update_depth(np.full((120, 160), np.nan, np.float32), CAMERA, T, ORIGIN)
+    np.testing.assert_array_equal(twins.states(grid), before)
+
+
+def test_the_changed_rectangle_holds_every_change():
+    grid = RollingMap(SMALL)
+    rng = np.random.default_rng(3)
+    look(grid, ORIGIN, [])
+    for _ in range(20):
+        pose = SE2(*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3))
+        x, y = rng.uniform(-2, 2, 2)
+        before = twins.states(grid)
+        result = look(grid, pose, [(x, y, 0, x + 0.3, y + 0.3, 0.9)])
+        assert not result.rolled
+        ys, xs = np.nonzero(before != twins.states(grid))
+        x0, y0, x1, y1 = result.changed
+        xs, ys = xs + grid._origin[0], ys + grid._origin[1]
+        assert ((xs >= x0) & (xs < x1) & (ys >= y0) & (ys < y1)).all()
+        if len(xs) == 0:
+            assert result.changed == (0, 0, 0, 0)
+
+
+def test_a_snapshot_is_the_map():
+    grid = RollingMap(SMALL)
+    for yaw in (0.0, 1.0, 2.0):
+        look(grid, SE2(0.3, -0.2, yaw), room(1.5))
+    shot = grid.snapshot()
+    assert shot.cells.dtype == np.int8
+    for row in range(shot.cells.shape[0]):
+        for column in range(shot.cells.shape[1]):
+            x = shot.origin_xy_m[0] + (column + 0.5) * shot.resolution_m
+            y = shot.origin_xy_m[1] + (row + 0.5) * shot.resolution_m
+            assert shot.cells[row, column] == grid.state_at(x, y)
+    assert (shot.cells == 0).sum() == (twins.states(grid) == 0).sum()
+
+
+def test_a_pose_jump_beyond_the_window_starts_a_new_map():
+    grid = RollingMap(SMALL)
+    look(grid, ORIGIN, room(1.5))
+    assert look(grid, SE2(500.0, -300.0, 0.0), []).rolled
+    assert grid.state_at(1.0, 0.0) == -1
+    assert grid.state_at(501.0, -300.0) == 0
+    assert not (twins.states(grid) == 100).any()
+    np.testing.assert_array_equal(
+        twins.window(grid, "frontier") > 0, twins.frontier_cells(twins.states(grid))
+    )
+
+
+def test_the_map_keeps_what_is_in_the_window_while_it_rolls():
+    grid = RollingMap(SMALL.model_copy(update={"extent_m": 8.0}))
+    pillar = (6.5, 0.8, 0.0, 6.7, 1.0, 0.9)
+    rolled = 0
+    for x in np.arange(0.0, 10.0, 0.1):
+        rolled += look(grid, SE2(x, 0.0, 0.0), [pillar]).rolled
+    assert rolled >= 1
+    assert grid.state_at(6.52, 0.9) == 100
+    assert grid.state_at(0.0, 0.0) == -1, "left behind"
+
+
+@pytest.mark.parametrize("shape", [(120, 161), (160, 120), (0, 0), (120, 160, 1)])
+def test_a_depth_image_of_the_wrong_size_is_an_error_that_says_so(shape):
+    with pytest.raises(ValueError, match="120x160"):
+        RollingMap(SMALL).update_depth(np.zeros(shape, np.float32), CAMERA, np.eye(4), ORIGIN)
+
+
+@pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 3, 1)])
+def test_a_cloud_of_the_wrong_shape_is_an_error_that_says_so(shape):
+    with pytest.raises(ValueError, match=r"\(n, 3\)"):
+        RollingMap(SMALL).update_cloud(np.zeros(shape, np.float32), np.eye(4), ORIGIN)
+
+
+def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
+    grid = RollingMap(SMALL)
+    look(grid, ORIGIN, [])
+    before = twins.states(grid)
+    T = np.eye(4)
+    T[0, 3] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, T, ORIGIN)
+    with pytest.raises(ValueError, match="not finite"):
+        grid.update_depth(np.ones((120, 160), np.float32), CAMERA, np.eye(4), SE2(0, math.inf, 0))
+    np.testing.assert_array_equal(twins.states(grid), before)
+
+
+def test_a_cloud_may_be_empty_or_all_inf():
+    grid = RollingMap(SMALL)
+    assert grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), ORIGIN).n_points == 0
+    result = grid.update_cloud(np.full((5, 3), np.inf, np.float32), np.eye(4), ORIGIN)
+    assert (result.n_points, result.n_dropped) == (0, 5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_degenerate_depth_never_breaks_the_layers(seed):
+    """Random images full of holes from random poses: every layer stays what `raw` says."""
+    rng = np.random.default_rng(seed)
+    grid = RollingMap(SMALL)
+    camera = CameraModel.from_hfov(32, 24, 1.3)
+    for _ in range(6):
+        depth = rng.uniform(0.0, 5.0, (24, 32)).astype(np.float32)
+        depth[rng.random(depth.shape) < 0.4] = rng.choice([np.nan, 0.0, np.inf])
+        pose = SE2(*rng.uniform(-8, 8, 2), rng.uniform(-3, 3))
+        T = pose.matrix() @ T_BASE_CAMERA
+        grid.update_depth(depth, camera, T, pose)
+        state = twins.states(grid)
+        np.testing.assert_array_equal(twins.window(grid, "near") > 0, state == 100)
+        np.testing.assert_array_equal(twins.window(grid, "blocked") > 0, state == 100)
+        np.testing.assert_array_equal(
+            twins.window(grid, "known") > 0, twins.window(grid, "raw") > 0
+        )
+        assert not grid._scan.seen.any()
+
+
+def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
+    grid = RollingMap(config.Mapping())
+    camera = CameraModel.from_hfov(320, 256, math.radians(75))
+    pose = SE2(0.0, 0.0, 0.0)
+    T = pose.matrix() @ T_BASE_CAMERA
+    depth = twins.render(camera, T, room(3.0))
+    size = sum(layer.nbytes for layer in grid._layers)
+    for _ in range(3):
+        grid.update_depth(depth, camera, T, pose)
+        grid.reach.step(pose)
+    tracemalloc.start()
+    try:
+        for _ in range(5):
+            grid.update_depth(depth, camera, T, pose)
+            grid.reach.step(pose)
+        assert tracemalloc.get_traced_memory()[1] < 64 * 1024
+    finally:
+        tracemalloc.stop()
+    assert sum(layer.nbytes for layer in grid._layers) == size < 10 * 1024 * 1024
+
+
+def signatures() -> dict[str, int]:
+    """Compiled variants of every kernel of the package."""
+    modules = (clusters, layers, points, reach, unknown, update)
+    return {
+        f"{module.__name__}.{name}": len(kernel.signatures)
+        for module in modules
+        for name, kernel in vars(module).items()
+        if hasattr(kernel, "signatures")
+    }
+
+
+@pytest.mark.parametrize("kind", ["plain", "read-only", "sliced", "float64"])
+def test_nothing_is_compiled_after_warmup(kind):
+    warmup(SMALL)
+    before = signatures()
+    grid = RollingMap(SMALL)
+    depth = np.full((120, 320), 2.0, np.float32)[:, ::2].copy()
+    if kind == "read-only":
+        depth.flags.writeable = False
+    elif kind == "sliced":
+        depth = np.full((120, 320), 2.0, np.float32)[:, ::2]
+    elif kind == "float64":
+        depth = depth.astype(np.float64)
+    for x in (np.float32(0.0), 1, 30.0, 30.5, 24.0):
+        pose = SE2(x, 0.0, 0.0)
+        grid.update_depth(depth, CAMERA, pose.matrix() @ T_BASE_CAMERA, pose)
+        grid.update_cloud(depth[:, :3], pose.matrix(0.5), pose)
+        grid.reach.step(pose)
+        grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
+        grid.unknown_ratio(grid.frontiers.xy_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
+    grid.snapshot()
+    assert signatures() == before

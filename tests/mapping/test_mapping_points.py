@@ -1,0 +1,197 @@
+"""Points, polar bins, local ground: kernels against twins, and what they must tell apart."""
+
+from __future__ import annotations
+
+import math
+
+import mapping_twins as twins
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge import config
+from edge.geometry import SE2, CameraModel, se3
+from edge.mapping import points
+from edge.mapping.grid import RollingMap
+
+F = np.float32
+POLAR = points.make_polar(3.0, 0.05)
+
+
+def random_scan(seed: int, n: int):
+    rng = np.random.default_rng(seed)
+    scan = points.make_scan(POLAR, max(n, 1))
+    scan.xyz[:2, :n] = rng.uniform(-4, 4, (2, n))
+    scan.xyz[2, :n] = rng.choice([0.0, 0.3, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
+    half = POLAR.bin_of.shape[0] // 2
+    args = (F(0.6), F(3.0), F(20.0), F(half + 0.3), F(half + 0.8))
+    return scan, args
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400))
+def test_point_kernels_agree_with_their_twins(seed, n):
+    scan, args = random_scan(seed, n)
+    within = points.bin_points(n, *args, POLAR, scan)
+    lowest, far_slope, cell, z_m = twins.scan_twin(scan.xyz[:, :n], *args, POLAR)
+    np.testing.assert_array_equal(scan.cell[:within], cell)
+    np.testing.assert_array_equal(scan.z_m[:within], z_m)
+    np.testing.assert_array_equal(scan.lowest_m, lowest)
+    np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
+
+    points.sweep_ground(scan, POLAR, 0.6, 0.0, 0.3, 0.1, 3.0, 20.0)
+    ground, passing, reach = twins.sweep_twin(
+        lowest, scan.far_slope, POLAR.ring_m, 0.6, 0.0, 0.3, 0.1, 3.0
+    )
+    touched = ~np.isnan(ground[:, 0])
+    np.testing.assert_allclose(scan.ground_m[touched], ground[touched], atol=1e-5)
+    np.testing.assert_allclose(scan.pass_slope[touched], passing[touched], rtol=1e-5)
+    # A slope that rounds to the other side of its limit in float32 ends a sector elsewhere.
+    assert np.count_nonzero(np.abs(scan.reach_m - reach) > 1e-5) <= 1
+
+    points.classify(within, scan, POLAR, 0.1, 1.0)
+    expected = twins.classify_twin(cell, z_m, scan.ground_m, POLAR, 0.1, 1.0)
+    np.testing.assert_array_equal(scan.seen, expected)
+    ys, xs = np.nonzero(scan.seen)
+    x0, y0, x1, y1 = scan.box
+    assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0])
+def test_depth_points_agree_with_numpy_and_count_what_is_no_return(bad):
+    camera = CameraModel.from_hfov(40, 30, 1.2)
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.5, 4.0, (30, 40)).astype(F)
+    depth[rng.random(depth.shape) < 0.3] = bad
+    T = (SE2(1.0, 2.0, 0.7).matrix() @ twins.T_BASE_CAMERA)[:3].astype(F)
+    column = ((np.arange(40) - camera.cx_px) / camera.fx_px).astype(F)
+    row = ((np.arange(30) - camera.cy_px) / camera.fy_px).astype(F)
+    xyz = np.zeros((3, 1200), F)
+    n, dropped = points.from_depth(depth, 3, 2, column, row, T, F(0.1), xyz)
+    v, u = np.meshgrid(np.arange(1, 30, 2), np.arange(1, 40, 3), indexing="ij")
+    d = depth[v, u]
+    good = np.isfinite(d) & (d > 0.1)
+    optical = np.stack([d * column[u], d * row[v], d])[:, good]
+    expected = T[:, :3] @ optical
+    expected[2] += T[2, 3]
+    assert (n, dropped) == (good.sum(), (~good).sum())
+    np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
+
+
+def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
+    rng = np.random.default_rng(1)
+    cloud = rng.uniform(-5, 5, (200, 3)).astype(F)
+    cloud[::7, 1] = np.inf
+    cloud[3::11, 2] = np.nan
+    cloud[5] = 3e38
+    cloud[6] = 0.0
+    T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
+    xyz = np.zeros((3, 200), F)
+    n, dropped = points.from_cloud(cloud, T, F(0.1), xyz)
+    keep = np.isfinite(cloud).all(axis=1)
+    keep[[5, 6]] = False
+    expected = T[:, :3] @ cloud[keep].T
+    expected[2] += T[2, 3]
+    assert (n, dropped) == (keep.sum(), (~keep).sum())
+    np.testing.assert_allclose(xyz[:, :n], expected, atol=1e-5)
+
+
+VGA = CameraModel.from_hfov(640, 480, math.radians(75))
+QVGA = CameraModel.from_hfov(320, 256, math.radians(75))
+
+
+@pytest.mark.parametrize("camera", [VGA, QVGA], ids=["480x640", "256x320"])
+@pytest.mark.parametrize(("low_m", "height_m"), [(0.05, 0.1), (0.10, 0.2)])
+def test_skipping_pixels_misses_no_obstacle_of_a_decimetre(camera, low_m, height_m):
+    """Random boxes 0.1 m wide and deep on the floor, anywhere in view, leave an obstacle.
+
+    0.1 m high ones where obstacles begin at 0.05 m; where they begin at 0.1 m, ones that stand
+    out by 0.1 m.
+    """
+    rng = np.random.default_rng(2)
+    pose = SE2(0.0, 0.0, 0.0)
+    T = pose.matrix() @ twins.T_BASE_CAMERA
+    for _ in range(40):
+        r, bearing = rng.uniform(1.2, 4.85), rng.uniform(-0.55, 0.55)
+        x, y = 0.1 + r * math.cos(bearing), r * math.sin(bearing)
+        cube = (x - 0.05, y - 0.05, 0.0, x + 0.05, y + 0.05, height_m)
+        grid = RollingMap(config.Mapping(inflation_m=0.0, obstacle_min_m=low_m))
+        depth = twins.render(camera, T, [cube])
+        assert grid.update_depth(depth, camera, T, pose).n_new_obstacles > 0, (r, bearing)
+
+
+def test_every_obstacle_of_a_decimetre_is_sampled_twice_or_more():
+    """The stride itself: 0.1 m at full range spans two samples across, four up."""
+    for width in (160, 320, 640, 1280, 1920):
+        camera = CameraModel.from_hfov(width, width * 3 // 4, math.radians(75))
+        grid = RollingMap(config.Mapping())
+        grid._use_camera(camera)
+        span = 0.1 / grid.config.range_m * camera.fx_px
+        across, up = grid._strides
+        assert across == 1 or span / across >= 2.0
+        assert up == 1 or span / up >= 4.0
+
+
+def tilted_lidar(boxes, slope=0.0, rings=40, columns=360):
+    """A cloud in map axes of a 3D LiDAR 0.6 m up, -35 to +25 degrees; a ramp begins at x = 1."""
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-math.pi, math.pi, columns, endpoint=False),
+        np.radians(np.linspace(-35, 25, rings)),
+    )
+    rays = np.stack(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    origin = np.array([0.0, 0.0, 0.6])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -origin[2] / rays[:, 2]
+        t = np.where(t > 0, t, np.inf)
+        ramp = -(origin[2] + slope) / (rays[:, 2] - slope * rays[:, 0])
+        t = np.where((t * rays[:, 0] > 1) | ~np.isfinite(t) & (rays[:, 0] > 0), ramp, t)
+        t = np.where(t > 0, t, np.inf)
+        for box in boxes:
+            a, b = (np.array(box[:3]) - origin) / rays, (np.array(box[3:]) - origin) / rays
+            enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            t = np.where((enter <= leave) & (enter > 0), np.minimum(t, enter), t)
+    return np.where(np.isfinite(t)[:, None], t[:, None] * rays, np.inf).astype(F)
+
+
+def lidar_map(boxes, slope=0.0):
+    grid = RollingMap(config.Mapping(input="cloud", range_m=4.0, inflation_m=0.0))
+    T = se3(0, 0, 0.6, pitch_rad=math.radians(23), yaw_rad=0.4)
+    with np.errstate(invalid="ignore"):
+        cloud = tilted_lidar(boxes, slope) @ T[:3, :3].astype(F)
+    grid.update_cloud(np.ascontiguousarray(cloud), T, SE2(0, 0, 0.4))
+    return grid
+
+
+def test_floor_obstacle_and_overhang_are_told_apart_for_a_tilted_lidar():
+    grid = lidar_map([(2, -0.5, 0, 2.3, 0.5, 0.5), (-0.5, 2, 1.3, 0.5, 3, 1.5)])
+    assert grid.state_at(2.01, 0.01) == 100
+    assert grid.state_at(1.5, 0.0) == 0
+    assert grid.state_at(0.0, 2.5) == 0, "free under an overhang"
+    assert grid.state_at(3.0, 0.0) == -1, "hidden behind the obstacle"
+
+
+def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
+    ramp = lidar_map([], slope=0.15)
+    assert not (twins.states(ramp) == 100).any()
+    assert ramp.state_at(3.0, 0.0) == 0, "floor is 0.3 m up here"
+    busy = lidar_map([(2.0, -0.3, 0.0, 2.2, 0.3, 0.7)], slope=0.15)
+    assert busy.state_at(2.01, 0.01) == 100
+
+
+def test_rays_stop_where_the_floor_drops():
+    grid = RollingMap(config.Mapping(input="cloud", inflation_m=0.0))
+    x = np.linspace(0.5, 4.0, 400)
+    y = np.linspace(-0.3, 0.3, 40)
+    xx, yy = (a.ravel() for a in np.meshgrid(x, y))
+    zz = np.where(xx > 2.0, -1.0, 0.0) - 0.5
+    grid.update_cloud(np.stack([xx, yy, zz], axis=1).astype(F), se3(z_m=0.5), SE2(0, 0, 0))
+    assert grid.state_at(1.5, 0.0) == 0
+    assert grid.state_at(3.0, 0.0) == -1

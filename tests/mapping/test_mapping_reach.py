@@ -1,0 +1,139 @@
+"""Reachability: against Dijkstra, amortised over steps, across rolls, out of inflation."""
+
+from __future__ import annotations
+
+import math
+
+import mapping_twins as twins
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mapping_twins import SMALL, look, room
+
+from edge.geometry import SE2
+from edge.mapping.grid import RollingMap
+from edge.mapping.reach import DIAGONAL, STRAIGHT
+
+
+def complete(grid: RollingMap, pose: SE2) -> None:
+    """Step until a field that began now is in use."""
+    wanted = grid.reach.generation + 2
+    for _ in range(10000):
+        grid.reach.step(pose)
+        if grid.reach.generation >= wanted:
+            return
+    raise AssertionError("no field was completed")
+
+
+def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
+    rng = np.random.default_rng(seed)
+    grid = RollingMap(SMALL.model_copy(update={"reach_cells_per_tick": per_tick}))
+    x, y = rng.uniform(-20, 20, 2)
+    boxes = []
+    for _ in range(4):
+        bx, by = x + rng.uniform(-2, 2), y + rng.uniform(-2, 2)
+        if math.hypot(bx - x, by - y) > 0.9:
+            boxes.append((bx, by, 0.0, bx + 0.3, by + 0.3, 1.0))
+    for yaw in np.arange(0, 6.4, 0.4):
+        look(grid, SE2(x, y, yaw), boxes)
+    return grid, SE2(x, y, 0.0)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), per_tick=st.sampled_from([100, 700, 12000]))
+def test_the_field_agrees_with_dijkstra(seed, per_tick):
+    grid, pose = explored(seed, per_tick)
+    complete(grid, pose)
+    state = twins.states(grid)
+    x = math.floor(pose.x_m / grid.resolution_m) - grid._origin[0]
+    y = math.floor(pose.y_m / grid.resolution_m) - grid._origin[1]
+    assert state[y, x] == 0
+    expected = twins.geodesic(state, x, y, STRAIGHT, DIAGONAL)
+    n, shift = grid._n, grid._shift
+    field = grid.reach._waves[grid.reach._current].distance
+    field = np.roll(field, (-shift[1], -shift[0]), axis=(0, 1)).astype(np.int64) - 1
+    np.testing.assert_array_equal(field, expected)
+    assert n == len(field)
+
+
+def test_a_step_settles_no_more_cells_than_allowed():
+    grid, pose = explored(1, per_tick=100)
+    field = grid.reach._waves[1].distance
+    for step in range(1, 20):
+        grid.reach.step(pose)
+        # Settled cells and those in line; each settled one puts at most 8 in line.
+        assert np.count_nonzero(field) <= 900 * step
+    assert grid.reach.generation == 0
+    assert grid.reach.distance_m(pose.x_m, pose.y_m) == math.inf
+
+
+def test_distances_are_in_metres_and_go_around_walls():
+    grid = RollingMap(SMALL)
+    wall = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0)
+    for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 0.5)):
+        for yaw in np.arange(0, 6.4, 0.3):
+            look(grid, SE2(x, y, yaw), [wall, *room(2.5)])
+    complete(grid, SE2(0.0, 0.5, 0.0))
+    assert grid.reach.distance_m(0.0, -0.5) == pytest.approx(1.0, abs=0.05)
+    around = grid.reach.distance_m(2.0, 0.5)
+    assert 2.8 < around < 4.0, "2 m through the wall"
+    assert grid.reach.distance_m(2.4, 2.49) == math.inf, "inflated"
+
+
+def test_the_nearest_cell_is_free_reached_and_nearest():
+    grid, pose = explored(5)
+    complete(grid, pose)
+    state = twins.states(grid)
+    for dx, dy in ((1.0, 0.3), (-2.0, 0.5), (0.4, -2.8), (0.0, 0.0)):
+        px, py = pose.x_m + dx, pose.y_m + dy
+        found = grid.reach.nearest(px, py, 0.6)
+        best = math.inf
+        for y, x in np.argwhere(state == 0):
+            cx = (x + grid._origin[0] + 0.5) * grid.resolution_m
+            cy = (y + grid._origin[1] + 0.5) * grid.resolution_m
+            if math.isfinite(grid.reach.distance_m(cx, cy)):
+                best = min(best, math.hypot(cx - px, cy - py))
+        if best > 0.6:
+            assert found is None
+        else:
+            assert math.hypot(found[0] - px, found[1] - py) == pytest.approx(best, abs=1e-9)
+            assert grid.state_at(found[0], found[1]) == 0
+            assert found[2] == grid.reach.distance_m(found[0], found[1])
+
+
+def test_a_goal_that_was_blocked_since_is_not_offered():
+    grid = RollingMap(SMALL)
+    look(grid, SE2(0, 0, 0), [])
+    complete(grid, SE2(0, 0, 0))
+    assert grid.reach.nearest(1.5, 0.0, 0.05) is not None
+    look(grid, SE2(0, 0, 0), [(1.4, -0.2, 0.0, 1.6, 0.2, 1.0)])
+    assert grid.reach.nearest(1.5, 0.0, 0.05) is None
+
+
+def test_a_robot_inside_inflation_finds_its_way_out():
+    grid = RollingMap(SMALL)
+    look(grid, SE2(0, 0, 0), room(2.0))
+    pose = SE2(1.85, 0.0, 0.0)
+    assert grid.state_at(pose.x_m, pose.y_m) == 100
+    complete(grid, pose)
+    found = grid.reach.nearest(1.0, 0.0, 0.3)
+    assert found is not None
+    assert found[2] == pytest.approx(0.85, abs=0.1)
+
+
+def test_what_was_reached_is_still_known_after_the_window_rolled():
+    grid = RollingMap(SMALL)
+    for x in np.arange(0.0, 3.0, 0.2):
+        look(grid, SE2(x, 0, 0), [])
+    complete(grid, SE2(3.0, 0, 0))
+    before = grid.reach.distance_m(2.0, 0.0)
+    x, rolled = 3.0, False
+    while not rolled:
+        x += 0.2
+        rolled = look(grid, SE2(x, 0, 0), []).rolled
+    assert grid.reach.distance_m(2.0, 0.0) == before
+    assert grid.reach.distance_m(-50.0, 0.0) == math.inf
+    assert grid.reach.distance_m(2.0 + grid._n * grid.resolution_m, 0.0) == math.inf
+    complete(grid, SE2(x, 0, 0))
+    assert grid.reach.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)

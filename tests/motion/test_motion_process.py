@@ -1,0 +1,273 @@
+"""The controller's process on a real Zenoh session, with a robot played by the test."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import zenoh
+
+from edge import topics
+from edge.bus import open_session
+from edge.config import Config, Motion, Sim, Zenoh
+from edge.geometry import SE2
+from edge.motion import process
+from edge.wire import messages
+
+GOAL = SE2(2.0, 1.0, 0.5)
+CELLS = np.zeros((60, 80), np.int8)
+STEP_S = 0.1
+PATIENCE_S = 20.0
+
+
+class Robot:
+    """Simulator and service in one: moves as told, in lockstep or not."""
+
+    def __init__(self, config: Config) -> None:
+        self.session = open_session(config.zenoh, "listen")
+        self.prefix = config.zenoh.prefix
+        self.pose, self.v, self.w, self.stamp_ns = SE2(0.5, 1.0, 0.0), 0.0, 0.0, 10**9
+        self.commands = self._hear(topics.CMD_VEL)
+        self.answers = self._hear(topics.GOAL_STATUS)
+
+    def _hear(self, topic: topics.Topic) -> zenoh.Subscriber:
+        ring = zenoh.handlers.RingChannel(256)
+        return self.session.declare_subscriber(topic.under(self.prefix), ring)
+
+    def put(self, topic: topics.Topic, payload: bytes) -> None:
+        self.session.put(
+            topic.under(self.prefix), payload, congestion_control=zenoh.CongestionControl.BLOCK
+        )
+
+    def odometry(self) -> None:
+        T = self.pose.matrix()
+        self.put(topics.ODOMETRY, messages.encode_odometry(self.stamp_ns, T, self.v, self.w))
+
+    def tick(self) -> None:
+        self.put(topics.TICK, json.dumps({"stamp": self.stamp_ns}).encode())
+
+    def map_and_goal(self) -> None:
+        grid = messages.encode_occupancy_grid(self.stamp_ns, CELLS, (0.0, 0.0), 0.05)
+        self.put(topics.MAP, grid)
+        self.put(topics.GOAL, messages.encode_pose_stamped(77, GOAL))
+
+    def command(self, again: Callable[[], None], stamp_ns: int | None = None) -> tuple:
+        """The next command (with a stamp); what may have been lost is sent `again`."""
+        deadline_s, next_s = time.monotonic() + PATIENCE_S, time.monotonic() + 0.5
+        while time.monotonic() < deadline_s:
+            while (sample := self.commands.try_recv()) is not None:
+                command = messages.decode_twist_stamped(sample.payload.to_bytes())
+                if stamp_ns in (None, command[0]):
+                    return command
+            if time.monotonic() > next_s:
+                again()
+                next_s += 0.5
+            time.sleep(0.0005)
+        raise AssertionError(f"no command for {stamp_ns} in {PATIENCE_S} s")
+
+    def move(self, v: float, w: float) -> None:
+        yaw = self.pose.yaw_rad + 0.5 * w * STEP_S
+        self.pose = SE2(
+            self.pose.x_m + v * STEP_S * math.cos(yaw),
+            self.pose.y_m + v * STEP_S * math.sin(yaw),
+            self.pose.yaw_rad + w * STEP_S,
+        )
+        self.v, self.w = v, w
+        self.stamp_ns += int(STEP_S * 1e9)
+
+    def heard(self) -> list[dict]:
+        said = []
+        while (sample := self.answers.try_recv()) is not None:
+            said.append(json.loads(sample.payload.to_bytes()))
+        return said
+
+
+def _config(lockstep: bool) -> Config:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return Config(
+        zenoh=Zenoh(endpoint=endpoint, shared_memory=False),
+        sim=Sim(lockstep=lockstep),
+        motion=Motion(rate_hz=50.0),
+    )
+
+
+@pytest.fixture
+def robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
+    config = _config(request.param)
+    stop = threading.Event()
+    robot = Robot(config)
+    thread = threading.Thread(target=process.main, args=(config, stop))
+    thread.start()
+    try:
+        yield robot
+    finally:
+        stop.set()
+        thread.join(10.0)
+        robot.session.close()
+    assert not thread.is_alive()
+
+
+lockstep = pytest.mark.parametrize("robot", [True], indirect=True)
+real_time = pytest.mark.parametrize("robot", [False], indirect=True)
+
+
+def _ask(robot: Robot) -> tuple[float, float]:
+    def send() -> None:
+        robot.odometry()
+        robot.tick()
+
+    send()
+    _, v, w = robot.command(send, robot.stamp_ns)
+    return v, w
+
+
+@lockstep
+def test_lockstep_drives_to_the_goal_one_answer_a_stamp(robot: Robot):
+    robot.move(*_ask(robot))
+    robot.map_and_goal()
+    said: list[dict] = []
+    for _ in range(400):
+        robot.move(*_ask(robot))
+        said += robot.heard()
+        if said and said[-1]["state"] != "accepted":
+            break
+    assert [(a["stamp"], a["state"]) for a in said] == [(77, "accepted"), (77, "reached")]
+    assert robot.pose.distance_to(GOAL.x_m, GOAL.y_m) <= 0.12
+
+
+@lockstep
+def test_lockstep_answers_a_repeated_stamp_with_the_same_command(robot: Robot):
+    _ask(robot)
+    robot.map_and_goal()
+    robot.stamp_ns += 10**8
+    first = _ask(robot)
+    assert first != (0.0, 0.0)
+    for repeat in (robot.odometry, robot.tick):
+        repeat()
+        stamp_ns, *again = robot.command(repeat, robot.stamp_ns)
+        assert (stamp_ns, *again) == (robot.stamp_ns, *first)
+
+
+@lockstep
+def test_lockstep_waits_for_the_tick(robot: Robot):
+    _ask(robot)
+    while robot.commands.try_recv() is not None:
+        pass
+    robot.stamp_ns += 10**8
+    robot.odometry()
+    time.sleep(0.2)
+    assert robot.commands.try_recv() is None
+    robot.tick()
+    assert robot.command(robot.tick)[0] == robot.stamp_ns
+
+
+@lockstep
+def test_garbage_on_every_topic_is_survived(robot: Robot):
+    _ask(robot)
+    for topic in (topics.MAP, topics.GOAL, topics.ODOMETRY, topics.TICK):
+        for payload in (b"", b"\x00\x01\x00\x00junk", b"{}", b"[" * 3000, bytes(4097)):
+            robot.put(topic, payload)
+    robot.stamp_ns += 10**8
+    assert _ask(robot) == (0.0, 0.0)
+
+
+@real_time
+def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
+    def send() -> None:
+        robot.stamp_ns += 10**7
+        robot.odometry()
+
+    send()
+    robot.command(send)
+    robot.map_and_goal()
+    moving = (0, 0.0, 0.0)
+    while moving[1] == 0.0:
+        send()
+        moving = robot.command(send)
+    # Silence: the newest command is a stop, again and again.
+    deadline_s = time.monotonic() + PATIENCE_S
+    while moving[1:] != (0.0, 0.0) and time.monotonic() < deadline_s:
+        moving = robot.command(lambda: None)
+    assert moving == (robot.stamp_ns, 0.0, 0.0)
+    assert robot.command(lambda: None) == moving
+    # And it goes on when the odometry is back.
+    send()
+    back = robot.command(send, robot.stamp_ns)
+    while back[1] == 0.0:
+        send()
+        back = robot.command(send)
+
+
+@real_time
+def test_real_time_stops_when_maps_cease_and_goes_on_when_they_are_back(robot: Robot, caplog):
+    def send() -> None:
+        robot.stamp_ns += 10**7
+        robot.odometry()
+
+    def wait_for(moving: bool) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            send()
+            if (robot.command(send, robot.stamp_ns)[1] > 0.0) == moving:
+                return
+        raise AssertionError(f"never {'moving' if moving else 'still'}")
+
+    send()
+    robot.command(send)
+    robot.map_and_goal()
+    wait_for(moving=True)
+    # The odometry goes on, the maps do not.
+    wait_for(moving=False)
+    assert [r for r in caplog.records if "no map" in r.getMessage()]
+    grid = messages.encode_occupancy_grid(robot.stamp_ns, CELLS, (0.0, 0.0), 0.05)
+    robot.put(topics.MAP, grid)
+    wait_for(moving=True)
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"null", b"[1]", b'{"stamp": "1"}', b'{"stamp": true}', b"\xff", bytes(5000)]
+)
+def test_parse_tick_refuses(payload):
+    with pytest.raises(ValueError, match=r"stamp|JSON|bytes"):
+        process.parse_tick(payload)
+
+
+def test_parse_tick():
+    assert process.parse_tick(b'{"stamp": 12}') == 12
+
+
+class _Rings:
+    """A session whose subscribers hold given payloads."""
+
+    def __init__(self, payloads: list[bytes]) -> None:
+        self.payloads = payloads
+
+    def declare_subscriber(self, key: str, _: object) -> _Rings:
+        return self if key.endswith("/odom") else _Rings([])
+
+    def declare_publisher(self, *_: object, **__: object) -> None:
+        return None
+
+    def try_recv(self) -> object | None:
+        if not self.payloads:
+            return None
+        sample = type("Sample", (), {})()
+        sample.payload = zenoh.ZBytes(self.payloads.pop(0))
+        return sample
+
+
+def test_malformed_messages_are_counted_and_logged_once(caplog):
+    good = messages.encode_odometry(5, np.eye(4), 0.1, 0.2)
+    bus = process.Bus(_Rings([b"", b"junk", good, good[:50], good]), Config())
+    read = bus.read(topics.ODOMETRY, messages.decode_odometry)
+    assert [o.stamp_ns for o in read] == [5, 5]
+    assert bus.malformed == {"odom": 3}
+    assert len([r for r in caplog.records if "odom" in r.getMessage()]) == 1

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+
+import pytest
+import yaml
+
+from edge import resources
+from edge.perception import cards, store
+
+CARD = {
+    "name": "tiny",
+    "family": "yolo-world",
+    "task": "detect",
+    "file": "tiny.onnx",
+    "sha256": None,
+    "sources": [{"kind": "url", "url": "https://example.org/w.pt", "sha256": "0" * 64}],
+    "license": "AGPL-3.0",
+    "input": {"height": 64, "width": 64},
+    "precision": "fp32",
+    "derived_from": None,
+    "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": 114},
+    "text_dim": 512,
+    "parity": None,
+}
+DATA = b"a model" * 100
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """An empty folder of cards and an empty cache; `write(**changes)` puts a card there."""
+    folder = tmp_path / "cards"
+    folder.mkdir()
+    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    resources.models_dir().mkdir(parents=True)
+
+    def write(stem="tiny", **changes):
+        (folder / f"{stem}.yaml").write_text(yaml.safe_dump({**CARD, **changes}))
+
+    return write
+
+
+def put_model(content=DATA, sidecar_of=DATA):
+    card = cards.load_card("tiny")
+    card.path.write_bytes(content)
+    made = {"sha256": hashlib.sha256(sidecar_of).hexdigest(), "bytes": len(sidecar_of)}
+    card.sidecar.write_text(json.dumps(made))
+    return card
+
+
+def test_no_cards(place):
+    assert cards.all_cards() == []
+    assert store.list_models() == "no model cards"
+    with pytest.raises(cards.ModelError, match=r"'tiny': no such card \(choices: none\)"):
+        cards.load_card("tiny")
+
+
+def test_a_card_is_read_whole(place):
+    place()
+    card = cards.load_card("tiny")
+    assert card.input.height == 64
+    assert card.path == resources.models_dir() / "tiny.onnx"
+    assert [c.name for c in cards.all_cards()] == ["tiny"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"precision": "int4"}, "precision: "),
+        ({"inputs": 1}, "inputs: unknown key"),
+        ({"input": {"height": 65, "width": 64}}, "input.height: "),
+        ({"sha256": "abc"}, "sha256: "),
+        ({"file": "../../etc/passwd.onnx"}, "file: "),
+        ({"name": "other"}, "must be the file's name 'tiny'"),
+        ({"sources": [{"kind": "ftp"}]}, "sources"),
+    ],
+)
+def test_a_bad_card_names_file_and_key(place, changes, message):
+    place(**changes)
+    with pytest.raises(cards.ModelError) as error:
+        cards.load_card("tiny")
+    assert "tiny.yaml: " in str(error.value)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize("key", sorted(CARD))
+def test_every_key_is_needed(place, tmp_path, key):
+    (tmp_path / "cards" / "tiny.yaml").write_text(
+        yaml.safe_dump({k: v for k, v in CARD.items() if k != key})
+    )
+    with pytest.raises(cards.ModelError, match=f"tiny.yaml: {key}: missing"):
+        cards.load_card("tiny")
+
+
+@pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00"])
+def test_what_is_no_card_is_named(place, tmp_path, text):
+    (tmp_path / "cards" / "tiny.yaml").write_text(text)
+    with pytest.raises(cards.ModelError, match=r"tiny\.yaml: "):
+        cards.load_card("tiny")
+
+
+def test_a_missing_model_says_how_to_make_it(place):
+    place()
+    with pytest.raises(cards.ModelError, match=r"tiny\.onnx: .* `edge models export tiny"):
+        cards.verify_model(cards.load_card("tiny"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (DATA[:-50], "truncated: 650 of 700 bytes"),
+        (DATA[:-1] + b"X", "damaged"),
+        (b"", "truncated"),
+    ],
+)
+def test_a_damaged_model_is_refused(place, content, message):
+    place()
+    with pytest.raises(cards.ModelError, match=message):
+        cards.verify_model(put_model(content))
+
+
+def test_a_hash_in_the_card_comes_first(place):
+    place(sha256="1" * 64)
+    with pytest.raises(cards.ModelError, match="sha256 is not 111111111111"):
+        cards.verify_model(put_model())
+
+
+def test_a_model_without_any_hash_is_refused(place):
+    place()
+    card = put_model()
+    card.sidecar.unlink()
+    with pytest.raises(cards.ModelError, match=r"tiny\.onnx\.json: no sha256"):
+        cards.verify_model(card)
+
+
+def test_the_hash_is_remembered_until_the_file_changes(place, monkeypatch):
+    place()
+    card = put_model()
+    assert cards.verify_model(card) == card.path
+    counted = []
+    hash_file = cards.sha256_of
+    monkeypatch.setattr(cards, "sha256_of", lambda path: counted.append(path) or hash_file(path))
+    cards.verify_model(card)
+    assert counted == []
+    card.path.write_bytes(DATA[::-1])
+    os.utime(card.path, ns=(1, 1))
+    with pytest.raises(cards.ModelError, match="damaged"):
+        cards.verify_model(card)
+    assert len(counted) == 1
+
+
+def test_a_broken_memory_of_hashes_does_no_harm(place):
+    place()
+    card = put_model()
+    (resources.cache_dir() / "sha256.json").write_text("[1, 2")
+    assert cards.verify_model(card) == card.path
+
+
+def test_list_shows_what_is_there(place):
+    parity = {
+        "reference": "tiny-fp32", "images": 40, "recall": 0.97, "precision": 0.9,
+        "score_error": 0.1,
+    }  # fmt: skip
+    place(parity=parity)
+    assert "missing" in store.list_models()
+    put_model()
+    table = store.list_models()
+    assert "recall 0.970" in table
+    assert "missing" not in table
+    place()
+    assert "recall" not in store.list_models()
+    cards.load_card("tiny").sidecar.write_text(json.dumps({"sha256": "0", "parity": parity}))
+    assert "recall 0.970" in store.list_models()  # what the export measured
+
+
+def test_the_cards_of_this_repository_are_valid():
+    found = cards.card_names()
+    if not found:
+        pytest.skip("no cards in models/")
+    assert [card.name for card in cards.all_cards()] == found
+
+
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        ("{kind: onnx, model: no-such-model}", "no-such-model"),
+        ("{kind: sim}", "prompt"),
+    ],
+)
+def test_edge_run_says_in_one_line_why_it_cannot_detect(
+    tmp_path, capsys, monkeypatch, detector, message
+):
+    from edge import cli
+
+    path = tmp_path / "robot.yaml"
+    path.write_text(f"mission: {{target: ' '}}\nperception: {{detector: {detector}}}\n")
+    monkeypatch.setattr(cli, "setup", lambda *_: None)
+    monkeypatch.setattr(cli, "stop_on_signals", lambda: None)
+    assert cli.main(["run", str(path)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert message in line

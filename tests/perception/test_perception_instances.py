@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.perception.instances import MAX_POINTS, InstanceTracker
+from edge.perception.lift import POINTS, Lifted
+from edge.types import Detections
+
+STEP_NS = 100_000_000
+
+
+class Scene:
+    """Feeds a tracker with things at known places, one frame after the other."""
+
+    def __init__(self, make_observation, **settings):
+        self.tracker = InstanceTracker(config.Perception(**settings))
+        self.make, self.seq = make_observation, 0
+
+    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, rival=0.0):
+        """One frame with (label, x, y, score) each; returns all instances."""
+        things = sorted(things, key=lambda t: -t[3])
+        labels = [t[0] for t in things]
+        prompts = tuple(dict.fromkeys(labels)) or ("none",)
+        n = len(things)
+        places = np.array([(t[1], t[2], 0.4) for t in things], np.float32).reshape(n, 3)
+        spread = np.random.default_rng(seed + self.seq).uniform(-size_m, size_m, (n, POINTS, 3))
+        seen = self.frame(x_m, y_m)
+        detections = Detections(
+            seen,
+            np.zeros((n, 4), np.float32),
+            np.array([t[3] for t in things], np.float32),
+            np.array([prompts.index(label) for label in labels], np.int32),
+            prompts,
+            np.full(n, rival, np.float32),
+        )
+        full = np.full(n, POINTS, np.int32)
+        points = (places[:, None] + spread).astype(np.float32)
+        lifted = Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+        self.tracker.update(lifted, seen.stamp_ns)
+        self.last = seen
+        return self.tracker.all
+
+    def frame(self, x_m=0.0, y_m=0.0, depth_m=6.0):
+        self.seq += 1
+        depth = np.full((64, 80), depth_m, np.float32)
+        return self.make(seq=self.seq, x_m=x_m, y_m=y_m, depth_m=depth)
+
+
+@pytest.fixture
+def scene(make_observation):
+    return lambda **settings: Scene(make_observation, **settings)
+
+
+def test_nothing_seen_nothing_there(scene):
+    s = scene()
+    assert s.see() == []
+    assert s.tracker.of("chair") == []
+    assert s.tracker.expire(s.frame()) == []
+    assert s.tracker.get(1) is None
+
+
+def test_only_what_is_over_tau_det_founds_an_instance(scene):
+    s = scene(tau_det=0.3)
+    assert s.see(("chair", 2, 0, 0.29)) == []
+    (chair,) = s.see(("chair", 2, 0, 0.31))
+    assert (chair.label, chair.hits, chair.state) == ("chair", 1, "seen")
+    np.testing.assert_allclose(chair.center_m, [2, 0, 0.4], atol=0.1)
+    assert chair.distance_m(0, 0) == pytest.approx(1.95, abs=0.1)
+
+
+def test_the_same_thing_stays_one_instance(scene):
+    s = scene()
+    for i in range(20):
+        s.see(("chair", 2 + 0.02 * (i % 3), 0.1, 0.6))
+    (chair,) = s.tracker.all
+    assert chair.hits == 20
+    assert len(chair.points_m) <= MAX_POINTS
+    assert chair.last_seen_ns - chair.first_seen_ns == 19 * STEP_NS
+
+
+def test_points_are_voxel_filtered(scene):
+    s = scene(voxel_m=0.1)
+    for _ in range(10):
+        s.see(("sofa", 3, 0, 0.6), size_m=1.0)
+    (sofa,) = s.tracker.all
+    voxels = np.floor(sofa.points_m / 0.1).astype(int)
+    assert len(np.unique(voxels, axis=0)) == len(sofa.points_m) <= MAX_POINTS
+    assert np.ptp(sofa.points_m[:, 1]) > 1.5  # a capped sofa keeps its extent
+
+
+@pytest.mark.parametrize(
+    ("second", "count"),
+    [
+        (("chair", 2.4, 0, 0.6), 1),
+        (("chair", 4.0, 0, 0.6), 2),
+        (("sofa", 2.1, 0, 0.6), 2),
+    ],
+    ids=["near", "far", "another label"],
+)
+def test_what_merges_and_what_does_not(scene, second, count):
+    s = scene(merge_m=0.6)
+    s.see(("chair", 2, 0, 0.6))
+    assert len(s.see(second)) == count
+
+
+def test_synonyms_merge(scene):
+    s = scene()
+    s.see(("sofa", 2, 0, 0.6))
+    assert len(s.see(("couch", 2, 0, 0.6))) == 1
+    assert len(s.tracker.of("settee")) == 1
+
+
+def test_instances_that_grow_together_become_one(scene):
+    s = scene(merge_m=1.0)
+    s.see(("sofa", 2.0, 0, 0.6), ("sofa", 3.6, 0, 0.5))
+    assert len(s.tracker) == 2
+    for _ in range(12):
+        s.see(("sofa", 2.9, 0, 0.6), size_m=0.8)
+    assert [i.id for i in s.tracker.all] == [1]
+
+
+def test_the_score_rises_fast_and_falls_slowly(scene):
+    s = scene()
+    (chair,) = s.see(("chair", 2, 0, 0.4))
+    s.see(("chair", 2, 0, 0.8))
+    assert chair.score == pytest.approx(0.6)
+    s.see(("chair", 2, 0, 0.2))  # weak, but it is there
+    assert chair.score == pytest.approx(0.54)
+    assert chair.hits == 2
+
+
+def test_of_is_best_first(scene):
+    s = scene()
+    s.see(("chair", 2, 0, 0.4), ("chair", 2, 3, 0.9), ("bed", 2, -3, 0.95))
+    assert [i.score for i in s.tracker.of("chairs")] == pytest.approx([0.9, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("score", "x_m", "hits", "state"),
+    [
+        (0.5, 2.0, 3, "confirmed"),
+        (0.5, 2.0, 2, "seen"),
+        (0.32, 2.0, 9, "seen"),
+        (0.5, 4.0, 9, "seen"),
+    ],
+    ids=["well", "too seldom", "too weakly", "from too far"],
+)
+def test_confirmation(scene, score, x_m, hits, state):
+    s = scene(confirm_hits=3, confirm_score=0.35, confirm_range_m=3.0)
+    for _ in range(hits):
+        (chair,) = s.see(("chair", x_m, 0, score))
+    assert chair.state == state
+    assert s.tracker.confirmed(chair) is (state == "confirmed")
+
+
+def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
+    s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
+    for _ in range(3):
+        (chair,) = s.see(("chair", 2, 0, 0.6))
+    assert chair.state == "confirmed"
+    for _ in range(15):
+        s.tracker.expire(s.frame())
+    assert chair.state == "seen"
+
+
+def test_what_something_else_explains_better_is_refuted(scene):
+    s = scene(confirm_hits=3, tau_det=0.1)
+    (desk,) = s.see(("desk", 2, 0, 0.6))
+    for _ in range(40):
+        s.see(("desk", 2, 0, 0.45), rival=0.7)
+        s.tracker.expire(s.last)
+    assert desk.state == "refuted"
+    assert s.tracker.of("desk") == []
+
+
+def test_a_rivalled_box_founds_no_instance(scene):
+    s = scene(tau_det=0.1)
+    s.see(("desk", 2, 0, 0.45), rival=0.7)
+    assert len(s.tracker) == 0
+
+
+def test_a_mistake_now_and_then_does_not_confirm(scene):
+    s = scene(confirm_hits=3, confirm_mean=0.2, tau_det=0.1)
+    for _ in range(3):
+        (chair,) = s.see(("chair", 1.5, 0, 0.6))
+        for _ in range(9):
+            s.tracker.expire(s.frame(depth_m=1.5))
+    assert chair.state == "seen"
+
+
+def test_a_refuted_thing_is_never_chased_again(scene):
+    s = scene(refute_radius_m=0.6)
+    (chair,) = s.see(("chair", 2, 0, 0.6))
+    s.tracker.refute(chair.id)
+    for _ in range(5):
+        s.see(("chair", 2.3, 0.2, 0.9))
+    assert len(s.tracker) == 1
+    assert chair.state == "refuted"
+    assert s.tracker.of("chair") == []
+    s.see(("chair", 4, 0, 0.6))
+    assert [i.id for i in s.tracker.of("chair")] == [2]
+    s.tracker.expire(s.frame())
+    assert s.tracker.get(chair.id) is chair
+
+
+def test_refuting_takes_its_doubles_along(scene):
+    s = scene(merge_m=0.3, refute_radius_m=0.7)
+    s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
+    s.tracker.refute(1)
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted"), ("sofa", "seen")]
+
+
+def test_looks_in_vain_wear_an_instance_away(scene):
+    s = scene()
+    (chair,) = s.see(("chair", 2, 0, 0.6))
+    gone = [s.tracker.expire(s.frame()) for _ in range(30)]
+    assert gone.count([chair.id]) == 1
+    assert gone.index([chair.id]) > 5
+    assert len(s.tracker) == 0
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "depth_m"),
+    [(8.0, 0.0, 6.0), (2.0, 5.0, 6.0), (0.3, 0.0, 6.0), (3.0, 0.0, 1.0), (-3.0, 0.0, 6.0)],
+    ids=["too far", "beside", "under the nose", "hidden", "behind"],
+)
+def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
+    s = scene(lift_max_range_m=8.0)
+    (chair,) = s.see(("chair", x_m, y_m, 0.6))
+    for _ in range(50):
+        s.tracker.expire(s.frame(depth_m=depth_m))
+    assert chair.score == pytest.approx(0.6)
+
+
+def test_a_frame_that_shows_it_is_no_look_in_vain(scene):
+    s = scene()
+    (chair,) = s.see(("chair", 2, 0, 0.6))
+    s.tracker.expire(s.make(seq=s.seq, depth_m=np.full((64, 80), 6.0, np.float32)))
+    assert chair.score == pytest.approx(0.6)
+
+
+def test_reached_ones_stay(scene):
+    s = scene()
+    (chair,) = s.see(("chair", 2, 0, 0.6))
+    s.tracker.mark_reached(chair.id)
+    for _ in range(50):
+        s.tracker.expire(s.frame())
+    assert s.tracker.all == [chair]
+    assert s.tracker.confirmed(chair)
+
+
+def test_the_weakest_give_way_but_never_a_protected_one(scene):
+    s = scene(max_instances=2)
+    s.see(("chair", 2, 0, 0.4))
+    s.tracker.refute(1)
+    s.see(("chair", 2, 4, 0.5), ("chair", 2, -4, 0.9), ("chair", 5, 0, 0.6))
+    assert [i.id for i in s.tracker.all] == [1, 2]
+    assert s.tracker.get(2).score == pytest.approx(0.9)
+    assert s.tracker.dropped == 2

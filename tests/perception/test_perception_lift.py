@@ -1,0 +1,243 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from edge import config
+from edge.geometry import CameraModel, invert
+from edge.perception.lift import POINTS, Lifter
+from edge.types import Detections, Observation
+
+
+def detect(observation, *boxes, score=0.9):
+    n = len(boxes)
+    return Detections(
+        observation=observation,
+        xyxy_px=np.array(boxes, np.float32).reshape(n, 4),
+        score=np.full(n, score, np.float32),
+        class_id=np.zeros(n, np.int32),
+        prompts=("thing",),
+    )
+
+
+def lift(observation, *boxes, **settings):
+    return Lifter(config.Perception(**settings)).lift(detect(observation, *boxes))
+
+
+def wall_with_thing(thing_m=2.0, wall_m=4.0):
+    """Depth of a wall with a thing of 20 × 24 px in the middle of an 80 × 64 image."""
+    depth = np.full((64, 80), wall_m, np.float32)
+    depth[20:44, 30:50] = thing_m
+    return depth
+
+
+BOX = (28, 18, 52, 46)
+
+
+@pytest.mark.parametrize("way", ["depth", "cloud"])
+def test_no_box_nothing_lifted(make_observation, way):
+    assert len(lift(make_observation(), lift=way)) == 0
+
+
+def test_the_thing_before_the_wall(make_observation):
+    out = lift(make_observation(x_m=1.0, y_m=-2.0, depth_m=wall_with_thing()), BOX)
+    assert out.valid.tolist() == [True]
+    np.testing.assert_allclose(out.center_m[0], [3.0, -2.0, 0.6], atol=0.1)
+    points = out.surface_m(0)
+    assert len(points) == POINTS
+    np.testing.assert_allclose(points[:, 0], 3.0, atol=0.01)
+
+
+def test_the_pose_of_the_image_counts(make_observation):
+    seen = make_observation(depth_m=wall_with_thing())
+    turned = np.array([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    out = lift(dataclasses.replace(seen, T_map_base=turned), BOX)
+    np.testing.assert_allclose(out.center_m[0], [5.0, 8.0, 0.6], atol=0.1)
+
+
+@pytest.mark.parametrize("hole", [np.nan, 0.0, np.inf])
+def test_holes_do_not_count(make_observation, hole):
+    depth = wall_with_thing()
+    depth[::2] = hole
+    out = lift(make_observation(depth_m=depth), BOX)
+    np.testing.assert_allclose(out.center_m[0], [2.0, 0.0, 0.6], atol=0.15)
+    assert np.isfinite(out.points_m).all()
+
+
+@pytest.mark.parametrize(
+    ("box", "depth_m"),
+    [
+        (BOX, np.nan),
+        (BOX, 0.0),
+        (BOX, 9.0),
+        ((40, 30, 41, 31), 2.0),
+        ((-50, -50, -10, -10), 2.0),
+        ((np.nan, 0, 10, 10), 2.0),
+    ],
+    ids=["nan", "zero", "far", "tiny", "outside", "nan box"],
+)
+def test_too_few_returns_are_invalid_not_wrong(make_observation, box, depth_m):
+    out = lift(make_observation(depth_m=np.full((64, 80), depth_m, np.float32)), box)
+    assert out.valid.tolist() == [False]
+
+
+def test_the_floor_in_front_is_not_the_thing(make_observation):
+    """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing."""
+    seen = make_observation(depth_m=np.full((64, 80), 4.0, np.float32))
+    camera = seen.camera
+    rows = np.arange(64)
+    floor = np.where(rows > camera.cy_px, 0.6 * camera.fy_px / (rows - camera.cy_px + 1e-9), 99)
+    seen.depth_m[:] = np.minimum(4.0, floor)[:, None]
+    seen.depth_m[24:48, 30:50] = np.minimum(seen.depth_m[24:48, 30:50], 2.0)
+    out = lift(seen, (28, 22, 52, 63))
+    np.testing.assert_allclose(out.center_m[0][:2], [2.0, 0.0], atol=0.1)
+    assert out.surface_m(0)[:, 2].min() > 0.05
+    assert out.surface_m(0)[:, 0].min() > 1.8
+
+
+def test_a_thing_that_lies_flat_on_the_floor_is_still_lifted(make_observation):
+    seen = make_observation()
+    rows = np.arange(64)[:, None]
+    floor = 0.6 * seen.camera.fy_px / np.maximum(rows - seen.camera.cy_px, 1e-3)
+    depth = np.repeat(np.where(floor < 8, floor, 0), 80, axis=1).astype(np.float32)
+    out = lift(dataclasses.replace(seen, depth_m=depth), (20, 45, 60, 60))
+    assert out.valid.all()
+    assert abs(out.center_m[0][2]) < 0.05
+
+
+def cloud_of(observation):
+    """The depth image as a cloud in the base frame."""
+    c, depth = observation.camera, observation.depth_m
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    x, y = (u - c.cx_px) / c.fx_px * depth, (v - c.cy_px) / c.fy_px * depth
+    optical = np.stack((x, y, depth), axis=-1).reshape(-1, 3)
+    T = observation.T_base_camera
+    return (optical @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+
+
+def test_cloud_and_depth_agree(make_observation):
+    seen = make_observation(x_m=1.0, depth_m=wall_with_thing())
+    cloud = np.vstack((cloud_of(seen), np.full((5, 3), np.inf, np.float32)))
+    by_cloud = lift(dataclasses.replace(seen, cloud_m=cloud, depth_m=None), BOX, lift="cloud")
+    by_depth = lift(seen, BOX)
+    np.testing.assert_allclose(by_cloud.center_m, by_depth.center_m, atol=0.05)
+    assert by_cloud.valid.all()
+
+
+@pytest.mark.parametrize(
+    ("change", "way", "message"),
+    [
+        ({"camera": None}, "depth", "no camera model"),
+        ({"depth_m": None}, "depth", "no depth"),
+        ({"depth_m": np.ones((3, 3), np.float32)}, "depth", "does not fit the 64x80"),
+        ({}, "cloud", "no cloud"),
+    ],
+)
+def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way, message, caplog):
+    """A LiDAR or depth camera that falls silent must not end the loop."""
+    seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
+    lifter = Lifter(config.Perception(lift=way))
+    for _ in range(2):
+        lifted = lifter.lift(detect(seen, BOX))
+        assert len(lifted) == 1
+        assert not lifted.valid.any()
+    assert lifter.unliftable == 2
+    assert [message in record.getMessage() for record in caplog.records] == [True]
+
+
+# -- real data ------------------------------------------------------------------------------
+
+TRUCK, TRUNK, POLE = 18, 71, 80
+
+
+def kitti(folder, frame):
+    """Observation, and the class of every point of its cloud."""
+    rows = dict(line.split(":", 1) for line in (folder / "calib.txt").read_text().splitlines())
+    P2 = np.array(rows["P2"].split(), float).reshape(3, 4)
+    tr = (folder / "Tr_velo_to_cam0.txt").read_text().split("Tr:")[1].split()
+    T_cam0_velo = np.vstack((np.array(tr[:12], float).reshape(3, 4), [0, 0, 0, 1]))
+    T_cam2_cam0 = np.eye(4)
+    T_cam2_cam0[:3, 3] = np.linalg.solve(P2[:, :3], P2[:, 3])
+    image = cv2.imread(str(folder / "image_2" / f"{frame:06d}.png"))
+    cloud = np.fromfile(folder / "velodyne" / f"{frame:06d}.bin", np.float32).reshape(-1, 4)
+    labels = np.fromfile(folder / "labels" / f"{frame:06d}.label", np.uint32)
+    T_base_lidar = np.eye(4)
+    T_base_lidar[2, 3] = 1.73  # the scanner's height over the road
+    T_map_base = np.eye(4)
+    T_map_base[:2, 3] = 100.0, -50.0
+    camera = CameraModel(image.shape[1], image.shape[0], P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
+    seen = Observation(
+        seq=frame, stamp_ns=0, T_map_base=T_map_base, rgb=image[:, :, ::-1], camera=camera,
+        T_base_camera=T_base_lidar @ invert(T_cam2_cam0 @ T_cam0_velo),
+        cloud_m=np.ascontiguousarray(cloud[:, :3]), T_base_lidar=T_base_lidar,
+    )  # fmt: skip
+    return seen, labels & 0xFFFF
+
+
+def box_around(seen, points):
+    """The image box of LiDAR points."""
+    T = invert(seen.T_base_camera) @ seen.T_base_lidar
+    x, y, z = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).T
+    u = seen.camera.fx_px * x / z + seen.camera.cx_px
+    v = seen.camera.fy_px * y / z + seen.camera.cy_px
+    return (u.min(), v.min(), u.max(), v.max()), z
+
+
+def things(cloud, half_m=0.5):
+    """Points (n, 3) of each thing in a cloud of one class: neighbours on a grid of cells."""
+    cell = np.floor(cloud[:, :2] / half_m).astype(int) + 200
+    inside = ((cell >= 0) & (cell < 400)).all(axis=1)
+    cloud, cell = cloud[inside], cell[inside]
+    filled = np.zeros((400, 400), np.uint8)
+    filled[cell[:, 0], cell[:, 1]] = 1
+    n, which = cv2.connectedComponents(filled)
+    return [cloud[which[cell[:, 0], cell[:, 1]] == i] for i in range(1, n)]
+
+
+def test_things_of_a_real_lidar_scan(shared_dir):
+    """Trucks, trunks and poles; those with a bush before them may be taken for the bush."""
+    folder = shared_dir / "logs" / "semantic_kitti_05"
+    if not folder.is_dir():
+        pytest.skip(f"not there: {folder.name}")
+    lifter = Lifter(config.Perception(lift="cloud", lift_max_range_m=60.0, lift_min_points=4))
+    gaps = {TRUCK: [], TRUNK: [], POLE: []}
+    for frame in (0, 2, 4, 6, 8):
+        seen, semantic = kitti(folder, frame)
+        offset_m = (seen.T_map_base @ seen.T_base_lidar)[:3, 3]
+        for kind, found in gaps.items():
+            for points in things(seen.cloud_m[semantic == kind]):
+                box, z = box_around(seen, points)
+                in_view = box[0] >= 0 and box[2] < seen.camera.width_px and z.min() > 2
+                if len(points) < 25 or not in_view or box[2] - box[0] < 6:
+                    continue
+                out = lifter.lift(detect(seen, box))
+                assert out.valid.all()
+                apart = points[:, :2] + offset_m[:2] - out.center_m[0, :2]
+                found.append(np.linalg.norm(apart, axis=1).min())
+    assert len(gaps[TRUCK]) == 10
+    assert max(gaps[TRUCK]) < 0.15
+    everything = np.concatenate(list(gaps.values()))
+    assert np.median(everything) < 0.1
+    assert np.mean(everything < 0.2) > 0.75
+
+
+def test_the_chair_of_a_real_depth_camera(shared_dir):
+    folder = shared_dir / "logs" / "redwood_rgbd"
+    if not folder.is_dir():
+        pytest.skip(f"not there: {folder.name}")
+    intrinsics = json.loads((folder / "camera_primesense.json").read_text())
+    k = intrinsics["intrinsic_matrix"]
+    camera = CameraModel(intrinsics["width"], intrinsics["height"], k[0], k[4], k[6], k[7])
+    depth = cv2.imread(str(folder / "depth" / "00000.png"), cv2.IMREAD_UNCHANGED) / 1000
+    seen = Observation(0, 0, np.eye(4), depth_m=depth.astype(np.float32), camera=camera)
+    seat = (400, 180, 560, 280)  # the seat and back of the white chair, wall behind it
+    out = lift(seen, (335, 107, 612, 384), seat)
+    assert out.valid.all()
+    # Here `map` is the optical frame: z is the distance.
+    np.testing.assert_allclose(out.center_m[0], out.center_m[1], atol=0.35)
+    wall_m = np.median(seen.depth_m[20:60, 330:380])
+    assert 1.0 < out.center_m[0][2] < wall_m

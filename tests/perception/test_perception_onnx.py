@@ -1,0 +1,228 @@
+"""The detector with a small ONNX model made here; the real one in test_perception_yolo.py."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+
+import numpy as np
+import pytest
+import yaml
+from test_perception_cards import CARD
+
+from edge import config, resources
+from edge.perception import store
+from edge.perception.cards import ModelError
+from edge.perception.detector import make_detector
+from edge.perception.text import PromptError
+
+pytest.importorskip("onnxruntime")
+onnx = pytest.importorskip("onnx")
+
+# Two places; the first looks like words 0 and 1 (chair, sofa), the second like word 2.
+BOXES = np.array([[[8, 8, 40, 40], [9, 9, 41, 41], [44, 44, 60, 60]]], np.float32)
+LOGITS = np.full((3, 512), -9.0, np.float32)
+LOGITS[0, 0], LOGITS[1, 0], LOGITS[0, 1], LOGITS[2, 2] = 1.0, 0.5, 0.0, 2.0
+
+
+def build(path, boxes=BOXES, dim=512, names=("images", "txt_feats")):
+    """scores = sigmoid(LOGITS · txt), boxes constant; both touch the image so that it counts."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    nodes = [
+        helper.make_node("ReduceMean", [names[0]], ["mean"], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Add", ["box", "nothing"], ["boxes"]),
+        helper.make_node("Transpose", [names[1]], ["text_t"], perm=[0, 2, 1]),
+        helper.make_node("MatMul", ["logits", "text_t"], ["raw"]),
+        helper.make_node("Sigmoid", ["raw"], ["scores"]),
+    ]
+    logits = LOGITS[None, :, :dim].copy()
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [
+            helper.make_tensor_value_info(names[0], TensorProto.FLOAT, [1, 3, 64, 64]),
+            helper.make_tensor_value_info(names[1], TensorProto.FLOAT, [1, "n", dim]),
+        ],
+        [
+            helper.make_tensor_value_info("boxes", TensorProto.FLOAT, [1, 3, 4]),
+            helper.make_tensor_value_info("scores", TensorProto.FLOAT, [1, 3, "n"]),
+        ],
+        [
+            numpy_helper.from_array(np.float32(0), "zero"),
+            numpy_helper.from_array(boxes, "box"),
+            numpy_helper.from_array(logits, "logits"),
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch, vocabulary):
+    """make(**kw): a detector on the small model; `boxes`, `dim`, `names` change the model."""
+    folder = tmp_path / "cards"
+    folder.mkdir()
+    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    resources.models_dir().mkdir(parents=True)
+    path = resources.models_dir() / "tiny.onnx"
+
+    def make(prompts=("chair", "sofa"), model=None, card=None, **settings):
+        build(path, **(model or {}))
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        data = {**CARD, "sha256": digest, **(card or {})}
+        (folder / "tiny.yaml").write_text(yaml.safe_dump(data))
+        detector = config.DetectorOnnx(
+            model="tiny", vocabulary=str(vocabulary), threads=1, **settings
+        )
+        return make_detector(config.Perception(detector=detector), prompts)
+
+    return make
+
+
+def image(h=64, w=64):
+    return np.zeros((h, w, 3), np.uint8)
+
+
+def test_boxes_scores_and_classes(tiny, make_observation):
+    detector = tiny(prompts=("sofa", "chair", "trash can"))
+    seen = make_observation(rgb=image())
+    found = detector.detect(seen)
+    assert found.observation is seen
+    assert found.model == detector.name == "tiny"
+    assert found.prompts == detector.prompts == ("sofa", "chair", "trash can")
+    assert found.latency_ns > 0
+    assert [found.prompts[c] for c in found.class_id] == ["trash can", "chair"]
+    np.testing.assert_allclose(found.score, [1 / (1 + np.exp(-2)), 1 / (1 + np.exp(-1))], rtol=1e-5)
+    np.testing.assert_allclose(found.xyxy_px, [[44, 44, 60, 60], [8, 8, 40, 40]])
+
+
+def test_nothing_found_is_empty_arrays(tiny, make_observation):
+    found = tiny(prompts=("bed",)).detect(make_observation(rgb=image()))
+    assert len(found) == 0
+    assert found.xyxy_px.shape == (0, 4)
+
+
+def test_boxes_are_in_pixels_of_the_image_given(tiny, make_observation):
+    detector = tiny(prompts=("trash can",))
+    wide = detector.detect(make_observation(rgb=image(128, 256)))  # 0.25, rows 16..48
+    np.testing.assert_allclose(wide.xyxy_px, [[176, 112, 240, 128]])
+    same = detector.detect(make_observation(rgb=image()))
+    np.testing.assert_allclose(same.xyxy_px, [[44, 44, 60, 60]])
+
+
+def test_the_image_reaches_the_model_as_planes_on_grey(tiny, make_observation):
+    detector = tiny()
+    rgb = np.random.default_rng(0).integers(0, 255, (32, 64, 3), np.uint8)
+    detector.detect(make_observation(rgb=rgb))
+    planes = detector._images[0]
+    np.testing.assert_allclose(planes[:, 16:48], rgb.transpose(2, 0, 1) / 255, rtol=1e-6)
+    np.testing.assert_allclose(planes[:, :16], 114 / 255, rtol=1e-6)
+    np.testing.assert_allclose(planes[:, 48:], 114 / 255, rtol=1e-6)
+
+
+def test_prompts_change_at_run_time(tiny, make_observation):
+    detector = tiny(prompts=("bed",))
+    seen = make_observation(rgb=image())
+    assert len(detector.detect(seen)) == 0
+    detector.set_prompts(["trash bin", "chair"])
+    assert len(detector.detect(seen)) == 2
+    with pytest.raises(PromptError):
+        detector.set_prompts([])
+    assert detector.prompts == ("trash bin", "chair")
+
+
+def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
+    seen = make_observation(rgb=image())
+    alone = tiny(prompts=("sofa",)).detect(seen)
+    assert alone.unrivalled().tolist() == [True]
+    assert alone.rival.tolist() == [0.0]
+    found = tiny(prompts=("sofa",), background=("chair",)).detect(seen)
+    assert found.prompts == ("sofa",)
+    assert list(found.class_id) == [0]
+    assert found.rival[0] > found.score[0]
+    assert found.unrivalled().tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("prompt", "background", "rivals"),
+    [
+        ("couch", "sofa", 0),  # a target cannot be background too
+        ("chair", "desk chair", 0),  # nor a kind of it
+        ("desk", "desk chair", 1),
+        ("bed", "chair", 1),
+    ],
+)
+def test_which_backgrounds_compete(tiny, prompt, background, rivals):
+    detector = tiny(prompts=(prompt,), background=(background,))
+    assert detector._asked.text.shape[1] == 1 + rivals
+
+
+@pytest.mark.parametrize(
+    "rgb",
+    [
+        None,
+        np.zeros((0, 64, 3), np.uint8),
+        np.zeros((64, 64), np.uint8),
+        np.zeros((64, 64, 4), np.uint8),
+        np.zeros((64, 64, 3), np.float32),
+    ],
+    ids=["none", "empty", "grey", "rgba", "float"],
+)
+def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
+    detector = tiny()
+    with pytest.raises(ValueError, match=r"observation 0: .*image") as error:
+        detector.detect(make_observation(rgb=rgb))
+    assert "\n" not in str(error.value)
+
+
+def test_values_that_are_not_finite_are_dropped_counted_and_told_once(
+    tiny, make_observation, caplog
+):
+    boxes = BOXES.copy()
+    boxes[0, 2] = np.nan
+    detector = tiny(prompts=("chair", "trash can"), model={"boxes": boxes})
+    with caplog.at_level(logging.ERROR):
+        for _ in range(3):
+            found = detector.detect(make_observation(rgb=image()))
+    assert list(found.class_id) == [0]
+    assert detector.invalid_boxes == 3
+    assert [r.message for r in caplog.records] == [
+        "model tiny: 1 of 3 boxes are not finite; dropped and counted"
+    ]
+
+
+def test_a_provider_that_is_not_there_is_an_error_that_lists_those_that_are(tiny):
+    with pytest.raises(ModelError, match=r"'NoSuchProvider' is not available .*CPUExecution"):
+        tiny(providers=("NoSuchProvider",))
+
+
+@pytest.mark.parametrize(
+    "model", [{"dim": 256}, {"names": ("image", "txt_feats")}], ids=["length", "name"]
+)
+def test_a_model_with_another_interface_is_refused(tiny, model):
+    with pytest.raises(ModelError, match=r"tiny\.onnx: inputs .*export it again"):
+        tiny(model=model)
+
+
+def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
+    path = tmp_path / "cache" / "models" / "tiny.onnx"
+    tiny()
+    path.write_bytes(b"not onnx")
+    digest = hashlib.sha256(b"not onnx").hexdigest()
+    (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump({**CARD, "sha256": digest}))
+    with pytest.raises(ModelError, match=r"tiny\.onnx: onnxruntime cannot load it"):
+        store.check_model(store.load_card("tiny"))
+
+
+def test_the_check_command_passes_a_sound_model_and_names_a_broken_one(tiny, capsys):
+    tiny()
+    assert store.check_models(None) == 0
+    assert "tiny: ok" in capsys.readouterr().out
+    boxes = BOXES.copy()
+    boxes[0, 0] = np.inf
+    tiny(model={"boxes": boxes})
+    assert store.check_models(None) == 1
+    assert "not finite" in capsys.readouterr().err

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.perception.detector import make_detector
+from edge.perception.text import PromptError
+
+LABELS = ("ChairA", "sofa", "Trash")
+
+
+def scene(distance_m=2.0):
+    """Ids and depth: a chair left, a sofa right, a distant bin of few pixels between."""
+    ids, depth = np.zeros((64, 80), np.uint16), np.full((64, 80), 4.0, np.float32)
+    ids[20:50, 5:30], ids[25:55, 45:78], ids[30:34, 36:40] = 1, 2, 3
+    depth[ids == 1], depth[ids == 2], depth[ids == 3] = distance_m, 3.0, 7.9
+    return {"object_ids": ids, "depth_m": depth, "object_labels": LABELS}
+
+
+def make(prompts=("chair",), **settings):
+    quiet = {"miss_rate": 0.0, "false_positive_rate": 0.0, "score_noise": 0.0} | settings
+    return make_detector(config.Perception(detector=config.DetectorSim(**quiet)), prompts)
+
+
+@pytest.mark.parametrize("prompts", [(), ("",), ("chair", " ")])
+def test_empty_prompts_are_refused(prompts):
+    with pytest.raises(PromptError, match="prompt"):
+        make(prompts)
+
+
+def test_it_says_what_it_is():
+    assert "no neural network" in make().name
+
+
+@pytest.mark.parametrize(
+    ("prompts", "classes"),
+    [
+        (("bed",), []),
+        (("chair",), [0]),
+        (("couch",), [0]),
+        (("sofa", "chair"), [0, 1]),
+        (("big red chair near the door",), [0]),
+        (("garbage can",), []),  # too small and too far
+    ],
+)
+def test_objects_answer_to_their_names(make_observation, prompts, classes):
+    found = make(prompts).detect(make_observation(**scene()))
+    assert sorted(found.class_id) == classes
+    assert (np.diff(found.score) <= 0).all()
+    assert found.prompts == prompts
+
+
+def test_boxes_surround_the_visible_pixels(make_observation):
+    (box,) = make().detect(make_observation(**scene())).xyxy_px
+    np.testing.assert_allclose(box, [5, 20, 30, 50], atol=2)
+
+
+def test_scores_fall_with_range(make_observation):
+    scores = [make().detect(make_observation(**scene(d))).score[0] for d in (1.0, 3.0, 5.5)]
+    assert scores[0] > scores[1] > scores[2] > 0.3
+
+
+def test_nothing_beyond_its_range(make_observation):
+    assert len(make(max_range_m=2.5).detect(make_observation(**scene(2.6)))) == 0
+
+
+def test_the_same_seed_and_frame_replay_the_same(make_observation):
+    noisy = {"miss_rate": 0.3, "false_positive_rate": 0.3, "score_noise": 0.2, "seed": 5}
+    frames = [make_observation(seq=i, **scene()) for i in range(40)]
+    first = [make(**noisy).detect(f) for f in frames]
+    second = [make(**noisy).detect(f) for f in reversed(frames)][::-1]  # order does not matter
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.score, b.score)
+        np.testing.assert_array_equal(a.xyxy_px, b.xyxy_px)
+    other = [make(**noisy | {"seed": 6}).detect(f).score.tolist() for f in frames]
+    assert other != [d.score.tolist() for d in first]
+
+
+def test_misses_and_false_positives_come_at_their_rates(make_observation):
+    frames = [make_observation(seq=i, **scene()) for i in range(400)]
+    detector = make(miss_rate=0.2)
+    seen = sum(len(detector.detect(f)) for f in frames)
+    assert 0.55 < seen / 400 < 0.8  # 0.2 · (1 + 2 · 2/6) are missed
+    mistaken = make(("bed",), false_positive_rate=0.1)
+    wrong = [d for f in frames for d in mistaken.detect(f).score]
+    assert 30 < len(wrong) < 130  # two visible objects in 400 frames
+    assert max(wrong) < 0.5
+
+
+@pytest.mark.parametrize("missing", ["object_ids", "depth_m"])
+def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
+    arrays = scene()
+    del arrays[missing]
+    with pytest.raises(ValueError, match=r"no object ids .*kind: onnx"):
+        make().detect(make_observation(**arrays))

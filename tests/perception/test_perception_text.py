@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from edge.perception import store
+from edge.perception.text import PromptError, TextEmbeddings, find_vocabulary
+
+
+def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
+    source = tmp_path / "words.npz"
+    source.write_bytes(b"vocabulary")
+    kept = store.keep_vocabulary(source)
+    assert find_vocabulary(None) == kept == store.keep_vocabulary(kept)
+    assert kept.read_bytes() == b"vocabulary"
+    assert [p.name for p in kept.parent.iterdir()] == [kept.name]
+
+
+@pytest.mark.parametrize("prompts", [[], [""], ["  "], ["chair", "  "]])
+def test_an_empty_prompt_is_an_error(vocabulary, prompts):
+    with pytest.raises(PromptError, match="prompt"):
+        TextEmbeddings(str(vocabulary)).embed(prompts)
+
+
+def test_rows_are_unit_and_in_order(vocabulary):
+    rows = TextEmbeddings(str(vocabulary)).embed(["bed", "chair"])
+    assert rows.shape == (1, 2, 512)
+    assert rows.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=2), 1.0, rtol=1e-6)
+    assert rows[0, 0, 4] == rows[0, 1, 0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("prompt", "word"),
+    [
+        ("chair", "chair"),
+        ("Chairs", "chair"),
+        ("couch", "sofa"),
+        ("trash bin", "trash can"),
+        ("the garbage can", "trash can"),
+        ("ReadingDesk", "desk"),
+    ],
+)
+def test_words_come_through_the_alias_table_without_a_warning(vocabulary, caplog, prompt, word):
+    assert TextEmbeddings(str(vocabulary)).resolve(prompt) == word
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("phrase", "word"),
+    [
+        ("tall white trash bin", "trash can"),
+        ("red chair next to the window", "chair"),
+        ("old leather couch", "sofa"),
+    ],
+)
+def test_a_phrase_falls_back_to_its_noun_with_a_warning(vocabulary, caplog, phrase, word):
+    with caplog.at_level(logging.WARNING):
+        assert TextEmbeddings(str(vocabulary)).resolve(phrase) == word
+    assert phrase in caplog.text
+    assert word in caplog.text
+
+
+def test_a_word_outside_lists_the_nearest(vocabulary):
+    with pytest.raises(PromptError, match=r"'chiar': not in the vocabulary .*nearest: .*chair"):
+        TextEmbeddings(str(vocabulary)).embed(["chiar"])
+
+
+def test_a_missing_vocabulary_says_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
+    with pytest.raises(
+        PromptError, match=r"clip_vitb32_vocab.npz: no vocabulary .*EDGE_VOCABULARY"
+    ):
+        TextEmbeddings()
+
+
+def test_the_environment_names_the_vocabulary(vocabulary, monkeypatch):
+    monkeypatch.setenv("EDGE_VOCABULARY", str(vocabulary))
+    assert TextEmbeddings().path == vocabulary
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04broken"])
+def test_a_damaged_vocabulary_is_named(tmp_path, content):
+    path = tmp_path / "v.npz"
+    path.write_bytes(content)
+    with pytest.raises(PromptError, match=r"v\.npz: not a vocabulary"):
+        TextEmbeddings(str(path))
+
+
+def test_rows_must_match_names(tmp_path):
+    path = tmp_path / "v.npz"
+    np.savez(path, names=np.array(["a", "b"]), emb=np.ones((3, 512), np.float16))
+    with pytest.raises(PromptError, match="2 names but embeddings"):
+        TextEmbeddings(str(path))
+
+
+def test_the_clip_vocabulary_knows_the_household(shared_dir):
+    path = shared_dir / "models" / "clip_vitb32_vocab.npz"
+    if not path.exists():
+        pytest.skip(f"not there: {path.name}")
+    text = TextEmbeddings(str(path))
+    words = ["trash can", "sofa", "chair", "bed", "desk", "tv", "fridge", "potted plant"]
+    rows = text.embed(words)[0]
+    assert rows.shape == (8, 512)
+    assert (rows @ rows.T - np.eye(8)).max() < 0.95  # eight different things
+    with pytest.raises(PromptError, match="nearest"):
+        text.embed(["flux capacitor xyzzy"])

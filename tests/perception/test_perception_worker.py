@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import logging
+import threading
+
+import numpy as np
+import pytest
+
+from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
+from edge.types import Detections
+
+
+class Slot:
+    """Counts holds as a frame pool does."""
+
+    def __init__(self):
+        self.holds = 0
+
+    def hold(self):
+        self.holds += 1
+
+    def release(self):
+        assert self.holds > 0
+        self.holds -= 1
+
+
+class Fake:
+    """Finds one box; waits for `gate` before each image, fails on the seqs in `bad`."""
+
+    name = "fake"
+    prompts = ("chair",)
+    boxes = 1
+
+    def __init__(self, bad=()):
+        self.gate = threading.Semaphore(0)
+        self.started = threading.Semaphore(0)
+        self.bad = bad
+        self.closed = False
+
+    def set_prompts(self, prompts):
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation):
+        self.started.release()
+        assert self.gate.acquire(timeout=10)
+        if observation.seq in self.bad:
+            raise RuntimeError(f"no luck with {observation.seq}")
+        one = np.ones(self.boxes, np.float32)
+        return Detections(
+            observation, np.zeros((self.boxes, 4), np.float32), one, one.astype(np.int32),
+            self.prompts,
+            latency_ns=7,
+        )  # fmt: skip
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def frames(make_observation):
+    return [make_observation(seq=i, slot=Slot()) for i in range(5)]
+
+
+def wait_for(worker, condition):
+    """Until the worker has got so far; it always does, or the test times out."""
+    pause = threading.Event()
+    while not condition():
+        assert worker._thread.is_alive()
+        pause.wait(0.001)
+
+
+def test_nothing_submitted_nothing_found():
+    worker = DetectorWorker(Fake())
+    assert worker.poll() is None
+    assert worker.idle()
+    worker.close()
+    assert worker.detector.closed
+
+
+def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
+    worker = DetectorWorker(fake := Fake())
+    worker.submit(frames[0])
+    assert fake.started.acquire(timeout=10)
+    for frame in frames[1:4]:
+        worker.submit(frame)
+    assert [f.slot.holds for f in frames] == [1, 0, 0, 1, 0]
+    assert worker.stats.replaced == 2
+    fake.gate.release(2)
+    wait_for(worker, worker.idle)
+    found = worker.poll()
+    assert found.observation is frames[3]
+    assert worker.stats.done == 2
+    assert worker.stats.unread == 1
+    assert worker.stats.last_latency_ns == 7
+    assert [f.slot.holds for f in frames] == [0, 0, 0, 1, 0]
+    assert worker.poll() is None
+    found.observation.release()
+    worker.close()
+
+
+def test_a_failure_is_counted_told_once_and_outlived(frames, caplog):
+    worker = DetectorWorker(fake := Fake(bad=(0, 1)))
+    with caplog.at_level(logging.ERROR):
+        for frame in frames[:3]:
+            worker.submit(frame)
+            fake.gate.release()
+            wait_for(worker, worker.idle)
+    assert worker.stats.failed == 2
+    assert worker.stats.failures == {"RuntimeError": 2}
+    assert "no luck with 1" in worker.stats.last_error
+    assert len(caplog.records) == 1
+    assert worker.poll().observation is frames[2]
+    assert [f.slot.holds for f in frames[:3]] == [0, 0, 1]
+    worker.close()
+
+
+def test_inline_a_failure_is_counted_told_once_a_kind_and_outlived(frames, caplog):
+    worker = InlineWorker(fake := Fake(bad=(0, 1)))
+    fake.gate.release(len(frames))
+    with caplog.at_level(logging.ERROR):
+        for frame in frames[:2]:
+            worker.submit(frame)
+        fake.detect, detect = lambda observation: [][observation.seq], fake.detect
+        worker.submit(frames[2])
+        fake.detect = detect
+        worker.submit(frames[3])
+    assert worker.stats.failures == {"RuntimeError": 2, "IndexError": 1}
+    assert (worker.stats.failed, worker.stats.done) == (3, 1)
+    assert worker.stats.last_error.startswith("IndexError: ")
+    assert [r.getMessage().split(":")[1].strip() for r in caplog.records] == [
+        "RuntimeError",
+        "IndexError",
+    ]
+    assert worker.poll().observation is frames[3]
+    assert [f.slot.holds for f in frames[:4]] == [0, 0, 0, 1]
+    worker.close()
+
+
+@pytest.mark.parametrize("boxes", [0, 1])
+def test_close_lets_everything_go(frames, boxes):
+    worker = DetectorWorker(fake := Fake())
+    fake.boxes = boxes
+    worker.submit(frames[0])
+    fake.gate.release()
+    wait_for(worker, worker.idle)
+    worker.submit(frames[1])
+    assert fake.started.acquire(timeout=10)
+    assert fake.started.acquire(timeout=10)
+    worker.submit(frames[2])
+    fake.gate.release()
+    worker.close()
+    worker.submit(frames[3])
+    assert [f.slot.holds for f in frames] == [0] * 5

@@ -1,0 +1,77 @@
+"""The real YOLO-World on real pictures; skips where the model was not exported."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from edge import config
+from edge.perception import store
+from edge.perception.cards import ModelError, load_card, verify_model
+from edge.perception.detector import make_detector
+from edge.perception.text import PromptError, find_vocabulary
+
+MODELS = ("yolo-world-s-256x320-fp32", "yolo-world-s-256x320-int8-cpu")
+PROMPTS = ("chair", "bed", "refrigerator", "toilet", "trash can")
+CHAIR = np.array([335, 107, 612, 384])  # in the first picture, by eye
+
+
+@pytest.fixture(params=MODELS)
+def detector(request, shared_dir):
+    pytest.importorskip("onnxruntime")
+    try:
+        verify_model(load_card(request.param))
+    except ModelError as error:
+        pytest.skip(str(error))
+    try:
+        vocabulary = find_vocabulary(None)
+    except PromptError:
+        vocabulary = shared_dir / "models" / "clip_vitb32_vocab.npz"
+    if not vocabulary.exists():
+        pytest.skip(f"not there: {vocabulary.name}")
+    made = config.DetectorOnnx(model=request.param, vocabulary=str(vocabulary))
+    detector = make_detector(config.Perception(detector=made), PROMPTS)
+    yield detector
+    detector.close()
+
+
+def picture(shared_dir, i):
+    path = shared_dir / "logs" / "redwood_rgbd" / "color" / f"{i:05d}.jpg"
+    if not path.exists():
+        pytest.skip(f"not there: {path.name}")
+    return np.ascontiguousarray(cv2.imread(str(path))[:, :, ::-1])
+
+
+def test_it_finds_the_chair_and_nothing_else_strong(detector, shared_dir, make_observation):
+    for i in range(5):
+        found = detector.detect(make_observation(seq=i, rgb=picture(shared_dir, i)))
+        assert found.prompts[found.class_id[0]] == "chair"
+        assert found.score[0] > 0.5
+        others = found.score[found.class_id != 0]
+        assert len(others) == 0 or others.max() < 0.3
+        if i == 0:
+            np.testing.assert_allclose(found.xyxy_px[0], CHAIR, atol=15)
+
+
+def test_an_image_of_the_inputs_size_and_a_larger_one_agree(detector, shared_dir, make_observation):
+    large = picture(shared_dir, 0)
+    small = cv2.resize(large, (320, 240), interpolation=cv2.INTER_AREA)
+    a = detector.detect(make_observation(rgb=large))
+    b = detector.detect(make_observation(rgb=small))
+    np.testing.assert_allclose(a.xyxy_px[0], 2 * b.xyxy_px[0], atol=3)
+    assert a.score[0] == pytest.approx(b.score[0], abs=0.05)
+
+
+def test_a_background_is_the_rival_of_its_place(detector, shared_dir, make_observation):
+    seen = make_observation(rgb=picture(shared_dir, 4))
+    rival = config.DetectorOnnx(
+        model=detector.name, vocabulary=str(detector._text.path), background=("chair",)
+    )
+    found = make_detector(config.Perception(detector=rival), ["armchair"]).detect(seen)
+    assert found.rival.max() > 0.3
+    assert found.unrivalled().tolist() == (found.score >= found.rival).tolist()
+
+
+def test_the_check_command_is_content(detector):
+    assert "ok" in store.check_model(load_card(detector.name))

@@ -1,0 +1,121 @@
+"""Plain Python twins of the perception kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def to_planes(rgb, scale, top, left, out):
+    h, w = rgb.shape[:2]
+    out[:, top : top + h, left : left + w] = rgb.transpose(2, 0, 1).astype(np.float32) * scale
+
+
+def iou(a, b):
+    w, h = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    if w <= 0 or h <= 0:
+        return 0.0
+    area = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1])
+    return w * h / (area - w * h)
+
+
+def split_scores(boxes, scores, n_targets, tau):
+    """(best, label, rival, invalid)."""
+    finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
+    clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
+    targets, rest = clean[:, :n_targets], clean[:, n_targets:]
+    rival = rest.max(axis=1) if rest.shape[1] else np.zeros(len(boxes), np.float32)
+    return targets.max(axis=1), targets.argmax(axis=1), rival, int((~finite).sum())
+
+
+def suppress(boxes, best, label, iou_max, limit):
+    """Indices of the kept boxes."""
+    kept = []
+    for i in sorted(np.flatnonzero(best > 0), key=lambda i: (-best[i], i)):
+        if len(kept) == limit:
+            break
+        if all(label[i] != label[j] or iou(boxes[i], boxes[j]) <= iou_max for j in kept):
+            kept.append(i)
+    return kept
+
+
+def strongest_rivals(boxes, rival, keep, iou_max):
+    """The best rival on the place of each kept box."""
+    places = [[j == i or iou(boxes[i], b) > iou_max for j, b in enumerate(boxes)] for i in keep]
+    return np.array([rival[place].max() for place in places], np.float32)
+
+
+def object_boxes(ids, depth, n):
+    """(box, pixels, mean distance) of objects 1..n."""
+    box, pixels, distance = [], [], []
+    for i in range(1, n + 1):
+        ys, xs = np.nonzero(ids == i)
+        z = depth[ys, xs]
+        z = z[np.isfinite(z) & (z > 0)]
+        here = (xs.min(), ys.min(), xs.max() + 1, ys.max() + 1) if len(xs) else None
+        box.append(here or (ids.shape[1], ids.shape[0], 0, 0))
+        pixels.append(len(xs))
+        distance.append(z.mean() if len(z) else 0.0)
+    return np.array(box), np.array(pixels), np.array(distance)
+
+
+def cloud_raster(cloud, T, fx, fy, cx, cy, cell_px, shape):
+    """Index of the nearest point of every cell, -1 where none lies."""
+    raster = np.full(shape, -1)
+    nearest = np.full(shape, np.inf)
+    for i, point in enumerate(cloud.astype(np.float64)):
+        if not np.isfinite(point).all():
+            continue
+        x, y, z = T[:3, :3] @ point + T[:3, 3]
+        if z < 0.05:
+            continue
+        c = int(np.floor((fx * x / z + cx + 0.5) / cell_px))
+        r = int(np.floor((fy * y / z + cy + 0.5) / cell_px))
+        if 0 <= r < shape[0] and 0 <= c < shape[1] and np.float32(z) < nearest[r, c]:
+            nearest[r, c], raster[r, c] = np.float32(z), i
+    return raster
+
+
+def grid_of(low, high, side):
+    """The places along one axis that a box is sampled at."""
+    step = max(1, -(-(high - low) // side))
+    return range(low + step // 2, high, step)
+
+
+def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
+    """Points (k, 3) of a box in the optical frame."""
+    h, w = depth.shape
+    u0, v0 = max(0, int(box[0])), max(0, int(box[1]))
+    u1, v1 = min(w, int(box[2]) + 1), min(h, int(box[3]) + 1)
+    points = []
+    for v in grid_of(v0, v1, side):
+        for u in grid_of(u0, u1, side):
+            z = float(depth[v, u])
+            if 0 < z <= max_range:
+                points.append(((u - cx) / fx * z, (v - cy) / fy * z, z))
+    return np.array(points, np.float32).reshape(-1, 3)
+
+
+def surface(z, max_range, bins, gap_m, share):
+    """(low, high) of the nearest surface with its share of samples, else the largest."""
+    if len(z) == 0:
+        return 1.0, 0.0
+    width = max_range / bins
+    gap = max(2, int(np.ceil(gap_m / width)))
+    counts = np.bincount(np.minimum((z / width).astype(int), bins - 1), minlength=bins)
+    filled = np.flatnonzero(counts > len(z) // 200)
+    if len(filled) == 0:
+        return 0.0, max_range
+    groups = np.split(filled, np.flatnonzero(np.diff(filled) > gap) + 1)
+    sizes = [counts[g].sum() for g in groups]
+    chosen = next((g for g, s in zip(groups, sizes, strict=True) if s >= share * len(z)), None)
+    chosen = groups[int(np.argmax(sizes))] if chosen is None else chosen
+    return chosen[0] * width, (chosen[-1] + 1) * width
+
+
+def merge_points(old, new, voxel_m, cap):
+    """One point per voxel, at most `cap`."""
+    joined = np.concatenate((old, new))
+    keys = np.floor(joined / np.float64(voxel_m)).astype(np.int64)
+    _, first = np.unique(keys, axis=0, return_index=True)
+    kept = min(len(first), cap)
+    return joined[first[np.arange(kept) * len(first) // kept]]

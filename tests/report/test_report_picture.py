@@ -1,0 +1,119 @@
+"""The map picture: cropping, thinning, colours, and drawings of odd runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.geometry import SE2
+from edge.report import palette, picture, raster
+from edge.sinks.recorder import MapSnapshot
+from edge.types import Goal
+
+
+def pixels(png: bytes) -> np.ndarray:
+    """(h, w, 3) uint8 RGB of a PNG file."""
+    bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def count(image: np.ndarray, hex_colour: str) -> int:
+    rgb = np.frombuffer(bytes.fromhex(hex_colour[1:]), np.uint8)
+    return int((np.abs(image.astype(int) - rgb).max(axis=2) <= 2).sum())
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 3), (5, 4)])
+def test_crop_of_nothing_known(shape):
+    assert raster.crop(MapSnapshot(np.full(shape, -1, np.int8), (0.0, 0.0), 0.1)) is None
+
+
+def test_crop_keeps_every_known_cell_where_it_was():
+    cells = np.full((40, 50), -1, np.int8)
+    cells[10, 7], cells[22, 31] = 0, 100
+    known = raster.crop(MapSnapshot(cells, (-2.0, 1.0), 0.1))
+    np.testing.assert_array_equal(known.cells, cells[10:23, 7:32])
+    assert raster.box_of(known) == pytest.approx((-1.3, 1.2, 2.0, 3.3))
+
+
+@pytest.mark.parametrize(
+    ("shape", "max_side", "k"), [((3, 4), 4, 1), ((8, 8), 4, 2), ((9, 5), 4, 3), ((1, 10), 4, 3)]
+)
+def test_thin_keeps_obstacles_and_then_free_space(shape, max_side, k):
+    rng = np.random.default_rng(1)
+    cells = rng.choice(np.array([-1, 0, 100], np.int8), shape, p=[0.6, 0.3, 0.1])
+    small, step = raster.thin(cells, max_side)
+    assert step == k
+    assert max(small.shape) <= max_side
+    for y, x in np.ndindex(small.shape):
+        assert small[y, x] == cells[y * k : (y + 1) * k, x * k : (x + 1) * k].max()
+
+
+def test_colour_of_each_kind_of_cell():
+    image = raster.colour(np.array([[-1, 0, 1, 99, 100]], np.int8))
+    assert image.dtype == np.uint8
+    hexes = ["#" + bytes(pixel).hex() for pixel in image[0]]
+    inflated = palette.INFLATED
+    assert hexes == [palette.UNKNOWN, palette.FREE, inflated, inflated, palette.OCCUPIED]
+
+
+def test_an_empty_run_is_drawn(empty_run):
+    image = pixels(picture.png(empty_run))
+    assert count(image, palette.UNKNOWN) > 0.3 * image.shape[0] * image.shape[1]
+
+
+def test_everything_of_a_run_is_drawn(run):
+    image = pixels(picture.png(run))
+    bare = pixels(picture.png(replace(run, goals=(), instances=(), frontiers_m=np.zeros((0, 2)))))
+    for colour, least in ((palette.FRONTIER, 300), (palette.TARGET, 1000)):
+        assert count(image, colour) > count(bare, colour) + least
+    assert count(image, palette.OCCUPIED) > 5000
+    assert count(image, palette.outcome_colour("reached")) > 1000
+
+
+def test_a_huge_map_is_thinned_and_its_walls_stay(run):
+    cells = np.zeros((4000, 4000), np.int8)
+    cells[2000, :] = 100  # one cell wide: every third row would miss it
+    huge = replace(run, map=MapSnapshot(cells, (-100.0, -100.0), 0.05), instances=())
+    image = pixels(picture.png(huge))
+    assert max(image.shape) < 2500
+    assert raster.thin(cells)[0].max(axis=0).min() == 100
+
+
+@pytest.mark.parametrize("size_m", [(40.0, 4.0), (3.0, 40.0)])
+def test_long_maps_keep_the_picture_readable(run, size_m):
+    cells = np.zeros((round(size_m[1] / 0.1), round(size_m[0] / 0.1)), np.int8)
+    image = pixels(picture.png(replace(run, map=MapSnapshot(cells, (-1.0, -1.0), 0.1))))
+    assert 600 < image.shape[0] < 1200
+    assert 800 < image.shape[1] < 1500
+
+
+@pytest.mark.parametrize("text", ["$x^", "a $b$ c", "Stühle für 2", "x" * 500, "\\frac", "a_{b"])
+def test_any_text_can_be_a_title_or_a_label(run, text):
+    named = replace(run.instances[0], label=text)
+    mission = replace(run.mission, phase="failed", reason=text)
+    changed = replace(run, title=text, instances=(named,), mission=mission)
+    assert picture.png(changed).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("kind", ["frontier", "instance", "look"])
+def test_every_kind_of_goal_is_drawn(run, kind):
+    goal = Goal(0, SE2(8.0, 8.5, 0.0), kind, 1, (8.0, 8.5), 0.5, "chair")
+    without = picture.png(replace(run, goals=()))
+    assert picture.png(replace(run, goals=(goal,))) != without
+
+
+def test_points_that_are_not_finite_do_not_stretch_the_picture(run):
+    trajectory = run.trajectory.copy()
+    trajectory[5] = np.nan
+    image = pixels(picture.png(replace(run, trajectory=trajectory)))
+    assert count(image, palette.OCCUPIED) > 5000
+
+
+def test_where_it_cannot_be_written(run, tmp_path):
+    with pytest.raises(OSError, match="nowhere"):
+        picture.draw(run, tmp_path / "nowhere" / "a.png")
+    picture.draw(run, tmp_path / "a.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]

@@ -1,0 +1,195 @@
+"""What a run leaves behind: bounded, cheap, and the right frames kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.config import parse
+from edge.geometry import SE2
+from edge.latency import LatencyRing
+from edge.sinks import recorder as module
+from edge.sinks.recorder import Ends, MapSnapshot, Recorder, RunRecord, Trail, detector_name
+from edge.types import Detections, Goal, MissionStatus, Observation
+
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def make(frames: int = 8, target: str = "chair") -> Recorder:
+    return Recorder(parse({"report": {"frames": frames}, "mission": {"target": target}}))
+
+
+def finish(recorder: Recorder, **more: object) -> RunRecord:
+    return recorder.finish(MissionStatus("chair", "reached"), LatencyRing().report(), **more)
+
+
+def seen(stamp_ns: int, scores: dict[str, float], size: tuple[int, int] = (16, 20)) -> Detections:
+    rgb = np.full((*size, 3), stamp_ns // S % 200, np.uint8)
+    boxes = np.tile(np.array([2, 4, 8, 12], np.float32), (len(scores), 1))
+    score = np.array(list(scores.values()), np.float32)
+    class_id = np.arange(len(scores), dtype=np.int32)
+    return Detections(
+        Observation(0, stamp_ns, np.eye(4), rgb=rgb), boxes, score, class_id, tuple(scores)
+    )
+
+
+def test_empty():
+    record = finish(make())
+    assert record.trajectory.shape == (0, 3)
+    assert record.frontiers_m.shape == (0, 2)
+    assert (record.frames, record.goals, record.events, record.map) == ((), (), (), None)
+    assert record.title == "Find the chair"
+
+
+def test_trajectory_keeps_steps_and_counts_from_the_start():
+    recorder = make()
+    for k in range(100):  # 1 cm each 10 ms: every fifth is 5 cm on
+        recorder.pose(5 * S + k * 10 * MS, SE2(0.0100001 * k, 0.0, 0.25))
+    record = finish(recorder)
+    np.testing.assert_allclose(record.trajectory[:, 0], np.arange(0, 100, 5) * 0.01, atol=1e-4)
+    np.testing.assert_allclose(record.trajectory_t_s, np.arange(0, 100, 5) * 0.01, atol=1e-9)
+    np.testing.assert_array_equal(record.trajectory[:, 2], 0.25)
+
+
+def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
+    recorder = make()
+    for k in range(61):
+        recorder.pose(k * S // 60, SE2(0.0, 0.0, 0.0))
+    assert len(finish(recorder).trajectory) == 11
+
+
+@given(n=st.integers(1, 900), capacity=st.integers(4, 40))
+@settings(max_examples=40, deadline=None)
+def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
+    trail = Trail(capacity)
+    for k in range(n):
+        trail.append(k * S, SE2(float(k), 0.0, 0.0))
+    poses, stamps_ns = trail.arrays()
+    assert 1 <= len(poses) <= capacity
+    np.testing.assert_array_equal(poses[:, 0], stamps_ns // S)
+    gaps = np.diff(poses[:, 0])
+    assert poses[0, 0] == 0
+    assert (gaps > 0).all()
+    assert n - 1 - poses[-1, 0] <= gaps.max(initial=1)
+
+
+@given(n=st.integers(0, 60), first=st.integers(0, 10), last=st.integers(1, 10))
+def test_ends(n, first, last):
+    ends: Ends[int] = Ends(first, last)
+    for k in range(n):
+        ends.append(k)
+    everything = list(range(n))
+    expected = everything if n <= first + last else everything[:first] + everything[-last:]
+    assert list(ends.items()) == expected
+    assert (ends.count, ends.left_out) == (n, n - len(expected))
+
+
+def test_a_goal_sent_again_is_one_goal():
+    recorder = make()
+    for stamp in (1, 1, 2, 2, 2):
+        recorder.goal(Goal(stamp * S, SE2(0, 0, 0), "frontier", stamp, (1.0, 1.0), 0.5, "chair"))
+    record = finish(recorder)
+    assert [g.candidate_id for g in record.goals] == [1, 2]
+    assert record.counters["goals"] == 2
+    assert record.seconds(2 * S) == 1.0
+
+
+def test_events_in_order_of_time():
+    recorder = make()
+    recorder.event(10 * S, "begin")
+    recorder.event(12 * S, "late")
+    recorder.event(11 * S, "early")
+    assert finish(recorder).events == ((0.0, "begin"), (1.0, "early"), (2.0, "late"))
+
+
+def test_events_without_end_are_counted():
+    recorder = make()
+    for k in range(2000):
+        recorder.event(k, f"{k}")
+    record = finish(recorder)
+    assert len(record.events) == 500
+    assert record.counters["events not shown"] == 1500
+
+
+def test_frames_are_spaced_and_copied():
+    recorder = make()
+    shared = seen(0, {"chair": 0.5})
+    recorder.frame(shared)
+    shared.observation.rgb[:] = 255
+    shared.xyxy_px[:] = -1
+    for k in range(1, 30):  # no better, within the second
+        recorder.frame(seen(k * S // 30, {"chair": 0.5}))
+    recorder.frame(seen(S, {"sofa": 0.5}))
+    frames = finish(recorder).frames
+    assert [f.stamp_ns for f in frames] == [0, S]
+    assert frames[0].rgb.max() == 0
+    np.testing.assert_array_equal(frames[0].xyxy_px, [[2, 4, 8, 12]])
+    assert (frames[0].target_score, frames[1].target_score) == (0.5, 0.0)
+
+
+def test_a_clearly_better_view_within_the_second_takes_the_place():
+    recorder = make()
+    for k, score in enumerate((0.3, 0.32, 0.6, 0.5)):
+        recorder.frame(seen(k * S // 10, {"chair": score}))
+    assert [f.stamp_ns for f in finish(recorder).frames] == [2 * S // 10]
+
+
+def test_half_are_the_best_of_the_target_and_half_the_newest():
+    scores = [0.1, 0.9, 0.2, 0.8, 0.1, 0.1, 0.3, 0.2, 0.1]
+    recorder = make(frames=4)
+    for k, score in enumerate(scores):
+        recorder.frame(seen(k * S, {"sofa": 0.9, "chair": score}))
+    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 3, 7, 8]
+
+
+def test_frames_with_boxes_outlast_frames_without():
+    recorder = make(frames=3)
+    for k in range(9):
+        recorder.frame(seen(k * S, {"sofa": 0.5} if k in (1, 2) else {}))
+    assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 2, 8]
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_few_or_no_frames_wanted(frames):
+    recorder = make(frames)
+    for k in range(6):
+        recorder.frame(seen(k * S, {"chair": 0.1 * k}))
+    recorder.frame(Detections(Observation(0, 9 * S, np.eye(4)), *[np.zeros(0)] * 3, ("chair",)))
+    assert len(finish(recorder).frames) == frames
+
+
+def test_another_word_for_the_target_is_the_target():
+    recorder = make(target="couch")
+    recorder.frame(seen(0, {"sofa": 0.7, "chair": 0.9}))
+    record = finish(recorder)
+    assert record.frames[0].is_target.tolist() == [True, False]
+    assert record.is_target("sofas")
+    assert not record.is_target("chair")
+
+
+def test_large_images_are_thinned_with_their_boxes():
+    recorder = make()
+    recorder.frame(seen(0, {"chair": 0.5}, size=(1000, 1500)))
+    frame = finish(recorder).frames[0]
+    assert frame.rgb.shape == (334, 500, 3)
+    assert max(frame.rgb.shape) <= module.MAX_FRAME_PX
+    np.testing.assert_allclose(frame.xyxy_px, [[2 / 3, 4 / 3, 8 / 3, 4]], rtol=1e-6)
+
+
+def test_known_area():
+    cells = np.array([[-1, 0], [100, -1]], np.int8)
+    assert MapSnapshot(cells, (0.0, 0.0), 0.5).known_m2 == 0.5
+
+
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        ({"kind": "sim"}, "no neural network"),
+        ({"kind": "onnx", "model": "m1"}, "m1 on CPUExecutionProvider"),
+    ],
+)
+def test_a_detector_is_called_what_it_is(detector, words):
+    assert words in detector_name(parse({"perception": {"detector": detector}}))

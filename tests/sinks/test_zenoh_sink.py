@@ -1,0 +1,214 @@
+"""The sink over a real session: what goes out, how often, and that nobody waits."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import zenoh
+
+from edge import topics
+from edge.bus import open_session
+from edge.config import Config, parse
+from edge.geometry import SE2
+from edge.latency import LatencyRing
+from edge.sinks.zenoh import ZenohSink
+from edge.types import Goal, GoalStatus, MissionStatus, Observation
+from edge.wire import messages
+
+PATIENCE_S = 10.0
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
+    return Goal(stamp_ns, SE2(x_m, 2.0, 0.5), "frontier", 7, (x_m, 2.5), 0.4, "chair")
+
+
+class Fake:
+    """Stands for the service: just what the sink asks of it."""
+
+    def __init__(self) -> None:
+        self.status = MissionStatus("chair", "searching")
+        self.latency = LatencyRing()
+        cells = np.array([[-1, 0], [100, 0]], np.int8)
+        snapshot = SimpleNamespace(cells=cells, origin_xy_m=(-1.0, 2.0), resolution_m=0.05)
+        self.grid = SimpleNamespace(snapshot=lambda: snapshot)
+
+    def status_dict(self) -> dict:
+        return {"phase": self.status.phase}
+
+
+class Ears:
+    """A subscriber to everything that the service writes."""
+
+    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+        self._subscribers = {
+            topic.key: session.declare_subscriber(
+                topic.under(prefix), zenoh.handlers.RingChannel(1000)
+            )
+            for topic in topics.ALL
+            if topic.writer == "service"
+        }
+
+    def hear(self, key: str, timeout_s: float = PATIENCE_S) -> bytes | None:
+        deadline_s = time.monotonic() + timeout_s
+        while (sample := self._subscribers[key].try_recv()) is None:
+            if time.monotonic() > deadline_s:
+                return None
+            time.sleep(0.002)
+        return sample.payload.to_bytes()
+
+    def hear_all(self, key: str, during_s: float) -> list[bytes]:
+        time.sleep(during_s)
+        heard = []
+        while (sample := self._subscribers[key].try_recv()) is not None:
+            heard.append(sample.payload.to_bytes())
+        return heard
+
+
+@pytest.fixture
+def session():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(
+        Config.model_validate({"zenoh": {"endpoint": endpoint}}).zenoh, "listen"
+    ) as s:
+        yield s
+
+
+@pytest.fixture
+def ears(session):
+    return Ears(session, "edge")
+
+
+@pytest.fixture
+def sink(session, ears):
+    sink = ZenohSink(session, Config())
+    yield sink
+    sink.close()
+
+
+def observation(stamp_ns: int) -> Observation:
+    return Observation(0, stamp_ns, np.eye(4))
+
+
+def test_a_first_tick_says_everything_once(sink, ears):
+    service = Fake()
+    for now_ns in (10**9, 10**9 + 1):
+        sink.tick(service, observation(now_ns), now_ns)
+    stamp_ns, cells, origin, resolution = messages.decode_occupancy_grid(ears.hear("map"))
+    assert (stamp_ns, origin, resolution) == (10**9, (-1.0, 2.0), 0.05)
+    assert cells.tolist() == [[-1, 0], [100, 0]]
+    assert json.loads(ears.hear("status")) == {"phase": "searching"}
+    assert json.loads(ears.hear("latency")) == service.latency.report().as_dict()
+    mission = json.loads(ears.hear("mission"))
+    assert (mission["target"], mission["phase"]) == ("chair", "searching")
+    assert ears.hear_all("map", 0.2) == ears.hear_all("status", 0.0) == []
+    assert ears.hear("tick", 0.0) is None
+
+
+def test_rates_follow_the_clock_of_the_loop(session, ears):
+    # In lockstep nothing is replaced, so what leaves can be counted.
+    sink, service = ZenohSink(session, parse({"loop": {"lockstep": True}})), Fake()
+    for k in range(100):  # 10 s at 10 Hz on the loop's clock, in no time
+        sink.tick(service, None, k * 10**8)
+    sink.close()
+    assert len(ears.hear_all("map", 0.5)) == 20
+    assert len(ears.hear_all("status", 0.0)) == 10
+    assert len(ears.hear_all("latency", 0.0)) == 10
+
+
+def test_a_clock_set_back_does_not_silence_it(sink, ears):
+    service = Fake()
+    sink.tick(service, None, 10**12)
+    assert ears.hear("status")
+    sink.tick(service, None, 5)
+    assert ears.hear("status")
+
+
+def test_a_goal_is_sent_until_it_is_answered(sink, ears):
+    sink.goal(goal(123, x_m=3.0))
+    for _ in range(3):
+        stamp_ns, pose = messages.decode_pose_stamped(ears.hear("goal"))
+        assert (stamp_ns, pose.x_m, pose.y_m) == (123, 3.0, 2.0)
+    sink.answered(GoalStatus(122, "reached"))
+    assert ears.hear("goal")
+    sink.answered(GoalStatus(123, "reached"))
+    ears.hear_all("goal", 0.3)
+    assert ears.hear_all("goal", 1.5) == []
+
+
+def test_an_accepted_goal_is_repeated_for_a_controller_that_starts_anew(sink, ears):
+    sink.goal(goal(123))
+    assert ears.hear("goal")
+    sink.answered(GoalStatus(123, "accepted"))
+    ears.hear_all("goal", 0.3)
+    assert 1 <= len(ears.hear_all("goal", 2.4)) <= 3
+
+
+def test_a_new_goal_takes_the_place_of_the_old(sink, ears):
+    sink.goal(goal(1))
+    assert messages.decode_pose_stamped(ears.hear("goal"))[0] == 1
+    sink.goal(goal(2))
+    sink.answered(GoalStatus(1, "failed"))
+    heard = [messages.decode_pose_stamped(p)[0] for p in ears.hear_all("goal", 1.5)]
+    assert heard[-1] == 2
+    assert 1 not in heard[heard.index(2) :]
+
+
+def test_the_mission_reaches_those_who_come_late(sink, session):
+    service = Fake()
+    service.status = MissionStatus("chair", "reached", "", 12.5, 3.0)
+    sink.tick(service, None, 0)
+    time.sleep(0.3)
+    late = Ears(session, "edge")
+    assert json.loads(late.hear("mission"))["phase"] == "reached"
+
+
+def test_the_last_word_leaves_before_it_closes(session, ears):
+    sink, service = ZenohSink(session, Config()), Fake()
+    service.status = MissionStatus("chair", "failed", "time limit")
+    sink.tick(service, None, 0)
+    sink.close()
+    assert json.loads(ears.hear("mission"))["reason"] == "time limit"
+
+
+def test_lockstep_sends_everything_in_order(session):
+    order = session.declare_subscriber("edge/**", zenoh.handlers.FifoChannel(1000))
+    sink, service = ZenohSink(session, parse({"loop": {"lockstep": True}})), Fake()
+    for k in range(3):
+        sink.goal(goal(k))
+        sink.tick(service, observation(k), k * 10**10)
+    sink.close()
+    keys = []
+    while (sample := order.try_recv()) is not None:
+        keys.append(str(sample.key_expr).removeprefix("edge/"))
+    assert keys == ["goal", "map", "status", "latency", "mission", "tick"] + [
+        "goal", "map", "status", "latency", "tick",
+    ] * 2  # fmt: skip
+
+
+def test_a_tick_is_repeated_for_a_controller_that_comes_late(session):
+    sink = ZenohSink(session, parse({"loop": {"lockstep": True}}))
+    sink.tick(Fake(), observation(77), 77)
+    time.sleep(0.2)
+    late = Ears(session, "edge")
+    assert messages.decode_occupancy_grid(late.hear("map"))[0] == 77
+    assert json.loads(late.hear("tick")) == {"stamp": 77}
+    sink.close()
+
+
+def test_a_status_that_is_no_json_does_not_stop_the_sink(sink, ears, caplog):
+    sink.publish_status({"score": float("nan")})
+    time.sleep(0.3)
+    sink.publish_status({"score": 1.0})
+    assert json.loads(ears.hear("status")) == {"score": 1.0}
+    assert "status" in caplog.text

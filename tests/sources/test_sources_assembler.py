@@ -1,0 +1,348 @@
+"""Messages become observations, or counted drops."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from edge import topics
+from edge.config import Config, ConfigError, parse
+from edge.geometry import SE2, CameraModel
+from edge.sources.assembler import PATIENCE_NS, Assembler
+from edge.wire import messages
+
+MS = 1_000_000
+FRAME_NS = 33_333_333
+CAMERA = CameraModel(4, 3, 5.0, 5.0, 1.5, 1.0)
+ONNX = {"perception": {"detector": {"kind": "onnx"}}}
+CLOUD = {
+    "mapping": {"input": "cloud"},
+    "perception": {"detector": {"kind": "onnx"}, "lift": "cloud"},
+    "sensors": {"lidar": {"x_m": 0.2, "z_m": 0.4, "pitch_deg": 23.0}},
+}
+
+
+class Robot:
+    """Feeds an assembler on a clock that only the test moves."""
+
+    def __init__(self, data: dict | None = None) -> None:
+        self.now_ns = 0
+        self.assembler = Assembler(parse(data or ONNX), clock=lambda: self.now_ns)
+
+    def send(self, topic, payload: bytes) -> Robot:
+        self.assembler.offer(topic, payload)
+        return self
+
+    def info(self, camera=CAMERA) -> Robot:
+        return self.send(topics.CAMERA_INFO, messages.encode_camera_info(1, "camera", camera))
+
+    def odom(self, stamp_ns: int, x_m: float = 0.0) -> Robot:
+        payload = messages.encode_odometry(stamp_ns, SE2(x_m, 0.0, 0.0).matrix(), 0.0, 0.0)
+        return self.send(topics.ODOMETRY, payload)
+
+    def rgb(self, stamp_ns: int, value: int = 1, shape=(3, 4, 3)) -> Robot:
+        image = np.full(shape, value, np.uint8)
+        return self.send(topics.RGB, messages.encode_image(stamp_ns, "camera", image))
+
+    def depth(self, stamp_ns: int, mm: int = 1500, shape=(3, 4)) -> Robot:
+        image = np.full(shape, mm, np.uint16)
+        return self.send(topics.DEPTH, messages.encode_image(stamp_ns, "camera", image))
+
+    def cloud(self, stamp_ns: int, n: int = 5) -> Robot:
+        points = np.arange(3 * n, dtype=np.float32).reshape(n, 3)
+        return self.send(topics.CLOUD, messages.encode_point_cloud(stamp_ns, "lidar", points))
+
+    def frame(self, stamp_ns: int, value: int = 1) -> Robot:
+        return self.rgb(stamp_ns, value).depth(stamp_ns)
+
+    def poll(self):
+        return self.assembler.poll()
+
+    def wait(self, ns: int = PATIENCE_NS + 1) -> Robot:
+        self.now_ns += ns
+        return self
+
+    @property
+    def drops(self) -> dict[str, int]:
+        drops = {k: n for k, n in self.assembler.counters.items() if n}
+        drops.pop("received", None)
+        drops.pop("observations", None)
+        return drops
+
+
+def test_nothing_gives_nothing():
+    robot = Robot()
+    assert robot.poll() is None
+    assert not robot.drops
+
+
+def test_a_frame_with_its_interpolated_pose():
+    robot = Robot().info().odom(1000, 0.0).frame(1500).odom(2000, 0.5)
+    observation = robot.poll()
+    assert (observation.seq, observation.stamp_ns) == (0, 1500)
+    assert observation.pose.x_m == pytest.approx(0.25)
+    assert observation.camera == CAMERA
+    assert (observation.rgb == 1).all()
+    np.testing.assert_allclose(observation.depth_m, 1.5)
+    assert observation.cloud_m is None
+    assert observation.T_base_camera[2, 3] == pytest.approx(0.6)
+    assert robot.poll() is None
+    assert robot.assembler.counters["observations"] == 1
+    assert robot.assembler.counters["received"] == 5
+    assert not robot.drops
+
+
+def test_odometry_at_the_stamp_is_waited_for():
+    robot = Robot().info().odom(1000, 0.0).frame(1500)
+    assert robot.poll() is None
+    assert robot.wait(PATIENCE_NS // 2).poll() is None
+    assert robot.odom(2000, 0.5).poll().pose.x_m == pytest.approx(0.25)
+
+
+def test_late_odometry_is_replaced_by_the_newest():
+    robot = Robot().info().odom(1000, 0.5).frame(1500)
+    assert robot.poll() is None
+    assert robot.wait().poll().pose.x_m == 0.5
+    assert not robot.drops
+
+
+@pytest.mark.parametrize(
+    ("odometry_ns", "stamp_ns", "reason"),
+    [
+        ([], 1500, "no_pose"),
+        ([1000], 1000 + 10**9, "no_pose"),
+        ([1000, 10**9], 5000, "no_pose"),
+        ([1000], 500, "stale"),
+    ],
+)
+def test_a_frame_without_a_pose_is_dropped(odometry_ns, stamp_ns, reason):
+    robot = Robot().info()
+    for at_ns in odometry_ns:
+        robot.odom(at_ns)
+    robot.frame(stamp_ns).wait()
+    assert robot.poll() is None
+    assert robot.drops == {reason: 1}
+
+
+def test_lockstep_waits_for_ever():
+    robot = Robot({**ONNX, "loop": {"lockstep": True}}).info().odom(1000).frame(1500)
+    assert robot.wait(10**12).poll() is None
+    assert robot.odom(1500, 0.5).poll().pose.x_m == 0.5
+
+
+def test_the_newest_of_several_wins():
+    robot = Robot().info().odom(0)
+    for k in range(1, 4):
+        robot.frame(k * FRAME_NS, value=k)
+    observation = robot.odom(4 * FRAME_NS).poll()
+    assert (observation.stamp_ns, observation.rgb[0, 0, 0]) == (3 * FRAME_NS, 3)
+    assert robot.poll() is None
+    assert robot.drops == {"superseded": 2}
+
+
+def test_a_loop_that_sleeps_keeps_only_the_newest():
+    robot = Robot().info().odom(0)
+    for k in range(1, 7):
+        robot.odom(k * FRAME_NS).frame(k * FRAME_NS, value=k)
+    assert robot.poll().stamp_ns == 6 * FRAME_NS
+    assert robot.drops == {"superseded": 5}
+
+
+def test_a_frame_that_waits_does_not_hold_up_one_that_is_complete():
+    robot = Robot().info().odom(1000).odom(2 * FRAME_NS)
+    robot.frame(FRAME_NS, value=1).frame(3 * FRAME_NS, value=3)
+    assert robot.poll().stamp_ns == FRAME_NS
+    assert robot.poll() is None
+    assert robot.odom(4 * FRAME_NS).poll().stamp_ns == 3 * FRAME_NS
+
+
+def test_the_pair_may_be_half_a_frame_apart():
+    robot = Robot().info().odom(0).odom(10 * FRAME_NS // 50)
+    robot.depth(1000).rgb(1000 + FRAME_NS // 2 - 100)
+    assert robot.wait().poll() is not None
+
+
+def test_depth_without_an_image_is_dropped_when_none_can_come():
+    robot = Robot().info().odom(0).odom(FRAME_NS)
+    robot.depth(1000)
+    assert robot.poll() is None
+    assert not robot.drops
+    robot.rgb(FRAME_NS)
+    assert robot.poll() is None
+    assert robot.drops == {"unpaired": 1}
+
+
+def test_depth_without_an_image_is_dropped_after_a_while():
+    robot = Robot().info().odom(0).odom(FRAME_NS).depth(1000)
+    assert robot.wait().poll() is None
+    assert robot.drops == {"unpaired": 1}
+
+
+def test_no_camera_info():
+    robot = Robot().odom(0).odom(2000).frame(1000)
+    assert robot.poll() is None
+    assert robot.drops == {"no_camera_info": 1}
+    assert robot.info().odom(FRAME_NS * 2).frame(FRAME_NS).poll() is not None
+
+
+@pytest.mark.parametrize(
+    ("rgb_shape", "depth_shape", "reason"),
+    [
+        ((3, 4, 3), (3, 5), "wrong_size"),
+        ((6, 8, 3), (3, 4), "wrong_size"),
+        ((0, 4, 3), (3, 4), "empty"),
+        ((3, 4, 3), (0, 0), "empty"),
+    ],
+)
+def test_images_of_the_wrong_size(rgb_shape, depth_shape, reason):
+    robot = Robot().info().odom(0).odom(2000)
+    robot.rgb(1000, shape=rgb_shape).depth(1000, shape=depth_shape)
+    assert robot.poll() is None
+    assert robot.drops == {reason: 1}
+    assert robot.odom(FRAME_NS * 2).frame(FRAME_NS).poll() is not None
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO, topics.OBJECT_LABELS],
+)
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [(b"", "empty"), (b"junk", "malformed"), (b"\0\1\0\0" + b"\xff" * 40, "malformed")],
+)
+def test_junk_is_counted_and_the_next_frame_is_taken(topic, payload, reason):
+    robot = Robot({"perception": {"detector": {"kind": "sim"}}}).info().odom(0)
+    robot.send(topic, payload)
+    assert robot.poll() is None
+    assert robot.drops == {reason: 1}
+    ids = messages.encode_image(FRAME_NS, "camera", np.ones((3, 4), np.uint16))
+    robot.odom(FRAME_NS * 2).frame(FRAME_NS).send(topics.OBJECT_IDS, ids)
+    assert robot.poll().object_ids.tolist() == [[1] * 4] * 3
+
+
+def test_pixels_that_are_cut_off_are_counted():
+    robot = Robot().info().odom(0).odom(2000).rgb(1000)
+    payload = messages.encode_image(1000, "camera", np.ones((3, 4), np.uint16))
+    assert robot.send(topics.DEPTH, payload[:-1]).poll() is None
+    assert robot.drops == {"malformed": 1}
+
+
+def test_repeated_and_backward_frames():
+    robot = Robot().info().odom(0).odom(10 * FRAME_NS // 10)
+    assert robot.frame(2000).poll() is not None
+    robot.frame(2000).frame(1000)
+    assert robot.poll() is None
+    assert robot.drops == {"repeated": 2, "backward": 2}
+
+
+def test_an_exhausted_pool_is_counted_and_recovers():
+    robot = Robot({**ONNX, "source": {"pool_slots": 3}}).info().odom(0)
+    held = []
+    for k in range(1, 5):
+        robot.odom(k * FRAME_NS).frame(k * FRAME_NS, value=k)
+        held.append(robot.poll())
+    assert held[3] is None
+    assert robot.drops == {"pool_exhausted": 1}
+    held[0].release()
+    fifth = robot.odom(5 * FRAME_NS).frame(5 * FRAME_NS, value=5).poll()
+    assert fifth.rgb is held[0].rgb
+    assert (held[1].rgb == 2).all()
+
+
+def test_a_pose_jump_raises_the_epoch():
+    robot = Robot().info().odom(1000, 0.0).odom(2000, 50.0)
+    assert robot.drops == {"pose_jump": 1}
+    assert robot.assembler.odometry.epoch == 1
+    assert robot.frame(1500).wait().poll() is None
+    assert robot.drops == {"pose_jump": 1, "stale": 1}
+
+
+def test_a_robot_that_starts_again_is_seen_again():
+    robot = Robot().info().odom(10**12)
+    for k in range(20):
+        robot.odom(k * FRAME_NS).frame(k * FRAME_NS)
+    robot.odom(20 * FRAME_NS)
+    assert robot.poll().stamp_ns == 19 * FRAME_NS
+    assert robot.assembler.odometry.epoch == 0
+
+
+def test_another_camera_brings_another_pool():
+    robot = Robot().info().odom(0).odom(1000).frame(1000)
+    first = robot.poll()
+    robot.info(CameraModel(8, 6, 5.0, 5.0, 3.5, 2.5)).odom(FRAME_NS)
+    robot.rgb(FRAME_NS, 7, (6, 8, 3)).depth(FRAME_NS, shape=(6, 8))
+    assert robot.poll().rgb.shape == (6, 8, 3)
+    assert (first.rgb == 1).all()
+    first.release()
+
+
+def test_a_camera_too_large_for_any_message_is_refused():
+    robot = Robot().info(CameraModel(2**31, 2**31, 5.0, 5.0, 1.0, 1.0))
+    assert robot.drops == {"oversized": 1}
+
+
+def test_a_cloud_alone_is_an_observation():
+    robot = Robot(CLOUD).odom(0).odom(2000).cloud(1000)
+    assert robot.poll() is None
+    observation = robot.wait().poll()
+    np.testing.assert_array_equal(observation.cloud_m, np.arange(15).reshape(5, 3))
+    assert observation.rgb is None
+    assert observation.camera is None
+    assert observation.T_base_lidar[:3, 3].tolist() == [0.2, 0.0, 0.4]
+    assert observation.T_base_lidar[2, 0] == pytest.approx(-np.sin(np.radians(23.0)))
+
+
+def test_a_cloud_takes_the_image_close_in_time():
+    robot = Robot(CLOUD).info().odom(0).odom(FRAME_NS)
+    robot.rgb(1000, value=1).cloud(2000).rgb(FRAME_NS, value=9)
+    observation = robot.poll()
+    assert (observation.rgb == 1).all()
+    assert observation.camera == CAMERA
+    assert observation.depth_m is None
+
+
+def test_a_bad_image_does_not_cost_the_cloud():
+    robot = Robot(CLOUD).info().odom(0).odom(2000).rgb(1000, shape=(5, 5, 3)).cloud(1000)
+    observation = robot.poll()
+    assert len(observation.cloud_m) == 5
+    assert observation.rgb is None
+    assert robot.drops == {"wrong_size": 1}
+
+
+def test_a_scan_is_a_cloud_too():
+    ranges = np.array([1.0, 2.0], np.float32)
+    scan = messages.encode_laser_scan(1000, "lidar", 0.0, np.pi / 2, 10.0, ranges)
+    robot = Robot(CLOUD).odom(0).odom(2000).send(topics.SCAN, scan).wait()
+    np.testing.assert_allclose(robot.poll().cloud_m, [[1, 0, 0], [0, 2, 0]], atol=1e-6)
+
+
+def test_an_empty_cloud_and_one_too_large():
+    robot = Robot({**CLOUD, "source": {"max_cloud_points": 16}}).odom(0).odom(FRAME_NS)
+    robot.cloud(1000, n=0).cloud(2000, n=17).wait()
+    assert robot.poll() is None
+    assert robot.drops == {"empty": 1, "malformed": 1}
+
+
+def test_cloud_without_a_lidar_is_a_configuration_error():
+    with pytest.raises(ConfigError, match=r"mapping\.input: cloud needs sensors\.lidar"):
+        Assembler(Config(**{"mapping": {"input": "cloud"}}))
+
+
+def test_labels_are_remembered():
+    robot = Robot({"perception": {"detector": {"kind": "sim"}}}).info().odom(1000)
+    robot.send(topics.OBJECT_LABELS, json.dumps(["chair", "bed"]).encode())
+    robot.send(topics.OBJECT_LABELS, b'["a", 3]').send(topics.OBJECT_LABELS, b"{}")
+    ids = messages.encode_image(1000, "camera", np.ones((3, 4), np.uint16))
+    observation = robot.frame(1000).send(topics.OBJECT_IDS, ids).poll()
+    assert observation.object_labels == ("chair", "bed")
+    assert robot.drops == {"malformed": 2}
+
+
+def test_a_pose_too_far_for_the_map_is_dropped():
+    robot = Robot().info().odom(1_000 * MS, x_m=5.4e6).odom(1_010 * MS, x_m=-5.4e6)
+    assert robot.assembler.counters["malformed"] == 2
+    assert len(robot.assembler.odometry) == 0
+    robot.odom(1_020 * MS, x_m=1.0).frame(1_020 * MS)
+    assert robot.poll() is not None

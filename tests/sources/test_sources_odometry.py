@@ -1,0 +1,167 @@
+"""Odometry: order of stamps, interpolation, jumps, clocks set anew."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.geometry import SE2, se2_of
+from edge.sources.odometry import RESET_AFTER, OdometryRing, StampGuard
+
+
+def ring(*samples: tuple[int, float], capacity=64, max_gap_s=1.0, max_jump_m=1.0) -> OdometryRing:
+    """A ring with poses (stamp, x)."""
+    result = OdometryRing(capacity, max_gap_s, max_jump_m)
+    for stamp_ns, x_m in samples:
+        result.push(stamp_ns, SE2(x_m, 0.0, 0.0).matrix())
+    return result
+
+
+@pytest.mark.parametrize(
+    ("samples", "asked_ns", "x_m", "missing"),
+    [
+        ([], 5, None, "empty"),
+        ([(10, 1.0)], 9, None, "too_old"),
+        ([(10, 1.0)], 10, 1.0, ""),
+        ([(10, 1.0)], 11, None, "too_new"),
+        ([(10, 0.0), (20, 1.0)], 15, 0.5, ""),
+        ([(10, 0.0), (20, 1.0)], 20, 1.0, ""),
+        ([(10, 0.0), (20, 0.5), (30, 1.0)], 12, 0.1, ""),
+        ([(0, 0.0), (2_000_000_000, 0.5)], 10, None, "gap"),
+    ],
+)
+def test_pose_at(samples, asked_ns, x_m, missing):
+    T, why = ring(*samples).pose_at(asked_ns)
+    assert why == missing
+    if x_m is None:
+        assert T is None
+    else:
+        assert se2_of(T).x_m == pytest.approx(x_m)
+
+
+def test_yaw_is_interpolated_over_the_short_side():
+    poses = OdometryRing(64, 1.0, 1.0)
+    poses.push(0, SE2(0.0, 0.0, math.pi - 0.1).matrix())
+    poses.push(10, SE2(0.0, 0.0, -math.pi + 0.1).matrix())
+    T, _ = poses.pose_at(5)
+    assert abs(se2_of(T).yaw_rad) == pytest.approx(math.pi)
+
+
+def test_the_ring_forgets_the_oldest():
+    poses = ring(*((10 * i, 0.1 * i) for i in range(100)), capacity=64)
+    assert len(poses) == 64
+    assert poses.pose_at(10 * 35)[1] == "too_old"
+    assert se2_of(poses.pose_at(10 * 36 + 5)[0]).x_m == pytest.approx(3.65)
+
+
+def test_what_was_handed_out_is_not_written_over():
+    poses = ring((0, 0.5), capacity=2)
+    T, _ = poses.pose_at(0)
+    for i in range(1, 5):
+        poses.push(i, SE2(0.5 + 0.1 * i, 0.0, 0.0).matrix())
+    assert T[0, 3] == 0.5
+
+
+def test_repeated_and_backward_stamps_are_named_and_left_out():
+    poses = ring((10, 0.0), (20, 0.2))
+    assert poses.push(20, SE2(0.9, 0.0, 0.0).matrix()) == "repeated"
+    assert poses.push(15, SE2(0.9, 0.0, 0.0).matrix()) == "backward"
+    assert poses.epoch == 0
+    assert se2_of(poses.pose_at(15)[0]).x_m == pytest.approx(0.1)
+
+
+def test_a_jump_starts_a_new_epoch_and_nothing_is_interpolated_over_it():
+    poses = ring((10, 0.0), (20, 0.9))
+    assert poses.push(30, SE2(2.0, 0.0, 0.0).matrix()) == "pose_jump"
+    assert poses.epoch == 1
+    assert poses.pose_at(25)[1] == "too_old"
+    assert se2_of(poses.pose_at(30)[0]).x_m == 2.0
+
+
+def test_a_sender_that_begins_anew_is_heard_again():
+    poses = ring((10**9, 5.0))
+    odd = [poses.push(i, SE2(0.0, 0.0, 0.0).matrix()) for i in range(RESET_AFTER + 2)]
+    assert odd == ["backward"] * (RESET_AFTER - 1) + ["pose_jump", "", ""]
+    assert (poses.epoch, poses.newest_ns) == (1, RESET_AFTER + 1)
+
+
+def test_one_wild_stamp_from_the_future_costs_a_few_poses_but_no_epoch():
+    poses = ring((0, 0.0), (10, 0.1), (10**15, 0.2))
+    odd = [poses.push(20 + i, SE2(0.3, 0.0, 0.0).matrix()) for i in range(RESET_AFTER + 1)]
+    assert odd == ["backward"] * (RESET_AFTER - 1) + ["clock_reset", ""]
+    assert (poses.epoch, poses.newest_ns) == (0, 20 + RESET_AFTER)
+    assert poses.pose_at(20)[1] == "too_old"
+
+
+@pytest.mark.parametrize(
+    ("after_s", "x_m", "yaw_rad", "epoch"),
+    [
+        (0.1, 0.9, 0.0, 0),
+        (0.1, 1.5, 0.0, 1),
+        # 4 s at 0.5 m/s and more, or at 1.2 rad/s: driven, not jumped.
+        (4.0, 3.9, 0.0, 0),
+        (4.0, 4.1, 0.0, 1),
+        (0.1, 0.0, 1.1, 0),
+        (0.1, 0.0, 1.3, 1),
+        (0.1, 0.0, -1.3, 1),
+        (1.0, 0.0, 2.7, 0),
+    ],
+)
+def test_a_jump_is_more_than_could_be_driven_in_the_time(after_s, x_m, yaw_rad, epoch):
+    poses = OdometryRing(64, 1.0, 1.0, max_speed_mps=0.5, max_turn_radps=1.2)
+    poses.push(0, SE2(0.0, 0.0, 0.0).matrix())
+    verdict = poses.push(int(after_s * 1e9), SE2(x_m, 0.0, yaw_rad).matrix())
+    assert (verdict, poses.epoch) == (("pose_jump", 1) if epoch else ("", 0))
+
+
+def test_yaw_over_the_turn_of_the_circle_is_no_jump():
+    poses = OdometryRing(64, 1.0, 1.0)
+    poses.push(0, SE2(0.0, 0.0, math.pi - 0.1).matrix())
+    assert poses.push(1, SE2(0.0, 0.0, 0.1 - math.pi).matrix()) == ""
+
+
+def test_the_newest_pose_serves_for_a_while():
+    poses = ring((10**9, 0.5), max_gap_s=0.25)
+    assert poses.latest(1_250_000_000)[0, 3] == 0.5
+    assert poses.latest(1_250_000_001) is None
+    assert poses.latest(999_999_999) is None
+    assert ring().latest(5) is None
+
+
+def test_a_ring_of_one_is_refused():
+    with pytest.raises(ValueError, match="at least 2"):
+        OdometryRing(1, 1.0, 1.0)
+
+
+@given(st.lists(st.integers(0, 50), max_size=60))
+def test_stamps_let_in_rise_but_for_resets(stamps):
+    guard, newest = StampGuard(), -1
+    for stamp_ns in stamps:
+        verdict = guard.judge(stamp_ns)
+        assert (verdict == "ok") == (stamp_ns > newest)
+        assert (verdict == "repeated") == (stamp_ns == newest)
+        if verdict in ("ok", "clock_reset"):
+            newest = stamp_ns
+        assert guard.newest_ns == newest
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 1000), st.floats(-0.4, 0.4)), max_size=40),
+    st.integers(0, 1000),
+)
+def test_poses_agree_with_numpy_interp(samples, asked_ns):
+    poses, xs, ys = OdometryRing(64, 1.0, 1.0), [], []
+    for stamp_ns, x_m in sorted(dict(samples).items()):
+        poses.push(stamp_ns, SE2(x_m, 0.0, 0.0).matrix())
+        xs.append(stamp_ns)
+        ys.append(x_m)
+    T, why = poses.pose_at(asked_ns)
+    if xs and xs[0] <= asked_ns <= xs[-1]:
+        assert T[0, 3] == pytest.approx(np.interp(asked_ns, xs, ys), abs=1e-12)
+    else:
+        assert T is None
+        assert why in ("empty", "too_old", "too_new")

@@ -1,0 +1,71 @@
+"""Frames are used again only when every reader has let go."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from edge.sources.pool import FramePool
+
+
+def test_a_pool_without_camera_has_no_images():
+    slot = FramePool(1, cloud_points=16).acquire()
+    assert slot.rgb is slot.depth_m is slot.object_ids is None
+    assert (slot.cloud_m.shape, slot.cloud_m.dtype) == ((16, 3), np.float32)
+
+
+def test_shapes_and_types():
+    slot = FramePool(1, (4, 6), depth=True, object_ids=True).acquire()
+    assert (slot.rgb.shape, slot.rgb.dtype) == ((4, 6, 3), np.uint8)
+    assert (slot.depth_m.shape, slot.depth_m.dtype) == ((4, 6), np.float32)
+    assert (slot.object_ids.shape, slot.object_ids.dtype) == ((4, 6), np.uint16)
+    assert slot.cloud_m is None
+
+
+def test_a_slot_comes_back_only_after_the_last_release():
+    pool = FramePool(2, (1, 1))
+    first, second = pool.acquire(), pool.acquire()
+    assert first is not second
+    assert pool.acquire() is None
+    assert pool.exhausted == 1
+    first.hold()
+    first.release()
+    assert pool.acquire() is None
+    first.release()
+    assert pool.acquire() is first
+
+
+def test_unbalanced_readers_are_told():
+    slot = FramePool(1, (1, 1)).acquire()
+    slot.release()
+    with pytest.raises(RuntimeError, match="released more often"):
+        slot.release()
+    with pytest.raises(RuntimeError, match="after its last reader"):
+        slot.hold()
+
+
+def test_readers_in_other_threads_never_see_a_frame_written_over():
+    pool, wrong = FramePool(3, (8, 8)), []
+
+    def read(slot, value):
+        for _ in range(20):
+            if not (slot.rgb == value).all():
+                wrong.append(value)
+        slot.release()
+
+    threads = []
+    for value in range(200):
+        slot = pool.acquire()
+        if slot is None:
+            threads.pop(0).join()
+            continue
+        slot.rgb[:] = value
+        slot.hold()
+        threads.append(threading.Thread(target=read, args=(slot, value)))
+        threads[-1].start()
+        slot.release()
+    for thread in threads:
+        thread.join()
+    assert not wrong

@@ -1,0 +1,59 @@
+"""The recording that `edge bench` plays, and its figures."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from edge import bench, recording
+from edge.config import parse
+from edge.errors import Stopped, UserError
+
+SMALL = {"width_px": 64, "height_px": 48, "rate_hz": 15}
+CONFIG = parse({"sensors": {"camera": SMALL}, "perception": {"detector": {"kind": "sim"}}})
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_a_stopped_recording_leaves_nothing(cache):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        bench.ensure_recording(CONFIG, 1.0, stop)
+    assert not [path for path in cache.rglob("*") if path.is_file()]
+
+
+def test_the_recording_is_made_once_and_is_the_same_again(cache, tmp_path, monkeypatch):
+    path = bench.ensure_recording(CONFIG, 2.0)
+    made_ns = path.stat().st_mtime_ns
+    assert bench.ensure_recording(CONFIG, 2.0) == path
+    assert path.stat().st_mtime_ns == made_ns
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "other"))
+    again = bench.ensure_recording(CONFIG, 2.0)
+    assert list(recording.read(again)) == list(recording.read(path))
+
+
+def test_the_service_is_measured_on_a_recording():
+    path = bench.ensure_recording(CONFIG, 3.0)
+    figures = bench.run_bench(CONFIG, path, 4.0, threading.Event(), 1.0)
+    assert figures["latency"]["tick"]["count"] > 10
+    assert figures["counters"]["observations"] > 10
+    verdicts = figures["verdicts"]
+    assert 50 < verdicts["resident memory"][0] < 2000
+    assert verdicts["ready after"][0] > 1.0
+
+
+def test_a_process_grows_older():
+    assert 0.0 < bench.process_age_s() <= bench.process_age_s() < 1e6
+
+
+def test_nothing_measured_is_an_error(tmp_path):
+    path = tmp_path / "empty.mcap"
+    recording.record_messages(path, [])
+    with pytest.raises(UserError, match="nothing measured"):
+        bench.run_bench(CONFIG, path, 0.5, threading.Event())

@@ -1,0 +1,88 @@
+"""Sessions as the service and its peers open them."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+
+import pytest
+import zenoh
+
+from edge import bus, topics
+from edge.config import Zenoh
+from edge.errors import Stopped
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{s.getsockname()[1]}"
+
+
+def value(config: zenoh.Config, key: str):
+    return json.loads(config.get_json(key))
+
+
+@pytest.mark.parametrize(
+    ("mode", "role", "zenoh_mode", "listens", "connects"),
+    [
+        ("peer", "listen", "peer", True, False),
+        ("peer", "connect", "client", False, True),
+        ("client", "listen", "client", False, True),
+        ("client", "connect", "client", False, True),
+    ],
+)
+def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects):
+    endpoint = "tcp/127.0.0.1:17447"
+    settings = Zenoh(endpoint=endpoint, mode=mode, shared_memory=False)
+    config = bus.session_config(settings, role)
+    assert value(config, "mode") == zenoh_mode
+    assert value(config, "listen/endpoints") == [endpoint] * listens
+    assert value(config, "connect/endpoints") == [endpoint] * connects
+    assert value(config, "scouting/multicast/enabled") is False
+    assert value(config, "transport/shared_memory/enabled") is False
+    assert value(config, "connect/exit_on_failure") is False
+
+
+def test_who_connects_waits_until_somebody_comes(free_endpoint):
+    settings, opened = Zenoh(endpoint=free_endpoint), []
+    thread = threading.Thread(target=lambda: opened.append(bus.open_session(settings, "connect")))
+    thread.start()
+    time.sleep(1.0)
+    assert thread.is_alive()
+    with bus.open_session(settings, "listen"):
+        thread.join(30)
+        assert opened
+        opened[0].close()
+
+
+def test_waiting_can_be_stopped(free_endpoint):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped, match=f"nobody was at {free_endpoint}"):
+        bus.open_session(Zenoh(endpoint=free_endpoint), "connect", stop)
+
+
+@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:port", "carrier-pigeon/home"])
+def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint):
+    with pytest.raises(bus.BusError) as caught:
+        bus.open_session(Zenoh(endpoint=endpoint), "listen")
+    assert str(caught.value).startswith("zenoh.endpoint: cannot listen")
+    assert endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("topic", topics.ALL, ids=lambda t: t.key)
+def test_every_topic_can_be_published_with_its_qos(topic):
+    class Session:
+        def declare_publisher(self, key, **qos):
+            return key, qos
+
+    key, qos = bus.declare_publisher(Session(), topic, "fleet/r1")
+    assert key == f"fleet/r1/{topic.key}"
+    blocks = qos["congestion_control"] == zenoh.CongestionControl.BLOCK
+    assert blocks == (topic.qos == "block")
+    assert (qos["reliability"] == zenoh.Reliability.RELIABLE) == blocks

@@ -1,0 +1,168 @@
+"""The command line: quick help, and errors that are one line with exit code 2."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from edge import cli
+from edge.cli import main
+
+HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
+COMMANDS = (
+    "", "run", "demo", "sim", "motion", "config", "models", "models list", "models check",
+    "models export", "record", "bench", "eval", "eval episodes", "doctor",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def no_signal_handlers(monkeypatch):
+    """Commands run in this process must leave its signal handlers alone."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+
+
+def test_no_command_is_told_the_usage(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == 2
+    assert "COMMAND" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([*command.split(), "--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"usage: edge {command}".rstrip())
+    assert all(len(line) < 81 for line in text.splitlines())
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom edge.parsers import make_parser\nimport edge.cli\n"
+        "make_parser('', {}).parse_args(['bench'])\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def fails(capsys, *words: str) -> str:
+    """The one line that a command ends with."""
+    assert main(["--log-level", "error", *words]) == 2
+    err = capsys.readouterr().err.strip()
+    assert "\n" not in err, err
+    return err
+
+
+@pytest.mark.parametrize("command", ["run", "demo", "sim", "motion", "config", "bench", "doctor"])
+def test_a_configuration_that_is_not_there(command, capsys):
+    error = fails(capsys, command, "nowhere.yaml")
+    assert error.startswith("nowhere.yaml: no such file (ready configurations: ")
+    assert "cpu, demo" in error
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({"mision": {}}, "mission"),
+        ({"policy": {"kind": "hvll"}}, "hvl"),
+        ({"loop": {"hz": "fast"}}, "loop.hz"),
+    ],
+)
+def test_a_configuration_that_is_wrong(data, expected, tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps(data))
+    error = fails(capsys, "config", str(path))
+    assert "mine.yaml" in error
+    assert expected in error
+
+
+def test_a_model_that_is_not_there(tmp_path, monkeypatch, capsys):
+    words = tmp_path / "words.npz"
+    np.savez(words, names=np.array(["chair"]), emb=np.eye(1, 512, dtype=np.float16))
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("EDGE_VOCABULARY", str(words))
+    monkeypatch.setenv("EDGE__MISSION__TARGET", "chair")
+    monkeypatch.setenv("EDGE__PERCEPTION__DETECTOR__BACKGROUND", "[]")
+    error = fails(capsys, "run", "cpu")
+    assert "yolo-world-s-256x320-int8-cpu" in error
+    assert "edge models export" in error
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "demo"),
+        ("demo", "demo"),
+        ("eval", "episodes", "demo"),
+    ],
+)
+def test_a_report_that_cannot_be_written_is_told_before_the_run(words, tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    error = fails(capsys, *words, "--report", str(tmp_path / "file" / "report"))
+    assert "cannot write the report" in error
+
+
+def test_an_address_in_use(tmp_path, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        path = tmp_path / "mine.yaml"
+        detector = {"detector": {"kind": "sim"}}
+        path.write_text(json.dumps({"zenoh": {"endpoint": endpoint}, "perception": detector}))
+        assert "is in use" in fails(capsys, "run", str(path))
+
+
+def test_a_recording_that_is_not_there(capsys):
+    assert "no such file" in fails(capsys, "bench", "demo", "--recording", "nowhere.mcap")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("bench", "--seconds", "0"),
+        ("bench", "--seconds", "soon"),
+        ("record", "demo", "--out", "x", "--seconds", "nan"),
+        ("eval", "episodes", "demo", "--starts", "0"),
+        ("eval", "episodes", "demo", "--jobs", "-1"),
+    ],
+)
+def test_a_number_that_makes_no_sense(words, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(list(words))
+    assert caught.value.code == 2
+    assert words[-2] in capsys.readouterr().err
+
+
+def test_a_target_that_the_world_lacks(capsys):
+    error = fails(capsys, "eval", "episodes", "demo", "--targets", "unicorn")
+    assert "unicorn" in error
+    assert "television" in error
+
+
+def test_the_configuration_is_printed_with_the_environment_in_it(capsys, monkeypatch):
+    monkeypatch.setenv("EDGE__LOOP__HZ", "12")
+    assert main(["config", "demo"]) == 0
+    assert json.loads(capsys.readouterr().out)["loop"]["hz"] == 12
+    assert main(["config", "--schema"]) == 0
+    assert "properties" in json.loads(capsys.readouterr().out)
+
+
+def test_the_target_of_the_command_line_wins(monkeypatch):
+    monkeypatch.setenv("EDGE__MISSION__TARGET", '"bed"')
+    args = cli.make_parser("", {}).parse_args(["run", "demo", "--target", "sofa: red"])
+    assert cli.load_config(args).mission.target == "sofa: red"
+
+
+def test_output_that_nobody_reads_on_is_no_error():
+    command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("{", "")

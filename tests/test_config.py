@@ -1,0 +1,189 @@
+"""A configuration is right, or the error says which key is wrong and what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from edge import config, resources
+from edge.config import Config, ConfigError, load, parse
+
+READY = sorted(resources.data_dir("config").glob("*.yaml"))
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def _write(content: str | bytes) -> str:
+        path = tmp_path / "robot.yaml"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return str(path)
+
+    return _write
+
+
+@pytest.mark.parametrize("content", ["", "# nothing\n", "{}", "---\n"])
+def test_an_empty_file_is_the_defaults(write, content):
+    path = write(content)
+    assert load(path, {}) == Config(path=path)
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
+def test_ready_configurations_load_by_path_and_by_name(path):
+    assert load(str(path), {}) == load(path.stem, {})
+
+
+def test_there_are_ready_configurations():
+    assert "demo" in [path.stem for path in READY]
+
+
+FAULTS = [
+    ({"mision": {}}, "f.yaml: mision: unknown key (did you mean 'mission'?)"),
+    ({"robot": {"radius": 1}}, "f.yaml: robot.radius: unknown key (did you mean 'radius_m'?)"),
+    (
+        {"policy": {"kind": "hvl", "w_dst": 1}},
+        "f.yaml: policy.w_dst: unknown key (did you mean 'w_dist'?)",
+    ),
+    (
+        {"perception": {"detector": {"kind": "sim", "miss_rat": 1}}},
+        "f.yaml: perception.detector.miss_rat: unknown key (did you mean 'miss_rate'?)",
+    ),
+    (
+        {"perception": {"detector": {"kind": "onnx", "threads": 0}}},
+        "f.yaml: perception.detector.threads: input should be greater than or equal to 1, got 0",
+    ),
+    ({"sim": {"world": {"kind": "mesh", "objects": "x"}}}, "f.yaml: sim.world.mesh: missing"),
+    (
+        {"sim": {"world": {"kind": "mesh", "mesh": 3, "objects": "x"}}},
+        "f.yaml: sim.world.mesh: input should be a valid string, got 3",
+    ),
+    (
+        {"policy": {"kind": "hvll"}},
+        "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, nearest_frontier)",
+    ),
+    (
+        {"policy": {"w_dist": 1}},
+        "f.yaml: policy.kind: missing (choices: hvl, nearest_frontier)",
+    ),
+    ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),
+    ({"robot": None}, "f.yaml: robot: expected a section of keys, got None"),
+    ({"policy": 3}, "f.yaml: policy: expected a section of keys, got 3"),
+    ({"robot": {"radius_m": "wide"}}, "f.yaml: robot.radius_m: "),
+    ({"robot": {"radius_m": -1}}, "f.yaml: robot.radius_m: input should be greater than 0, got -1"),
+    ({"robot": {"radius_m": float("nan")}}, "f.yaml: robot.radius_m: "),
+    ({"robot": {"name": "a b"}}, "f.yaml: robot.name: "),
+    ({"mission": {"target": ""}}, "f.yaml: mission.target: "),
+    ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
+    ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
+    ({1: 2}, "f.yaml: 1: keys should be strings"),
+]
+
+
+@pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])
+def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
+    with pytest.raises(ConfigError) as error:
+        parse(data, "f.yaml")
+    text = str(error.value)
+    assert text.startswith(line)
+    assert "\n" not in text
+
+
+def test_every_fault_has_its_line():
+    with pytest.raises(ConfigError) as error:
+        parse({"robot": {"radius": 1}, "mision": {}, "zenoh": {"mode": "x"}}, "f.yaml")
+    lines = str(error.value).splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("f.yaml: ") for line in lines)
+
+
+def test_an_unlike_key_lists_the_choices():
+    with pytest.raises(ConfigError, match=r"choices: .*endpoint.*prefix"):
+        parse({"zenoh": {"qqqq": 1}})
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("- 1\n- 2\n", "expected sections"),
+        ("hello", "expected sections"),
+        ("7", "expected sections"),
+        ("robot: {", "not YAML"),
+        ("a: b: c", "not YAML"),
+        (b"\x00\x01\xff\xfe\x80binary", "not YAML"),
+        (b"robot: \xff\xfe", "not YAML"),
+    ],
+)
+def test_a_file_that_is_no_configuration(write, content, says):
+    path = write(content)
+    with pytest.raises(ConfigError) as error:
+        load(path, {})
+    assert str(error.value).startswith(f"{path}: ")
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_lists_the_ready_ones():
+    with pytest.raises(ConfigError) as error:
+        load("no/such/file.yaml", {})
+    assert str(error.value).startswith("no/such/file.yaml: no such file")
+    assert "demo" in str(error.value)
+
+
+def test_a_folder_is_no_file(tmp_path):
+    with pytest.raises(ConfigError, match=str(tmp_path)):
+        load(str(tmp_path), {})
+
+
+OVERRIDES = [
+    ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.radius_m, 0.3),
+    ({"EDGE__POLICY__KIND": "nearest_frontier"}, lambda c: c.policy.kind, "nearest_frontier"),
+    ({"EDGE__LOOP__LOCKSTEP": "true"}, lambda c: c.loop.lockstep, True),
+    ({"EDGE__SENSORS__CAMERA__WIDTH_PX": "64"}, lambda c: c.sensors.camera.width_px, 64),
+    ({"EDGE__SIM__START": "[1, 2, 0.5]"}, lambda c: c.sim.start, (1.0, 2.0, 0.5)),
+    ({"EDGE__SENSORS__LIDAR": "{rings: 1}"}, lambda c: c.sensors.lidar.rings, 1),
+    ({"EDGE_ROBOT_RADIUS_M": "9", "OTHER": "1"}, lambda c: c.robot.radius_m, 0.2),
+    ({}, lambda c: c.mission.target, "sofa"),
+    ({"EDGE__MISSION__TARGET": "bed"}, lambda c: c.mission.target, "bed"),
+]
+
+
+@pytest.mark.parametrize(("environ", "read", "value"), OVERRIDES)
+def test_environment_overrides(write, environ, read, value):
+    assert read(load(write("mission: {target: sofa}"), environ)) == value
+
+
+@pytest.mark.parametrize(
+    ("environ", "says"),
+    [
+        ({"EDGE__ROBOT__RADIUS": "0.3"}, "robot.radius: unknown key"),
+        ({"EDGE__ROBOT__RADIUS_M": "{"}, "environment EDGE__ROBOT__RADIUS_M: not a YAML value"),
+    ],
+)
+def test_a_wrong_override_is_an_error(write, environ, says):
+    with pytest.raises(ConfigError, match=says):
+        load(write(""), environ)
+
+
+def test_the_process_environment_is_the_default(write, monkeypatch):
+    monkeypatch.setenv("EDGE__MISSION__TARGET", "lamp")
+    assert load(write("")).mission.target == "lamp"
+
+
+def test_objects_are_frozen():
+    with pytest.raises(ValidationError):
+        Config().robot.radius_m = 1.0
+
+
+def test_a_dumped_configuration_loads_as_itself(write):
+    for path in READY:
+        loaded = load(str(path), {})
+        again = load(write(loaded.model_dump_json(exclude={"path"})), {})
+        assert again.model_dump(exclude={"path"}) == loaded.model_dump(exclude={"path"})
+
+
+def test_every_key_of_the_ready_files_is_used():
+    """A ready file says what differs from the defaults, in keys that exist."""
+    for path in READY:
+        assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)

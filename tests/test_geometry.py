@@ -1,0 +1,201 @@
+"""Rigid transforms and the camera: properties that hold for any pose."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from edge import geometry
+from edge.geometry import SE2, CameraModel
+
+metres = st.floats(-100, 100)
+angles = st.floats(-math.pi, math.pi)
+poses = st.builds(geometry.se3, metres, metres, metres, angles, angles, angles)
+planar = st.builds(SE2, metres, metres, angles)
+fractions = st.floats(0, 1)
+
+
+def angle_between(T_a: np.ndarray, T_b: np.ndarray) -> float:
+    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
+    # From the chord, since arccos is blunt near 0.
+    chord = np.linalg.norm(T_a[:3, :3] - T_b[:3, :3]) / math.sqrt(8)
+    return 2 * math.asin(min(chord, 1.0)) if cosine > 0 else math.acos(max(cosine, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"),
+    [
+        (0, 0),
+        (math.pi, -math.pi),
+        (-math.pi, -math.pi),
+        (3 * math.pi / 2, -math.pi / 2),
+        (7, 7 - 2 * math.pi),
+    ],
+)
+def test_wrap_angle(angle, wrapped):
+    assert geometry.wrap_angle(angle) == pytest.approx(wrapped, abs=1e-12)
+
+
+@given(st.floats(-1e4, 1e4))
+def test_wrapped_angle_is_the_same_angle(angle):
+    wrapped = geometry.wrap_angle(angle)
+    assert -math.pi <= wrapped <= math.pi
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
+    assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
+
+
+@given(poses)
+def test_se3_is_a_rotation_and_a_translation(T):
+    assert T.shape == (4, 4)
+    assert T.dtype == np.float64
+    assert T[3].tolist() == [0, 0, 0, 1]
+    assert T[:3, :3].T @ T[:3, :3] == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+
+
+@given(metres, metres, metres, angles, angles, angles)
+def test_se3_is_yaw_after_pitch_after_roll(x, y, z, roll, pitch, yaw):
+    parts = geometry.se3(x, y, z) @ geometry.se3(yaw_rad=yaw)
+    parts = parts @ geometry.se3(pitch_rad=pitch) @ geometry.se3(roll_rad=roll)
+    assert geometry.se3(x, y, z, roll, pitch, yaw) == pytest.approx(parts, abs=1e-12)
+
+
+def test_directions_of_positive_angles():
+    forward, left = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    assert geometry.se3(yaw_rad=0.1)[:3, :3] @ forward @ left > 0  # to the left
+    assert (geometry.se3(pitch_rad=0.1)[:3, :3] @ forward)[2] < 0  # nose down
+    assert (geometry.se3(roll_rad=0.1)[:3, :3] @ left)[2] > 0  # left side up
+
+
+@given(poses, poses)
+def test_inverse(T_a, T_b):
+    assert geometry.invert(T_a) @ T_a == pytest.approx(np.eye(4), abs=1e-9)
+    assert T_a @ geometry.invert(T_a) == pytest.approx(np.eye(4), abs=1e-9)
+    both = geometry.invert(T_b) @ geometry.invert(T_a)
+    assert geometry.invert(T_a @ T_b) == pytest.approx(both, abs=1e-9)
+
+
+@given(poses)
+def test_quaternion_round_trip(T):
+    q = geometry.quaternion_of(T)
+    assert math.hypot(*q) == pytest.approx(1.0)
+    assert q[3] >= 0
+    back = geometry.se3_from_quaternion(tuple(T[:3, 3]), q)
+    assert back == pytest.approx(T, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("T", "q"),
+    [
+        (geometry.se3(), (0, 0, 0, 1)),
+        (geometry.se3(yaw_rad=math.pi / 2), (0, 0, math.sqrt(0.5), math.sqrt(0.5))),
+        (geometry.se3(roll_rad=math.pi), (1, 0, 0, 0)),
+        (geometry.se3(pitch_rad=math.pi), (0, 1, 0, 0)),
+        (geometry.se3(yaw_rad=math.pi), (0, 0, 1, 0)),
+    ],
+)
+def test_quaternions_at_the_branches(T, q):
+    assert np.abs(geometry.quaternion_of(T)) == pytest.approx(q, abs=1e-12)
+
+
+@given(poses, st.floats(0.01, 100))
+def test_quaternions_of_any_length_are_normalised(T, scale):
+    q = tuple(scale * c for c in geometry.quaternion_of(T))
+    assert geometry.se3_from_quaternion((0, 0, 0), q)[:3, :3] == pytest.approx(T[:3, :3], abs=1e-9)
+
+
+@pytest.mark.parametrize("q", [(0, 0, 0, 0), (0, 0, 0, math.nan), (math.inf, 0, 0, 1)])
+def test_what_is_no_rotation_is_refused(q):
+    with pytest.raises(ValueError, match="not a rotation"):
+        geometry.se3_from_quaternion((0, 0, 0), q)
+
+
+@given(poses, poses)
+def test_interpolation_ends_at_its_ends(T_a, T_b):
+    assume(angle_between(T_a, T_b) < 3.1)  # half a turn has no shorter way round
+    assert geometry.interpolate(T_a, T_b, 0.0) == pytest.approx(T_a, abs=1e-9)
+    assert geometry.interpolate(T_a, T_b, 1.0) == pytest.approx(T_b, abs=1e-9)
+
+
+@given(poses, fractions)
+def test_interpolation_between_equal_poses_stays(T, fraction):
+    assert geometry.interpolate(T, T, fraction) == pytest.approx(T, abs=1e-9)
+
+
+@given(
+    poses, st.floats(-0.17, 0.17), st.sampled_from(["roll_rad", "pitch_rad", "yaw_rad"]), fractions
+)
+def test_interpolation_turns_evenly_between_odometry_samples(T, turn, axis, fraction):
+    T_b = T @ geometry.se3(1.0, **{axis: turn})
+    between = geometry.interpolate(T, T_b, fraction)
+    even = T @ geometry.se3(**{axis: fraction * turn})
+    assert angle_between(between, even) < 1e-4
+    assert between[:3, 3] == pytest.approx((1 - fraction) * T[:3, 3] + fraction * T_b[:3, 3])
+
+
+@given(planar, metres)
+def test_planar_pose_round_trip(pose, z):
+    T = pose.matrix(z)
+    back = geometry.se2_of(T)
+    assert (back.x_m, back.y_m, T[2, 3]) == (pose.x_m, pose.y_m, z)
+    assert geometry.wrap_angle(back.yaw_rad - pose.yaw_rad) == pytest.approx(0, abs=1e-9)
+
+
+@given(planar, metres, metres)
+def test_bearing_and_distance_are_polar_coordinates(pose, x, y):
+    bearing, distance = pose.bearing_to(x, y), pose.distance_to(x, y)
+    local = geometry.invert(pose.matrix()) @ (x, y, 0, 1)
+    assert distance * math.cos(bearing) == pytest.approx(local[0], abs=1e-9)
+    assert distance * math.sin(bearing) == pytest.approx(local[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "bearing"), [(2, 2, math.pi / 2), (0, 0, -math.pi / 2), (2, 0, 0), (1, 1, None)]
+)
+def test_bearing_is_positive_to_the_left(x, y, bearing):
+    pose = SE2(1.0, 1.0, -math.pi / 4)
+    if bearing is None:
+        assert pose.distance_to(x, y) == 0.0
+    else:
+        assert pose.bearing_to(x, y) == pytest.approx(bearing)
+
+
+sizes = st.integers(16, 2000)
+fields_of_view = st.floats(0.2, 2.6)
+
+
+@given(sizes, sizes, fields_of_view)
+def test_camera_from_its_field_of_view(width, height, hfov):
+    camera = CameraModel.from_hfov(width, height, hfov)
+    assert camera.hfov_rad == pytest.approx(hfov)
+    # The image's edges lie half a pixel outside the outer pixels' centres.
+    assert camera.bearing_of(-0.5) == pytest.approx(hfov / 2)
+    assert camera.bearing_of(width - 0.5) == pytest.approx(-hfov / 2)
+    assert camera.bearing_of((width - 1) / 2) == 0.0
+    columns = np.array([-0.5, width - 0.5], np.float32)
+    assert camera.bearing_of(columns) == pytest.approx([hfov / 2, -hfov / 2])
+
+
+@given(metres, metres, metres, st.floats(-1.5, 1.5))
+def test_camera_mount_points_the_optical_axes(x, y, z, pitch):
+    T = geometry.camera_mount(x, z, pitch, y)
+    right, down, forward = T[:3, 0], T[:3, 1], T[:3, 2]
+    assert T[:3, 3].tolist() == [x, y, z]
+    assert right == pytest.approx([0, -1, 0], abs=1e-12)
+    assert forward == pytest.approx([math.cos(pitch), 0, -math.sin(pitch)], abs=1e-12)
+    assert np.cross(forward, right) == pytest.approx(down, abs=1e-12)
+
+
+@given(st.floats(0.5, 8.0), st.floats(0, 319), planar)
+def test_a_pixel_lies_where_its_bearing_says(depth, u, pose):
+    """Lifting a pixel and looking at it from the robot agree (VL-Nav eq. 2)."""
+    camera = CameraModel.from_hfov(320, 256, 1.3)
+    T = pose.matrix() @ geometry.camera_mount(0.0, 0.6, 0.0)
+    optical = np.array([(u - camera.cx_px) / camera.fx_px * depth, 0.0, depth, 1.0])
+    x, y, z, _ = T @ optical
+    assert z == pytest.approx(0.6)
+    assert pose.bearing_to(x, y) == pytest.approx(camera.bearing_of(u), abs=1e-9)

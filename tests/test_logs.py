@@ -1,0 +1,80 @@
+"""Log lines for people and for machines."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+
+import pytest
+
+from edge import logs
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(autouse=True)
+def _as_before():
+    root, edge = logging.getLogger(), logging.getLogger("edge")
+    before = (root.level, list(root.handlers), edge.level)
+    yield
+    root.handlers[:] = before[1]
+    root.setLevel(before[0])
+    edge.setLevel(before[2])
+
+
+def test_human_lines():
+    out = io.StringIO()
+    logs.setup("info", stream=out)
+    log = logging.getLogger("edge.mapping")
+    log.debug("hidden")
+    log.warning("%d cells", 3)
+    logging.getLogger("matplotlib.font_manager").info("noise")
+    (line,) = out.getvalue().splitlines()
+    assert line.endswith("warning mapping: 3 cells")
+
+
+def test_json_lines():
+    out = io.StringIO()
+    logs.setup("debug", as_json=True, stream=out)
+    log = logging.getLogger("edge.service")
+    log.debug("a\nb", extra={"stage": "map", "odd": {1}})
+    try:
+        raise ValueError("bad")
+    except ValueError:
+        log.exception("failed")
+    first, second = map(json.loads, out.getvalue().splitlines())
+    assert (first["level"], first["logger"], first["message"]) == ("debug", "edge.service", "a\nb")
+    assert (first["stage"], first["odd"]) == ("map", "{1}")
+    assert "ValueError: bad" in second["exception"]
+
+
+def test_set_up_again_replaces():
+    first, second = io.StringIO(), io.StringIO()
+    logs.setup(stream=first)
+    logs.setup(stream=second)
+    logging.getLogger("edge").info("here")
+    assert first.getvalue() == ""
+    assert second.getvalue().count("here") == 1
+
+
+def test_a_progress_line_is_wiped_on_a_terminal():
+    out = Terminal()
+    logs.setup(stream=out)
+    logging.getLogger("edge").info("here")
+    assert out.getvalue().startswith(logs.CLEAR_LINE)
+
+
+def test_unknown_level():
+    with pytest.raises(ValueError, match="choices: debug"):
+        logs.setup("loud")
+
+
+def test_once(monkeypatch):
+    monkeypatch.setattr(logs, "_seen", {})
+    assert [logs.once(key) for key in ("a", "b", "a", ("a", 1), ("a", 1))] == [
+        True, True, False, True, False,
+    ]  # fmt: skip
