@@ -6,30 +6,33 @@ import numpy as np
 from numba import njit
 
 from edge.mapping.layers import OCCUPIED as RAW_OCCUPIED
+from edge.mapping.layers import Layers, on_trail
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 
 
 @njit(nogil=True, cache=True)
 def compose(
-    raw: np.ndarray, near: np.ndarray, x0: int, y0: int, inflated: int, out: np.ndarray
+    layers: Layers, body: np.ndarray, x0: int, y0: int, inflated: int, out: np.ndarray
 ) -> None:
     """Write what is published of the layers into `out`.
 
     Args:
-        raw: (N, N) uint8, 0 = unseen.
-        near: (N, N) uint16, above 0 = within the inflation of an obstacle.
+        body: disc that has to be free for the robot to go back where it was; see `on_trail`.
         x0, y0: world cell of `out[0, 0]`; world cell c lies at c mod N.
         inflated: value of cells that are only too near to something occupied.
         out: (h, w) int8: -1 unknown, 0 free, 100 occupied, or `inflated`.
     """
+    raw, near = layers.raw, layers.near
     n = raw.shape[0]
     for i in range(out.shape[0]):
         sy = (y0 + i) % n
         sx = x0 % n
         for j in range(out.shape[1]):
-            if near[sy, sx] > 0:
-                out[i, j] = OCCUPIED if raw[sy, sx] >= RAW_OCCUPIED else inflated
+            if raw[sy, sx] >= RAW_OCCUPIED:
+                out[i, j] = OCCUPIED
+            elif near[sy, sx] > 0 and not on_trail(layers, sy, sx, body):
+                out[i, j] = inflated
             elif raw[sy, sx] > 0:
                 out[i, j] = FREE
             else:

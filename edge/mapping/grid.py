@@ -20,6 +20,10 @@ from edge.mapping.results import Frontiers, MapUpdate, OccupancySnapshot
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
+# Rounding an obstacle and the robot's place to cells takes up to this much off the gap between.
+_ROUNDING_CELLS = 2
+# Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
+_TRAIL_STEP_CELLS = 10
 _FARTHEST_M = 1e6
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
@@ -40,6 +44,7 @@ class RollingMap:
         self.resolution_m = res = c.resolution_m
         self._inflation_cells = c.inflation_m / res
         self._disc = ly.disc_half_widths(self._inflation_cells)
+        self._body = ly.disc_half_widths(max(self._inflation_cells - _ROUNDING_CELLS, 0.0))
         self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
         self._polar = points.make_polar(c.range_m, res)
         self._half = self._polar.bin_of.shape[0] // 2
@@ -52,6 +57,7 @@ class RollingMap:
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
         self._origin: tuple[int, int] | None = None
+        self._robot: tuple[int, int] | None = None  # its world cell at the last update
         self._floor_z_m = 0.0
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
@@ -65,7 +71,9 @@ class RollingMap:
             np.zeros(c.max_frontiers, np.int32),
             np.zeros(c.max_frontiers, np.int32),
         )
-        self.reach = ReachField(self._layers, res, self._inflation_cells, c.reach_cells_per_tick)
+        self.reach = ReachField(
+            self._layers, res, self._inflation_cells, self._body, c.reach_cells_per_tick
+        )
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -150,7 +158,7 @@ class RollingMap:
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            compose(self._layers.raw, self._layers.near, *corner, inflated, cells)
+            compose(self._layers, self._body, *corner, inflated, cells)
             if self._origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
                 return OccupancySnapshot(cells, corner_m, self.resolution_m)
@@ -257,14 +265,29 @@ class RollingMap:
             layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
             self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
+        robot = self._robot_cell(pose)
         update.free_footprint(
-            layers, *shift,
-            math.floor(pose.x_m / self.resolution_m) - origin[0],
-            math.floor(pose.y_m / self.resolution_m) - origin[1],
+            layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
             self._footprint, self._changed, self._explored,
         )  # fmt: skip
+        self._extend_trail(robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
+
+    def _robot_cell(self, pose: SE2) -> tuple[int, int]:
+        res = self.resolution_m
+        return math.floor(pose.x_m / res), math.floor(pose.y_m / res)
+
+    def _extend_trail(self, robot: tuple[int, int]) -> None:
+        """The robot's body fits where it is: see `layers.on_trail`."""
+        before, (ox, oy) = self._robot, self._origin
+        if before is None or math.dist(before, robot) > _TRAIL_STEP_CELLS:
+            before = robot
+        ly.mark_trail(
+            self._layers, *self._shift,
+            before[0] - ox, before[1] - oy, robot[0] - ox, robot[1] - oy,
+        )  # fmt: skip
+        self._robot = robot
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Test what changed again and list the target points; returns the changed world cells."""

@@ -30,6 +30,7 @@ class Layers(NamedTuple):
         known: (N, N / 64) uint64 bits, raw != 0.
         blocked: (N, N / 64) uint64 bits, near != 0.
         frontier: (N, N / 64) uint64 bits.
+        trail: (N, N / 64) uint64 bits, where the robot's centre was, a cell to each side.
     """
 
     raw: np.ndarray
@@ -39,6 +40,7 @@ class Layers(NamedTuple):
     known: np.ndarray
     blocked: np.ndarray
     frontier: np.ndarray
+    trail: np.ndarray
 
 
 def make_layers(n: int) -> Layers:
@@ -52,6 +54,7 @@ def make_layers(n: int) -> Layers:
         known=np.zeros(bits, np.uint64),
         blocked=np.zeros(bits, np.uint64),
         frontier=np.zeros(bits, np.uint64),
+        trail=np.zeros(bits, np.uint64),
     )
 
 
@@ -136,6 +139,39 @@ def set_free(layers, shift_x, shift_y, x, y, changed):
 
 
 @njit(nogil=True, cache=True)
+def mark_trail(layers, shift_x, shift_y, x0, y0, x1, y1):
+    """Mark the straight way between two window cells, thick enough to be 4-connected."""
+    n = layers.raw.shape[0]
+    steps = max(abs(x1 - x0), abs(y1 - y0), 1)
+    for k in range(steps + 1):
+        x, y = x0 + (x1 - x0) * k // steps, y0 + (y1 - y0) * k // steps
+        for dx, dy in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
+            if 0 <= x + dx < n and 0 <= y + dy < n:
+                bit_set(layers.trail, (y + dy + shift_y) % n, (x + dx + shift_x) % n, True)
+
+
+@njit(nogil=True, cache=True)
+def on_trail(layers, sy, sx, body):
+    """Whether the robot was at a storage cell, and nothing is known to stand in its way there.
+
+    A gap that the robot went through may look too narrow from the other side, by what rounding to
+    cells adds; without this it would shut the robot in.
+
+    Args:
+        body: disc that has to be free of obstacles, smaller than the inflation's.
+    """
+    if not bit_get(layers.trail, sy, sx):
+        return False
+    n = layers.raw.shape[0]
+    radius = len(body) // 2
+    for k in range(len(body)):
+        for dx in range(-body[k], body[k] + 1):
+            if layers.raw[(sy + k - radius) % n, (sx + dx) % n] >= OCCUPIED:
+                return False
+    return True
+
+
+@njit(nogil=True, cache=True)
 def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
     """Take the obstacles of a window rectangle out of the inflation of all others."""
     n = layers.raw.shape[0]
@@ -168,6 +204,7 @@ def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
                 layers.known[sy, sx >> 6] = np.uint64(0)
                 layers.blocked[sy, sx >> 6] = np.uint64(0)
                 layers.frontier[sy, sx >> 6] = np.uint64(0)
+                layers.trail[sy, sx >> 6] = np.uint64(0)
 
 
 @njit(nogil=True, cache=True)

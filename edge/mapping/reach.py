@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from edge.geometry import SE2
-from edge.mapping.layers import FREE, Layers, bit_get
+from edge.mapping.layers import FREE, Layers, bit_get, on_trail
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
 # make a priority queue (Dial).
@@ -51,13 +51,25 @@ class ReachField:
         generation: counts complete fields; 0 = none yet.
     """
 
-    def __init__(self, layers: Layers, resolution_m: float, inflation_cells: float, per_tick: int):
+    def __init__(
+        self,
+        layers: Layers,
+        resolution_m: float,
+        inflation_cells: float,
+        body: np.ndarray,
+        per_tick: int,
+    ) -> None:
+        """
+        Args:
+            body: disc that has to be free for the robot to go back where it was; see `on_trail`.
+        """
         n = layers.raw.shape[0]
         self.generation = 0
         self._layers = layers
         self._n = n
         self._resolution_m = resolution_m
         self._escape_cells = inflation_cells + 1.0
+        self._body = body
         self._per_tick = per_tick
         # No contour of equal cost in a window is longer, save in mazes made to be.
         contour = 8192 + 16 * n
@@ -102,7 +114,7 @@ class ReachField:
             self._growing = True
         x0, y0, x1, y1 = self._common(nxt)
         ox, oy = self._origin
-        if grow_wave(self._layers, wave, ox, oy, x0, y0, x1, y1, self._per_tick):
+        if grow_wave(self._layers, wave, self._body, ox, oy, x0, y0, x1, y1, self._per_tick):
             self._growing = False
             self._current = nxt
             self.generation += 1
@@ -207,7 +219,7 @@ def _escapes(layers, wave, cell):
 
 
 @njit(nogil=True, cache=True)
-def grow_wave(layers, wave, origin_x, origin_y, x0, y0, x1, y1, budget):
+def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
     """Settle up to `budget` cells inside a world rectangle; True when none are left."""
     n = layers.raw.shape[0]
     shift_x, shift_y = origin_x % n, origin_y % n
@@ -258,8 +270,10 @@ def grow_wave(layers, wave, origin_x, origin_y, x0, y0, x1, y1, budget):
             if there != 0:
                 if there <= cheaper:
                     continue
-            elif (near_obstacles[near] != 0 or raw[near] == 0) and not (
-                escaping and _escapes(layers, wave, near)
+            elif (
+                (near_obstacles[near] != 0 or raw[near] == 0)
+                and not (escaping and _escapes(layers, wave, near))
+                and not on_trail(layers, near // n, near % n, body)
             ):
                 continue
             into = cheaper & (_BUCKETS - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edge.mapping import layers as ly
 from edge.mapping.compose import compose
 
 
@@ -15,11 +16,16 @@ from edge.mapping.compose import compose
 @pytest.mark.parametrize("inflated", [100, 50])
 def test_compose(x0, y0, shape, inflated):
     rng = np.random.default_rng(0)
-    raw = rng.integers(0, 3, (16, 16)).astype(np.uint8)
-    near = (rng.integers(0, 4, (16, 16)) // 3).astype(np.uint16)
-    rows, columns = (y0 + np.arange(shape[0])) % 16, (x0 + np.arange(shape[1])) % 16
-    r, c = raw[np.ix_(rows, columns)], near[np.ix_(rows, columns)]
+    layers, body = ly.make_layers(64), ly.disc_half_widths(0.0)
+    layers.raw[:] = rng.integers(0, 3, (64, 64))
+    layers.near[:] = np.maximum(rng.integers(0, 4, (64, 64)) // 3, layers.raw // 2)
+    layers.trail[:, 0] = rng.integers(0, 2**63, 64, dtype=np.uint64)
+    trail = np.unpackbits(layers.trail.view(np.uint8), axis=1, bitorder="little").astype(bool)
+    here = np.ix_((y0 + np.arange(shape[0])) % 64, (x0 + np.arange(shape[1])) % 64)
+    raw, near, trail = layers.raw[here], layers.near[here], trail[here]
     out = np.full(shape, 7, np.int8)
-    compose(raw, near, x0, y0, inflated, out)
-    blocked = np.where(r >= 2, 100, inflated)
-    np.testing.assert_array_equal(out, np.where(c > 0, blocked, np.where(r > 0, 0, -1)))
+    compose(layers, body, x0, y0, inflated, out)
+    expected = np.where(raw > 0, 0, -1)
+    expected[(near > 0) & ~trail] = inflated
+    expected[raw >= 2] = 100
+    np.testing.assert_array_equal(out, expected)
