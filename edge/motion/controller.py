@@ -13,6 +13,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import SE2, wrap_angle
+from edge.motion.bumps import Bumps
 from edge.motion.progress import Progress
 from edge.motion.pursuit import (
     STOP,
@@ -60,6 +61,7 @@ class Controller:
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)
         self._progress = Progress(6 * settings.motion.stuck_s)
+        self._bumps = Bumps()
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
@@ -105,7 +107,7 @@ class Controller:
             raise ValueError(f"map resolution has to be above 0, got {resolution_m}")
         m = self._motion
         self._map = costmap.from_occupancy(
-            cells,
+            self._bumps.close(cells, origin_xy_m, resolution_m, now_ns),
             origin_xy_m,
             resolution_m,
             clearance_m=m.clearance_m,
@@ -220,16 +222,23 @@ class Controller:
         if not escaping and math.isinf(smoothing.polyline_cost_m(self._map, ahead)):
             self._planned_ns = None
             return STOP
+        straight: tuple[float, float] | None = None  # the farthest aim with a free line to it
         for fraction in AIM_FRACTIONS:
             k = index_ahead(self._path, self._index, fraction * self._motion.lookahead_m)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
+            if not smoothing.line_is_free(self._map, here, aim):
+                continue
+            straight = straight or aim
             command = pursue(pose, *aim, remaining_m, self._limits)
-            if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
+            if self._is_clear(pose, command):
                 return command
-        # No way round without touching: face the nearest aim, then creep towards it.
+        # No arc without touching: face one aim and stay with it, since two that take turns make
+        # the robot swing on the spot; then creep towards it.
+        aim = straight or aim
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
             return turn(bearing, self._limits)
+        command = pursue(pose, *aim, remaining_m, self._limits)
         scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
         return Command(command.v_mps * scale, command.w_radps * scale)
 
@@ -310,6 +319,8 @@ class Controller:
 
     def _unstick(self, pose: SE2, now_ns: int) -> Command:
         """Back up or turn once; a second standstill close by is a failure."""
+        if self._last.v_mps != 0.0:
+            self._bumps.add(pose, self._last.v_mps > 0.0, now_ns)
         last = self._recovered_at
         if last is not None and pose.distance_to(last.x_m, last.y_m) < AGAIN_M:
             self._finish("failed", "stuck")

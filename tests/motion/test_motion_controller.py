@@ -338,6 +338,30 @@ def test_a_robot_let_go_after_the_recovery_reaches_its_goal():
     assert walk.states == [(1, "accepted"), (1, "reached")]
 
 
+def test_what_the_map_does_not_show_is_driven_around():
+    """A chair leg in the way: after the first bump the next path leads past it."""
+    walk, goal = Walk(SE2(1.0, 2.0, 0.0)), SE2(5.0, 2.0, 0.0)
+    leg = SE2(3.0, 2.0, 0.0)
+    walk.goal(1, goal)
+    for step in range(1200):
+        if step % 10 == 0:
+            walk.map(inflated(room(6.0, 4.0)))
+        ahead = walk.pose.bearing_to(leg.x_m, leg.y_m)
+        touches = walk.pose.distance_to(leg.x_m, leg.y_m) < 0.22 and abs(ahead) < math.pi / 2
+        if touches and walk.v > 0.0:
+            walk.v = 0.0
+            walk.pose = SE2(
+                walk.pose.x_m - 0.03 * math.cos(walk.pose.yaw_rad),
+                walk.pose.y_m - 0.03 * math.sin(walk.pose.yaw_rad),
+                walk.pose.yaw_rad,
+            )
+        walk.step()
+        if walk.answers[-1].state != "accepted":
+            break
+    assert walk.states == [(1, "accepted"), (1, "reached")]
+    assert_at(walk.pose, goal)
+
+
 def test_a_pose_that_is_pulled_back_for_ever_fails_without_progress():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(room(6.0, 4.0))
