@@ -174,6 +174,7 @@ class Perception(Section):
     voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
     max_instances: Annotated[int, Field(ge=1, le=4096)] = 128
+    min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
     confirm_range_m: Positive = 3.0
     confirm_hits: Annotated[int, Field(ge=1)] = 3

@@ -26,6 +26,8 @@ FORGET_VIEWS = 100
 """Every so many views the counts that confirm are halved, so that old ones fade."""
 REFUTE_VIEWS = 30
 """After so many views, what something else explains better on average is not the target."""
+PARTIAL_VIEW = 0.25
+"""What a look in vain counts where an instance lies at the rim of the image or too near."""
 _LOOK_MIN_M = 0.8
 """Nearer things do not fit into the image, so not finding them says nothing."""
 _LOOK_RIM = 0.1
@@ -42,8 +44,9 @@ class _Track:
     Attributes:
         name: canonical form of the label.
         good_hits: views from near by in which it looked like the target.
-        views: views from near by in which it would have shown; `target_sum` and `rival_sum` are
-            the sums of what the detector gave the target and its best rival in them.
+        views: views from near by in which it would have shown, partial ones at a lesser weight;
+            `target_sum` and `rival_sum` are the sums of what the detector gave the target and
+            its best rival in them.
         now_target, now_rival: of the frame at hand.
         evidence_ns: newest stamp at which anything, even a weak box, was seen there.
         x_m, y_m, z_m: the centre, as plain numbers.
@@ -54,7 +57,7 @@ class _Track:
     name: str
     evidence_ns: int
     good_hits: int = 0
-    views: int = 0
+    views: float = 0.0
     good_ns: int = -1
     target_sum: float = 0.0
     rival_sum: float = 0.0
@@ -96,12 +99,18 @@ class InstanceTracker:
         return track.instance if track else None
 
     def of(self, label: str) -> list[Instance]:
-        """Instances that answer to a label (or a synonym) and were not refuted, best first."""
+        """Instances worth driving to, best first.
+
+        Those that answer to a label (or a synonym), were found in `min_hits` images at least, and
+        were not refuted.
+        """
         name = names.canonical(label)
         found = [
             track.instance
             for track in self._tracks.values()
-            if track.instance.state != "refuted" and track.name == name
+            if track.name == name
+            and track.instance.state != "refuted"
+            and track.instance.hits >= self.config.min_hits
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
@@ -167,8 +176,11 @@ class InstanceTracker:
                 track.now_target = track.now_rival = 0.0
                 continue
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
-            if near and (view == "well" or track.now_target > 0.0):
-                self._count_view(track)
+            if near:
+                # A miss in a partial view says less than one in a full view; saying nothing
+                # would leave hits alone to speak, those by mistake too.
+                full = view == "well" or track.now_target > 0.0
+                self._count_view(track, 1.0 if full else PARTIAL_VIEW)
             track.now_target = track.now_rival = 0.0
             if view == "partly" or track.evidence_ns >= observation.stamp_ns:
                 continue
@@ -299,12 +311,12 @@ class InstanceTracker:
             track.good_hits += 1
             self._judge(track)
 
-    def _count_view(self, track: _Track) -> None:
-        track.views += 1
+    def _count_view(self, track: _Track, weight: float) -> None:
+        track.views += weight
         track.target_sum += track.now_target
         track.rival_sum += track.now_rival
         if track.views >= FORGET_VIEWS:
-            track.views //= 2
+            track.views *= 0.5
             track.good_hits //= 2
             track.target_sum *= 0.5
             track.rival_sum *= 0.5

@@ -132,7 +132,7 @@ def test_the_score_rises_fast_and_falls_slowly(scene):
 
 
 def test_of_is_best_first(scene):
-    s = scene()
+    s = scene(min_hits=1)
     s.see(("chair", 2, 0, 0.4), ("chair", 2, 3, 0.9), ("bed", 2, -3, 0.95))
     assert [i.score for i in s.tracker.of("chairs")] == pytest.approx([0.9, 0.4])
 
@@ -190,8 +190,34 @@ def test_a_mistake_now_and_then_does_not_confirm(scene):
     assert chair.state == "seen"
 
 
+@pytest.mark.parametrize("min_hits", [1, 2, 5])
+def test_what_was_found_too_seldom_is_not_driven_to(scene, min_hits):
+    s = scene(min_hits=min_hits)
+    for hits in range(1, 7):
+        s.see(("chair", 2, 0, 0.6))
+        assert len(s.tracker.of("chair")) == (hits >= min_hits)
+        assert len(s.tracker.all) == 1
+
+
+@pytest.mark.parametrize("places", ["under the nose", "at the rim"])
+def test_mistakes_in_partial_views_do_not_confirm(scene, places):
+    """Looks in vain count there too, if less: mistakes alone would else make their own mean."""
+    x_m, y_m = {"under the nose": (0.75, 0.0), "at the rim": (2.0, 1.4)}[places]
+    s = scene(confirm_hits=3, confirm_mean=0.12, tau_det=0.1)
+    for _ in range(4):
+        (chair,) = s.see(("chair", x_m, y_m, 0.4))
+        s.tracker.expire(s.last)
+        for _ in range(19):
+            s.tracker.expire(s.frame())
+    assert chair.state == "seen"
+    for _ in range(20):
+        s.see(("chair", x_m, y_m, 0.4))
+        s.tracker.expire(s.last)
+    assert chair.state == "confirmed"
+
+
 def test_a_refuted_thing_is_never_chased_again(scene):
-    s = scene(refute_radius_m=0.6)
+    s = scene(refute_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.refute(chair.id)
     for _ in range(5):
