@@ -13,7 +13,7 @@ from pathlib import Path
 
 import psutil
 
-PATIENCE_S = 120.0  # only a failing test waits this long
+PATIENCE_S = 300.0  # only a failing test waits this long
 STOP_S = 15.0
 
 
