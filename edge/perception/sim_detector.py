@@ -60,8 +60,8 @@ class SimDetector:
         ids, depth = observation.object_ids, observation.depth_m
         if ids is None or depth is None or ids.shape != depth.shape or ids.size == 0:
             raise ValueError(
-                f"observation {observation.seq}: no object ids with depth; the sim detector "
-                "needs a simulator, use perception.detector.kind: onnx on a real camera"
+                f"observation {observation.seq}: no object ids with depth: lost on the way, or no "
+                "simulator sends them (for a real camera use perception.detector.kind: onnx)"
             )
         if len(observation.object_labels) != len(self._pixels):
             self._resize(len(observation.object_labels))
