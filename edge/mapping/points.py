@@ -20,6 +20,10 @@ LOWEST_OBSTACLE, HEIGHT_CODES = 2, 250
 _GROUND_NOISE_M = 0.02
 # Rings near enough to tell the height of the floor that the robot stands on.
 _NEAR_GROUND_M = 1.5
+# Only ground that is seen over this much of a ray's way tells that height: the foot of a bed
+# whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
+_GROUND_RUN_M = 0.3
+_RUN_GAP = 2  # rings
 _MIN_SECTOR_RAD = 0.0175
 _MAX_SPREAD = 16
 
@@ -256,6 +260,7 @@ def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, slope, step_m):
     """Fill one sector's ground; returns its reach, and sum and number of near floor heights."""
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
+    run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
     for r in range(last + 1):
         z = lowest_m[s, r]
         if z < np.inf:
@@ -265,8 +270,12 @@ def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, slope, step_m):
             if abs(z - ground) <= allowed:
                 ground, ground_d, drop = z, d, False
                 if d < _NEAR_GROUND_M:
-                    near_sum += z
-                    near_count += 1
+                    if r - run_to > _RUN_GAP:
+                        run_from, run_sum, run_count = r, 0.0, 0
+                    run_to, run_sum, run_count = r, run_sum + z, run_count + 1
+                    if (r - run_from) * ring_m >= _GROUND_RUN_M:
+                        near_sum, near_count = near_sum + run_sum, near_count + run_count
+                        run_sum, run_count = 0.0, 0
             elif z < ground:
                 drop = True
         ground_m[s, r] = ground

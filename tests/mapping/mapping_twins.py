@@ -149,12 +149,15 @@ def scan_twin(xyz, sensor_z, range_m, inv_res, fx, fy, polar):
 
 
 def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, range_m):
-    """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m)."""
+    """Twin of `sweep_ground` for sectors with data: (ground_m, pass_slope, reach_m, heights of
+    the floor near by)."""
     sectors, rings = lowest.shape
     ground = np.full(lowest.shape, np.nan)
     passing = np.full(lowest.shape, np.inf)
     reach = np.zeros(sectors)
+    near = []
     for s in range(sectors):
+        run: list[tuple[int, float]] = []
         hit = np.flatnonzero(np.isfinite(lowest[s]))
         far = np.isfinite(far_slope[s])
         if len(hit) == 0 and not far:
@@ -166,16 +169,27 @@ def sweep_twin(lowest, far_slope, ring_m, sensor_z, floor_z, slope, step_m, rang
                 limit = step_m if at == 0.0 else 2 * step_m
                 if abs(z - level) <= min(slope * (d - at) + 0.02, limit):
                     level, at, drop = z, d, False
+                    if d < 1.5:
+                        if run and r - run[-1][0] > 2:
+                            near += _long(run, ring_m)
+                            run = []
+                        run.append((r, z))
                 elif z < level:
                     drop = True
             ground[s, r] = level
+        near += _long(run, ring_m)
         last = hit[-1] if len(hit) else 0
         end = range_m if far else last * ring_m
         reach[s] = min(at, last * ring_m) if drop else end
         for r in range(rings):
             slopes = [(lowest[s, k] - sensor_z) / ((k + 0.5) * ring_m) for k in hit if k >= r + 2]
             passing[s, r] = min([*slopes, far_slope[s]])
-    return ground, passing, reach
+    return ground, passing, reach, near
+
+
+def _long(run: list[tuple[int, float]], ring_m: float) -> list[float]:
+    """The heights of a run of ground, where it is long enough to be floor."""
+    return [z for _, z in run] if run and (run[-1][0] - run[0][0]) * ring_m >= 0.3 else []
 
 
 def classify_twin(cell, z_m, ground, polar, low_m, high_m):

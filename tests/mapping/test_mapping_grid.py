@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, room
+from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 
 from edge import config
 from edge.geometry import SE2, CameraModel
@@ -286,3 +286,29 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.unknown_ratio(grid.frontiers.xy_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
     grid.snapshot()
     assert signatures() == before
+
+
+@pytest.mark.parametrize("foot_m", [0.0, 0.08])
+@pytest.mark.parametrize("from_m", [-0.5, 0.4], ids=["from afar", "from near by"])
+def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
+    """The floor before it is in the blind zone; what is seen lowest climbs up its side."""
+    grid = RollingMap(SMALL)
+    bed = [(1.0, -0.8, foot_m, 3.0, 0.8, 0.5)]
+    for x in np.arange(from_m, 0.75, 0.01):
+        look(grid, SE2(x, 0.0, 0.0), bed)
+    assert abs(grid._floor_z_m) < 0.02
+    for x, y in ((1.05, 0.0), (1.3, 0.3), (1.5, -0.4)):
+        assert grid.state_at(x, y) == 100
+
+
+def test_the_floor_follows_a_ramp():
+    """What is seen over some way is floor, also where it is not level with the start."""
+    grid = RollingMap(SMALL)
+    for step in range(60):
+        rise_m, pose = 0.002 * step, SE2(0.02 * step, 0.0, 0.0)
+        T = pose.matrix() @ T_BASE_CAMERA
+        lower = T.copy()
+        lower[2, 3] -= rise_m
+        grid.update_depth(render(CAMERA, lower, []), CAMERA, T, pose)
+    assert grid._floor_z_m == pytest.approx(rise_m, abs=0.03)
+    assert not (grid.snapshot().cells == 100).any()

@@ -23,6 +23,9 @@ def random_scan(seed: int, n: int):
     rng = np.random.default_rng(seed)
     scan = points.make_scan(POLAR, max(n, 1))
     scan.xyz[:2, :n] = rng.uniform(-4, 4, (2, n))
+    # Some in few directions, dense enough for runs of ground.
+    ray, reach_m = rng.choice([0.3, 1.7, -2.0], n // 2), rng.uniform(0.2, 3.5, n // 2)
+    scan.xyz[:2, : n // 2] = reach_m * np.cos(ray), reach_m * np.sin(ray)
     scan.xyz[2, :n] = rng.choice([0.0, 0.3, 1.5, -0.4], n) + rng.normal(0, 0.02, n)
     half = POLAR.bin_of.shape[0] // 2
     args = (F(0.6), F(3.0), F(20.0), F(half + 0.3), F(half + 0.8))
@@ -40,10 +43,12 @@ def test_point_kernels_agree_with_their_twins(seed, n):
     np.testing.assert_array_equal(scan.lowest_m, lowest)
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
-    points.sweep_ground(scan, POLAR, 0.6, 0.0, 0.3, 0.1, 3.0, 20.0)
-    ground, passing, reach = twins.sweep_twin(
+    total, count = points.sweep_ground(scan, POLAR, 0.6, 0.0, 0.3, 0.1, 3.0, 20.0)
+    ground, passing, reach, near = twins.sweep_twin(
         lowest, scan.far_slope, POLAR.ring_m, 0.6, 0.0, 0.3, 0.1, 3.0
     )
+    assert count == len(near)
+    assert total == pytest.approx(sum(near), abs=1e-4)
     touched = ~np.isnan(ground[:, 0])
     np.testing.assert_allclose(scan.ground_m[touched], ground[touched], atol=1e-5)
     np.testing.assert_allclose(scan.pass_slope[touched], passing[touched], rtol=1e-5)
