@@ -222,23 +222,16 @@ class Controller:
         if not escaping and math.isinf(smoothing.polyline_cost_m(self._map, ahead)):
             self._planned_ns = None
             return STOP
-        straight: tuple[float, float] | None = None  # the farthest aim with a free line to it
         for fraction in AIM_FRACTIONS:
             k = index_ahead(self._path, self._index, fraction * self._motion.lookahead_m)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
-            if not smoothing.line_is_free(self._map, here, aim):
-                continue
-            straight = straight or aim
             command = pursue(pose, *aim, remaining_m, self._limits)
-            if self._is_clear(pose, command):
+            if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
                 return command
-        # No arc without touching: face one aim and stay with it, since two that take turns make
-        # the robot swing on the spot; then creep towards it.
-        aim = straight or aim
+        # No way round without touching: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
             return turn(bearing, self._limits)
-        command = pursue(pose, *aim, remaining_m, self._limits)
         scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
         return Command(command.v_mps * scale, command.w_radps * scale)
 
