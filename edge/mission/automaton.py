@@ -1,0 +1,123 @@
+"""The automaton of a mission: which objects, reached in which order, fulfil the formula.
+
+Words have "one reached object or nothing" per step, as in ViTL IV-A1, where a transition is
+taken when the robot reaches an object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from edge.mission.logic import compiler as own_compiler
+from edge.mission.logic import spot_compiler
+from edge.mission.logic.formula import Formula, propositions
+from edge.mission.logic.limits import CompileError, Limits
+
+__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula", "compile_with"]
+
+COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
+NOTHING = ""  # the letter of a step in which nothing of the formula is reached
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton:
+    """The minimal complete deterministic automaton of a formula over finite words.
+
+    States are numbered breadth-first from the initial state 0, letters in their order; so two
+    formulas with the same letters mean the same exactly when their arrays are equal.
+
+    Attributes:
+        formula: what was compiled.
+        letters: its propositions, in order of first appearance.
+        delta: (n_states, len(letters) + 1) int32, the next state per letter; the last column is
+            NOTHING.
+        accepting: (n_states,) bool.
+        steps_left: (n_states,) int32, the fewest objects to reach until acceptance (steps in
+            which nothing is reached are free); -1 where success is impossible.
+    """
+
+    formula: Formula
+    letters: tuple[str, ...]
+    delta: np.ndarray
+    accepting: np.ndarray
+    steps_left: np.ndarray
+
+    @property
+    def n_states(self) -> int:
+        return len(self.delta)
+
+    @cached_property
+    def _column(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.letters)}
+
+    def step(self, state: int, letter: str | None) -> int:
+        """The state after one step; a letter that the formula lacks is NOTHING."""
+        return int(self.delta[state, self._column.get(letter or NOTHING, len(self.letters))])
+
+    def run(self, word: Sequence[str | None]) -> int:
+        """The state after a word."""
+        state = 0
+        for letter in word:
+            state = self.step(state, letter)
+        return state
+
+    def accepts(self, word: Sequence[str | None]) -> bool:
+        """Whether a word fulfils the formula."""
+        return bool(self.accepting[self.run(word)])
+
+    def dead(self, state: int) -> bool:
+        """Whether no continuation leads to acceptance."""
+        return bool(self.steps_left[state] < 0)
+
+    def edges(self, state: int) -> Iterator[tuple[str, int]]:
+        """Letters and the states they lead to, NOTHING last."""
+        return zip((*self.letters, NOTHING), self.delta[state].tolist(), strict=True)
+
+
+def compile_formula(formula: Formula, max_states: int = 20000, limit_s: float = 5.0) -> Automaton:
+    """The automaton of a formula, by our own compiler.
+
+    Args:
+        max_states: the most states that it, or any automaton on the way to it, may have.
+        limit_s: the most seconds that may be spent.
+
+    Raises:
+        CompileError: a limit was passed.
+    """
+    return compile_with("own", formula, max_states, limit_s)
+
+
+def compile_with(
+    compiler: Literal["own", "spot"],
+    formula: Formula,
+    max_states: int = 20000,
+    limit_s: float = 5.0,
+) -> Automaton:
+    """What `compile_formula` does, by a compiler of choice; the automaton is the same.
+
+    Raises:
+        CompileError: a limit was passed.
+        UserError: Spot was chosen, and its real bindings are not there.
+    """
+    limits = Limits(max_states, limit_s)
+    letters = propositions(formula)
+    delta, accepting = COMPILERS[compiler](formula, letters, limits)
+    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, limits))
+
+
+def steps_left(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndarray:
+    """See `Automaton.steps_left`."""
+    far = len(delta)
+    left = np.where(accepting, 0, far).astype(np.int32)
+    while True:
+        limits.check_time()
+        reach = left[delta]
+        new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
+        if np.array_equal(new, left):
+            return np.where(left >= far, -1, left).astype(np.int32)
+        left = new

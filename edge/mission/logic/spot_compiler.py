@@ -1,0 +1,166 @@
+"""Compilation by Spot (https://spot.lre.epita.fr), where its Python bindings are installed.
+
+Spot reads formulas over infinite words. `from_ltlf` embeds the finite ones, with a proposition
+`alive` that holds as long as the word lasts; `to_finite` takes it out of the automaton again
+(Spot's tutorial "Working with LTL formulas with finite semantics"). Of the propositions' values
+per step only "one reached object or nothing" is kept. Spot's words are not empty, so whether
+the empty one is accepted comes from the definition.
+
+The module `spot` of the package `spot` on the Python package index is something else; `spottl`
+there has the real bindings (tried with 2.13). Spot cannot be interrupted: the time limit is
+looked at before and after its own work, so untrusted formulas belong to our compiler.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from types import ModuleType
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.mission.logic.formula import UNARY, Formula, postorder
+from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.minimise import minimal
+from edge.mission.ltl import holds
+
+_ALIVE = "alive"
+_WANTED = {
+    "spot": ("formula", "from_ltlf", "translate", "to_finite"),
+    "buddy": ("bdd_ithvar", "bdd_nithvar", "bddfalse", "bddtrue"),
+}
+# In Spot's LTLf, X is the weak next and X[!] the strong one.
+_SPELLING = {"X": "X[!] ", "WX": "X "}
+_MAX_DEPTH = 1000  # Spot recurses on the machine's stack
+
+
+def missing() -> str:
+    """What is missing of Spot, in words; empty when it can be used."""
+    for name, wanted in _WANTED.items():
+        try:
+            module = importlib.import_module(name)
+        except (ImportError, OSError):
+            return f"no module {name!r} is installed"
+        absent = [attribute for attribute in wanted if not hasattr(module, attribute)]
+        if absent:
+            return f"the installed module {name!r} is not Spot's: it has no {absent[0]!r}"
+    return ""
+
+
+def available() -> bool:
+    """Whether Spot's real bindings can be imported."""
+    return not missing()
+
+
+def language(
+    formula: Formula, letters: Sequence[str], limits: Limits
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `edge.mission.logic.compiler.language` does, by Spot: the same arrays.
+
+    Raises:
+        UserError: Spot is not there.
+        CompileError: a limit was passed, or the formula is nested too deep for Spot.
+    """
+    reason = missing()
+    if reason:
+        raise UserError(
+            f"compiler 'spot': {reason}; install Spot's Python bindings (package spottl or "
+            "conda-forge's spot), or choose the compiler 'own'"
+        )
+    if _depth(formula) > _MAX_DEPTH:
+        raise CompileError(
+            f"formula: nested deeper than {_MAX_DEPTH}, too deep for the compiler 'spot'; "
+            "choose 'own'"
+        )
+    limits.check_time()
+    spot, buddy = (importlib.import_module(name) for name in _WANTED)
+    embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
+    finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
+    steps = _steps(finite, buddy, len(letters))
+    rows, accepting = _determined(finite, steps, buddy.bddfalse, limits)
+    # The empty word may differ from other words that lead to the initial state.
+    delta = np.array([rows[0], *rows], np.int32) + 1
+    accepting = [holds(formula, ()), *accepting]
+    return minimal(*_reachable(delta, np.array(accepting)), limits)
+
+
+def _determined(
+    automaton, steps: list, impossible, limits: Limits
+) -> tuple[list[list[int]], list[bool]]:
+    """The subset construction over single letters; one state each where Spot's was determined."""
+    states = [frozenset({automaton.get_init_state_number()})]
+    index = {states[0]: 0}
+    rows: list[list[int]] = []
+    accepting: list[bool] = []
+    n = 0
+    while n < len(states):
+        limits.check_time()
+        row = []
+        edges = [edge for state in states[n] for edge in automaton.out(state)]
+        for step in steps:
+            target = frozenset(edge.dst for edge in edges if (edge.cond & step) != impossible)
+            if target not in index:
+                index[target] = len(states)
+                states.append(target)
+                limits.check_states(len(states))
+            row.append(index[target])
+        rows.append(row)
+        accepting.append(any(automaton.state_is_accepting(state) for state in states[n]))
+        n += 1
+    return rows, accepting
+
+
+def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
+    """Per letter, NOTHING last: the values of all propositions in that step."""
+    variables = [automaton.register_ap(f"p{k}") for k in range(n_letters)]
+    steps = []
+    for letter in range(n_letters + 1):
+        values = buddy.bddtrue
+        for k, variable in enumerate(variables):
+            one = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
+            values = values & one(variable)
+        steps.append(values)
+    return steps
+
+
+def _reachable(delta: np.ndarray, accepting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Without the states that cannot be reached from state 0, which `minimal` wants."""
+    order, seen = [0], {0}
+    for state in order:
+        new = [t for t in dict.fromkeys(delta[state].tolist()) if t not in seen]
+        order += new
+        seen.update(new)
+    number = np.zeros(len(delta), np.int32)
+    number[order] = np.arange(len(order), dtype=np.int32)
+    return number[delta[order]], accepting[order]
+
+
+def _text(formula: Formula, letters: Sequence[str]) -> str:
+    """The formula as Spot reads it, propositions as p0, p1 …, every operand in parentheses."""
+    number = {name: k for k, name in enumerate(letters)}
+    out: list[str] = []
+    todo: list[Formula | str] = [formula]
+    while todo:
+        f = todo.pop()
+        if isinstance(f, str):
+            out.append(f)
+        elif f.op == "ap":
+            out.append(f"p{number[f.name]}")
+        elif not f.args:
+            out.append(f.op)
+        else:
+            op = _SPELLING.get(f.op, f.op)
+            pieces: list[Formula | str] = [op] if f.op in UNARY else []
+            for k, arg in enumerate(f.args):
+                pieces += [f" {op} "] if k else []
+                pieces += ["(", arg, ")"]
+            todo.extend(reversed(pieces))
+    return "".join(out)
+
+
+def _depth(formula: Formula) -> int:
+    depth: dict[int, int] = {}
+    for f in postorder(formula):
+        depth[id(f)] = 1 + max((depth[id(arg)] for arg in f.args), default=0)
+    return depth[id(formula)]

@@ -1,0 +1,282 @@
+"""The automaton of a formula: right on every word, minimal, and within its limits."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_mission_ltl import formulas
+
+from edge.errors import UserError
+from edge.mission.automaton import NOTHING, CompileError, compile_formula, steps_left
+from edge.mission.logic import compiler, minimise
+from edge.mission.logic.limits import Limits
+from edge.mission.ltl import holds, parse
+
+CASE_1 = (
+    "(F (toilet & F bed) | F (couch & F chair) | F (plant & F tv))"
+    " & (!tv U bed) & (!toilet U couch) & (!couch U tv)"
+)
+CASE_2 = (
+    "(F (couch & F (toilet & F (bed & F chair))) | F (bed & F (plant | toilet))"
+    " | F (tv & F (plant & F couch)))"
+    " & (!couch U toilet) & (!bed U tv) & (!plant U chair)"
+)
+CASE_1_WEAK, CASE_2_WEAK = CASE_1.replace(" U ", " W "), CASE_2.replace(" U ", " W ")
+LETTERS = ("a", "b", "c", None)
+WORDS = [word for n in range(5) for word in itertools.product(LETTERS, repeat=n)]
+
+
+def targets(n: int) -> str:
+    """n targets in any order."""
+    return " & ".join(f"F a{k}" for k in range(n))
+
+
+def in_parts(text_or_formula):
+    """The automaton by products of parts alone, as wide formulas get it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "_MAX_CLAUSES", 0)
+        return compile_formula(text_or_formula)
+
+
+def same(a, b) -> bool:
+    return np.array_equal(a.delta, b.delta) and np.array_equal(a.accepting, b.accepting)
+
+
+def shortest(automaton) -> set[tuple[str, ...]]:
+    """All shortest accepted words without idle steps."""
+    for n in range(7):
+        words = itertools.product(automaton.letters, repeat=n)
+        found = {word for word in words if automaton.accepts(word)}
+        if found:
+            return found
+    return set()
+
+
+@pytest.mark.parametrize(
+    ("text", "states"),
+    [
+        ("true", 1),
+        ("false", 1),
+        ("F a", 2),
+        ("F ((chair | couch) & F tv)", 3),
+        (CASE_1, 13),
+        (CASE_2, 30),
+        (CASE_1_WEAK, 13),
+        (CASE_2_WEAK, 32),
+        (targets(6), 64),
+        ("F (a & F (b & F (c & F (d & F (e & F f)))))", 7),
+        (targets(12), 4096),
+        ("X X X a", 6),
+        ("G F a", 2),
+        ("a <-> b <-> c <-> d", 3),
+    ],
+)
+def test_state_counts(text, states):
+    """The counts of the published tools, for the formulas as the ViTL paper writes them."""
+    assert compile_formula(parse(text)).n_states == states
+
+
+@settings(deadline=None)
+@given(formulas())
+def test_agrees_with_the_definition_on_all_short_words(f):
+    automaton = compile_formula(f)
+    for word in WORDS:
+        assert automaton.accepts(word) == holds(f, word)
+
+
+@settings(deadline=None)
+@given(formulas())
+def test_parts_give_the_same_automaton(f):
+    assert same(in_parts(f), compile_formula(f))
+
+
+@settings(deadline=None)
+@given(formulas())
+def test_minimal(f):
+    """Myhill–Nerode: any two states are told apart by a word, every state can be reached."""
+    automaton = compile_formula(f)
+    n = automaton.n_states
+    apart = automaton.accepting[:, None] != automaton.accepting[None, :]
+    reached = np.eye(n, dtype=bool)[0]
+    for _ in range(n):
+        for column in automaton.delta.T:
+            apart |= apart[column][:, column]
+            reached[column[reached]] = True
+    assert (apart | np.eye(n, dtype=bool)).all()
+    assert reached.all()
+
+
+@settings(deadline=None)
+@given(formulas(max_leaves=12))
+def test_states_are_numbered_breadth_first(f):
+    order = [0]
+    automaton = compile_formula(f)
+    for state in order:
+        order += [t for t in dict.fromkeys(automaton.delta[state].tolist()) if t not in order]
+    assert order == list(range(automaton.n_states))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("F a", "true U a"),
+        ("!(a U b)", "!a R !b"),
+        ("a W b", "a U b | G a"),
+        ("a M b", "b U (a & b)"),
+        ("F (a & F b)", "F (a & X F b)"),
+        ("!X a", "WX !a"),
+        ("F a & F b", "F (a & F b) | F (b & F a)"),
+        ("a -> b", "!a | b"),
+        ("!(F a -> G b)", "F a & F !b"),
+    ],
+)
+def test_equal_languages_give_equal_arrays(one, other):
+    assert same(compile_formula(parse(one)), compile_formula(parse(other)))
+
+
+def test_case_study_1():
+    """Table II's plan needs the weak until; PEERS.md's ties and lengths."""
+    weak, strong = compile_formula(parse(CASE_1_WEAK)), compile_formula(parse(CASE_1))
+    assert shortest(weak) == {("bed", "plant", "tv"), ("plant", "bed", "tv")}
+    assert not strong.accepts(["bed", "plant", "tv"])
+    assert {len(word) for word in shortest(strong)} == {4}
+    assert ("bed", "plant", "tv", "couch") in shortest(strong)
+
+
+def test_case_study_2():
+    """Table III's plan is the only shortest one under the weak until, and no plan at all else."""
+    weak, strong = compile_formula(parse(CASE_2_WEAK)), compile_formula(parse(CASE_2))
+    assert shortest(weak) == {("tv", "bed", "toilet")}
+    assert not strong.accepts(["tv", "bed", "toilet"])
+
+
+def test_arrays_and_steps():
+    automaton = compile_formula(parse("F (sofa & F tv) & G !bed"))
+    assert automaton.letters == ("sofa", "tv", "bed")
+    assert automaton.delta.shape == (automaton.n_states, 4)
+    assert (automaton.delta.dtype, automaton.steps_left.dtype) == (np.int32, np.int32)
+    assert automaton.accepting.dtype == bool
+    assert list(automaton.edges(0)) == [("sofa", 1), ("tv", 0), ("bed", 2), (NOTHING, 0)]
+    assert [automaton.step(0, letter) for letter in ("tv", "lamp", None, NOTHING)] == [0] * 4
+    assert automaton.accepts(["tv", "sofa", None, "lamp", "tv"])
+    assert not automaton.accepts(["sofa", "bed", "tv"])
+    assert automaton.dead(automaton.run(["bed"]))
+    assert not automaton.dead(0)
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        ("true", 0), ("false", -1), ("F a", 1), ("F a & F b", 2), ("G F a", 0), ("X X a", 1),
+        ("F (a & X F a)", 2), ("X true", 0), ("a & b", -1), ("!a U b", 1),
+    ],
+)  # fmt: skip
+def test_steps_left(text, left):
+    assert compile_formula(parse(text)).steps_left[0] == left
+
+
+@settings(deadline=None)
+@given(formulas())
+def test_steps_left_is_the_fewest_objects(f):
+    """Against a search over words with up to four objects and idle steps between them."""
+    automaton = compile_formula(f)
+    left = automaton.steps_left
+    for state in range(automaton.n_states):
+        here, objects = idle(automaton, {state}), 0
+        while objects < 5 and not automaton.accepting[list(here)].any():
+            here = idle(automaton, {int(t) for s in here for t in automaton.delta[s, :-1]})
+            objects += 1
+        assert left[state] == objects or (objects == 5 and not 0 <= left[state] < 5)
+
+
+def idle(automaton, states: set[int]) -> set[int]:
+    """States that can be reached with no object at all."""
+    while True:
+        wider = states | {int(automaton.delta[s, -1]) for s in states}
+        if wider == states:
+            return states
+        states = wider
+
+
+@settings(deadline=None)
+@given(st.integers(1, 12), st.integers(1, 3), st.randoms(use_true_random=False))
+def test_both_refinements_agree(n, k, random):
+    delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)
+    accepting = np.array([random.random() < 0.4 for _ in range(n)])
+    limits = Limits(100, 60.0)
+    small = minimise._refine_small(delta, accepting, limits)
+    large = minimise._refine(delta, accepting, limits)
+    assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
+    assert set(large) == set(range(large.max() + 1))
+
+
+def test_packing_of_many_columns_agrees():
+    """60 columns do not fit into one int64."""
+    rng = np.random.default_rng(0)
+    delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
+    delta[20:] = delta[:20]
+    accepting = np.tile(rng.random(20) < 0.5, 2)
+    large = minimise._refine(delta, accepting, Limits(100, 60.0))
+    small = minimise._refine_small(delta, accepting, Limits(100, 60.0))
+    assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
+    assert large.max() + 1 == 20
+
+
+def test_limit_of_states():
+    assert compile_formula(parse(targets(6)), max_states=64).n_states == 64
+    with pytest.raises(CompileError, match="more than 63 states; use fewer targets"):
+        compile_formula(parse(targets(6)), max_states=63)
+    with pytest.raises(CompileError, match="more than 20000 states"):
+        compile_formula(parse(targets(40)))
+    assert issubclass(CompileError, UserError)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        targets(12),
+        "F a0" + "".join(f" <-> F a{k}" for k in range(1, 40)),
+        "F (" + " & ".join(f"(F a{k} | F b{k})" for k in range(15)) + ")",
+        "X " * 9_000 + "a",
+        " & ".join(f"F (a{k} & X X X X X b{k})" for k in range(20)),
+    ],
+    ids=["targets", "equivalences", "wide inside", "deep next", "memory"],
+)
+def test_limit_of_time(text):
+    """Checked on every way through the compiler: none of these could end by itself so soon."""
+    formula = parse(text)
+    with pytest.raises(CompileError, match=r"no automaton within 0\.01 s|more than \d+ states"):
+        compile_formula(formula, limit_s=0.01)
+    with pytest.raises(CompileError, match="within 0 s"):
+        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Limits(1, 0.0))
+
+
+def test_limit_of_size():
+    """Seconds alone would let wide states fill the memory."""
+    with pytest.raises(CompileError, match="more than 10000 different subformulas"):
+        compile_formula(parse("X " * 50_000 + "a"))
+
+
+@pytest.mark.parametrize(
+    ("text", "states"),
+    [
+        ("(" * 1000 + "a" + ")" * 1000, 3),
+        ("!" * 1000 + "a", 3),
+        ("F " * 1000 + "a", 2),
+        ("X " * 300 + "a", 303),
+        ("F (a & " * 300 + "b" + ")" * 300, 1),
+        ("G (a | " * 300 + "b" + ")" * 300, 2),
+        ("!" * 50_000 + "a", 3),
+        (" & ".join(f"(F a{k} | F b{k})" for k in range(8)), 256),
+        (" & ".join(f"G F a{k}" for k in range(40)), 2),
+        (" & ".join(f"(!a{k + 1} W a{k})" for k in range(39)), 41),
+        ("a0" + "".join(f" <-> a{k}" for k in range(1, 40)), 3),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_large_formulas_compile(text, states):
+    assert compile_formula(parse(text), limit_s=60.0).n_states == states

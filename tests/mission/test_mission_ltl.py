@@ -1,0 +1,303 @@
+"""Formulas: what is read, how it is written, what it means."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import pickle
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.mission import ltl
+from edge.mission.logic.ltl_parser import MAX_CHARS
+from edge.mission.ltl import FormulaError, holds, parse, parse_prefix, propositions, to_text
+
+LANG2LTL = (
+    Path(__file__).resolve().parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"
+)
+A, B, C, D = (ltl.ap(name) for name in "abcd")
+
+
+def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
+    """Any formula over some propositions."""
+    leaves = st.sampled_from([*map(ltl.ap, names), ltl.TRUE, ltl.FALSE])
+    unary = st.sampled_from([ltl.neg, ltl.next_, ltl.weak_next, ltl.eventually, ltl.always])
+    binary = st.sampled_from(
+        [ltl.implies, ltl.iff, ltl.until, ltl.weak_until, ltl.release, ltl.strong_release]
+    )
+    nary = st.sampled_from([ltl.conj, ltl.disj])
+
+    def grow(inner):
+        return st.one_of(
+            st.builds(lambda op, f: op(f), unary, inner),
+            st.builds(lambda op, f, g: op(f, g), binary, inner, inner),
+            st.builds(lambda op, fs: op(*fs), nary, st.lists(inner, min_size=2, max_size=3)),
+        )
+
+    return st.recursive(leaves, grow, max_leaves=max_leaves)
+
+
+@pytest.mark.parametrize(
+    ("text", "formula"),
+    [
+        ("a", A),
+        ("true", ltl.TRUE),
+        ("false", ltl.FALSE),
+        ("True", ltl.ap("True")),
+        ('"potted plant"', ltl.ap("potted plant")),
+        ('"F"', ltl.ap("F")),
+        (r'"a \"b\" \\c"', ltl.ap('a "b" \\c')),
+        ("((a))", A),
+        ("!a", ltl.neg(A)),
+        ("! ! a", ltl.neg(ltl.neg(A))),
+        ("F G a", ltl.eventually(ltl.always(A))),
+        ("X WX a", ltl.next_(ltl.weak_next(A))),
+        ("F a U b", ltl.until(ltl.eventually(A), B)),
+        ("!a U b", ltl.until(ltl.neg(A), B)),
+        ("a U b U c", ltl.until(A, ltl.until(B, C))),
+        ("a W b R c M d", ltl.weak_until(A, ltl.release(B, ltl.strong_release(C, D)))),
+        ("(a U b) U c", ltl.until(ltl.until(A, B), C)),
+        ("a U b & c", ltl.conj(ltl.until(A, B), C)),
+        ("a & b | c & d", ltl.disj(ltl.conj(A, B), ltl.conj(C, D))),
+        ("a & (b & c) & d", ltl.conj(A, B, C, D)),
+        ("a | b -> c | d", ltl.implies(ltl.disj(A, B), ltl.disj(C, D))),
+        ("a -> b -> c", ltl.implies(A, ltl.implies(B, C))),
+        ("a <-> b -> c", ltl.iff(A, ltl.implies(B, C))),
+        ("a <-> b <-> c", ltl.iff(A, ltl.iff(B, C))),
+        ("a && b || c", ltl.disj(ltl.conj(A, B), C)),
+        ("a => b", ltl.implies(A, B)),
+        ("a <=> b", ltl.iff(A, B)),
+        ("<> a | [] b", ltl.disj(ltl.eventually(A), ltl.always(B))),
+        ("◇(a ∧ □ ¬b) ∨ ○c", parse("F (a & G !b) | X c")),
+        ("a → b ↔ c", parse("a -> b <-> c")),
+        ("Fa", ltl.ap("Fa")),
+        ("\n a\t&\r\n b", ltl.conj(A, B)),
+    ],
+)
+def test_parse(text, formula):
+    assert parse(text) == formula
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "says"),
+    [
+        ("", 1, "found the end"),
+        ("   ", 4, "found the end"),
+        ("a b", 3, "expected an operator such as & or U before 'b'"),
+        ("a F b", 3, "before 'F'"),
+        ("(a", 3, "expected ')' for the '(' of column 1"),
+        ("F (a & (b | c)", 15, "'(' of column 3"),
+        ("a)", 2, "')' closes nothing"),
+        ("()", 2, "found ')'"),
+        ("& a", 1, "found '&'"),
+        ("a &", 4, "found the end"),
+        ("a U U b", 5, "found 'U'"),
+        ("F", 2, "found the end"),
+        ("a # b", 3, "'#' belongs to no operator"),
+        ("a - b", 3, "'-'"),
+        ("a & 2", 5, "'2'"),
+        ('a & "bed', 5, "this quote is never closed"),
+        ('a & " "', 5, "needs a name"),
+        ("a & \0", 5, r"'\x00'"),
+        ("a & стол", 5, "double quotes"),
+        ("a " + "b" * 100, 3, "b…"),
+    ],
+)
+def test_parse_error(text, column, says):
+    with pytest.raises(FormulaError) as error:
+        parse(text)
+    assert error.value.column == column
+    assert str(error.value).startswith(f"formula, column {column}: ")
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "infix"),
+    [
+        ("F a", "F a"),
+        ("& F a F b", "F a & F b"),
+        ("& & a b & c d", "a & b & c & d"),
+        ("| & a b | c d", "a & b | c | d"),
+        ("G i a X ! b", "G (a -> X !b)"),
+        ("G e a X b", "G (a <-> X b)"),
+        ("& U ! b a F b", "!b U a & F b"),
+        ("M & a F b | ! a b", "(a & F b) M (!a | b)"),
+        ("true", "true"),
+        ('F "potted plant"', 'F "potted plant"'),
+    ],
+)
+def test_parse_prefix(text, infix):
+    assert parse_prefix(text) == parse(infix)
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "says"),
+    [
+        ("", 1, "found the end"),
+        ("& a", 4, "found the end"),
+        ("a b", 3, "complete before 'b'"),
+        ("F a F", 5, "complete before 'F'"),
+        ("& ( a b", 3, "found '('"),
+    ],
+)
+def test_parse_prefix_error(text, column, says):
+    with pytest.raises(FormulaError, match=rf"column {column}: .*{says.replace('(', '[(]')}"):
+        parse_prefix(text)
+
+
+@pytest.mark.skipif(not LANG2LTL.exists(), reason="../shared/nl2ltl is not there")
+def test_every_lang2ltl_formula_is_read():
+    with LANG2LTL.open(newline="") as file:
+        texts = [row["ltl_formula"] for row in csv.DictReader(file)]
+    assert len(texts) > 1000
+    for text in set(texts):
+        f = parse_prefix(text)
+        assert parse(to_text(f)) == f
+        assert set(propositions(f)) <= set("abcdh")
+
+
+@given(formulas(("a", "potted plant", "F", 'x"\\', "true")))
+def test_text_is_read_back(f):
+    assert parse(to_text(f)) == f
+
+
+def column_of_error(read, text: str) -> int | None:
+    try:
+        read(text)
+    except FormulaError as error:
+        return error.column
+    return None
+
+
+@given(st.text() | st.binary().map(lambda b: b.decode("utf-8", "surrogateescape")))
+def test_any_text_gives_a_formula_or_a_column(text):
+    for read in (parse, parse_prefix):
+        assert (column_of_error(read, text) or 1) in range(1, len(text) + 2)
+
+
+@given(
+    st.lists(st.sampled_from([*'ab"()!&|→U', "F ", " W ", "->", "<", "\\", "true"])).map("".join)
+)
+def test_near_formulas_give_a_formula_or_a_column(text):
+    column = column_of_error(parse, text)
+    if column is None:
+        assert parse(to_text(parse(text))) == parse(text)
+    else:
+        assert 1 <= column <= len(text) + 1
+
+
+DEEP = 5_000
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(" * DEEP + "a" + ")" * DEEP,
+        "!" * DEEP + "a",
+        "F " * DEEP + "a",
+        "a U " * DEEP + "a",
+        "a -> " * DEEP + "a",
+        "a & " * DEEP + "a",
+        "(a & " * 2000 + "a" + ")" * 2000,
+        "(a | (a & " * 2000 + "a" + "))" * 2000,
+    ],
+    ids=["parentheses", "not", "F", "U", "->", "&", "& in parentheses", "& | in turns"],
+)
+def test_depth_is_no_obstacle(text):
+    f = parse(text)
+    assert parse(to_text(f)) == f
+    assert hash(parse(text)) == hash(f)
+    assert propositions(f) == ("a",)
+    assert holds(f, ["a"]) in (True, False)
+    assert pickle.loads(pickle.dumps(f)) == copy.deepcopy(f) == f
+
+
+def test_deep_prefix_text():
+    assert len(parse_prefix("& a " * DEEP + "a").args) == DEEP + 1
+
+
+def test_unclosed_parentheses_and_long_texts_are_refused():
+    with pytest.raises(FormulaError, match=r"column 50002: expected '[)]' for the '[(]' of column"):
+        parse("(" * 50_000 + "a")
+    with pytest.raises(FormulaError, match="at most"):
+        parse("a" * (MAX_CHARS + 1))
+
+
+def test_equality_is_of_trees():
+    assert ltl.until(A, B) == ltl.until(ltl.ap("a"), ltl.ap("b"))
+    assert ltl.until(A, B) != ltl.until(B, A)
+    assert ltl.until(A, B) != ltl.weak_until(A, B)
+    assert ltl.conj(A, B) != ltl.conj(A, B, A)
+    assert A != "a"
+    assert len({A, ltl.ap("a"), B}) == 2
+
+
+def test_constructors():
+    assert ltl.conj() == ltl.TRUE
+    assert ltl.disj() == ltl.FALSE
+    assert ltl.conj(A) == A
+    assert ltl.conj(A, ltl.conj(B, C)) == ltl.conj(A, B, C)
+    assert ltl.disj(ltl.disj(A, B), ltl.conj(C, D)).args == (A, B, ltl.conj(C, D))
+    with pytest.raises(ValueError, match="name"):
+        ltl.ap(" ")
+
+
+def test_propositions_come_in_order_of_first_appearance():
+    assert propositions(parse("F (c & a) | b U c")) == ("c", "a", "b")
+
+
+@pytest.mark.parametrize(
+    ("text", "word", "truth"),
+    [
+        ("a", "a", True),
+        ("a", "-a", False),
+        ("X a", "-a", True),
+        ("X a", "a", False),
+        ("X true", "a", False),
+        ("WX a", "b", True),
+        ("WX a", "bb", False),
+        ("F a", "--a", True),
+        ("F a", "--", False),
+        ("G a", "aab", False),
+        ("G !b", "a-a", True),
+        ("a U b", "aab", True),
+        ("a U b", "aaa", False),
+        ("a U b", "a-b", False),
+        ("a W b", "aaa", True),
+        ("a W b", "a-b", False),
+        ("a R !b", "--a", True),
+        ("a R !b", "-ba", False),
+        ("a R !b", "-ab", True),
+        ("a M !b", "---", False),
+        ("a M !b", "-ab", True),
+        ("F (a & F b)", "-a-b", True),
+        ("F (a & F b)", "ba", False),
+        ("F (a & b)", "ab", False),
+        ("a <-> b", "c", True),
+        ("a -> b", "a", False),
+    ],
+)
+def test_meaning(text, word, truth):
+    assert holds(parse(text), [None if c == "-" else c for c in word]) == truth
+
+
+@pytest.mark.parametrize(
+    ("text", "truth"),
+    [
+        ("true", True), ("false", False), ("a", False), ("!a", True), ("X a", False),
+        ("X true", False), ("WX false", True), ("F true", False), ("G false", True),
+        ("true U true", False), ("a W b", True), ("false R false", True), ("true M true", False),
+        ("!F a", True), ("a -> b", True), ("a <-> b", True), ("a | !b", True), ("a & !b", False),
+    ],
+)  # fmt: skip
+def test_empty_word(text, truth):
+    assert holds(parse(text), []) == truth
+
+
+def test_unknown_operator_is_told():
+    with pytest.raises(ValueError, match="'xor'"):
+        holds(ltl.Formula("xor", (A, B)), [])
