@@ -1,7 +1,9 @@
 """The candidate pool: frontier and instance target points with an identity that lasts.
 
-A frontier moves as the map grows. It keeps its identity, and with it the VL score from first
-sight (VL-Nav III.D), while it stays within `r_assoc_m` of where it was first seen.
+A frontier moves as the map grows. It keeps its identity, and with it the VL scores from first
+sight (VL-Nav III.D), while it stays within `r_assoc_m` of where it was first seen. It has one VL
+score for each target of the mission (channels, ViTL eq. 3), so that nothing that was seen is lost
+when the plan turns to another target.
 """
 
 from __future__ import annotations
@@ -27,20 +29,23 @@ class CandidatePool:
         kind: (capacity,) int8, `FRONTIER` or `INSTANCE`.
         id: (capacity,) int64; frontiers count up, instances carry their instance's id.
         first_seen_ns: (capacity,) int64.
-        vl: (capacity,) float32, S_VL from first sight; NaN until a detector looked there.
+        vl: (channels, capacity) float32, S_VL of each target from first sight; NaN until a
+            detector looked there. Instances have theirs in the active channel.
+        channel: index of the target that is pursued now.
         score: (capacity,) float32, what the policy made of it.
         sure: (capacity,) bool, instances that the detector has confirmed.
         blocked: (capacity,) bool, discarded for a while.
     """
 
-    def __init__(self, capacity: int, r_assoc_m: float) -> None:
+    def __init__(self, capacity: int, r_assoc_m: float, channels: int = 1) -> None:
         self.n = 0
+        self.channel = 0
         self.xy_m = np.zeros((capacity, 2), np.float32)
         self.anchor_m = np.zeros((capacity, 2), np.float32)
         self.kind = np.zeros(capacity, np.int8)
         self.id = np.zeros(capacity, np.int64)
         self.first_seen_ns = np.zeros(capacity, np.int64)
-        self.vl = np.full(capacity, np.nan, np.float32)
+        self.vl = np.full((channels, capacity), np.nan, np.float32)
         self.score = np.zeros(capacity, np.float32)
         self.sure = np.zeros(capacity, np.bool_)
         self.blocked = np.zeros(capacity, np.bool_)
@@ -50,13 +55,20 @@ class CandidatePool:
         self._claim = np.full(capacity, -1, np.int32)
         self._old = {
             name: np.empty_like(getattr(self, name))
-            for name in ("xy_m", "anchor_m", "id", "first_seen_ns", "vl")
+            for name in ("xy_m", "anchor_m", "id", "first_seen_ns")
         }
+        self._old_vl = np.empty_like(self.vl)
         self._discarded_xy_m = np.zeros((_DISCARDED, 2), np.float32)
         self._discarded_kind = np.zeros(_DISCARDED, np.int8)
         self._discarded_id = np.zeros(_DISCARDED, np.int64)
         self._discarded_until_ns = np.zeros(_DISCARDED, np.int64)
         self._discarded_next = 0
+
+    def set_channels(self, channels: int) -> None:
+        """Begin anew with the VL scores of so many targets; frontiers keep their identity."""
+        self.channel = 0
+        self.vl = np.full((channels, len(self.id)), np.nan, np.float32)
+        self._old_vl = np.empty_like(self.vl)
 
     def update(
         self, frontiers: Frontiers, instances: Sequence[Instance], stamp_ns: int, now_ns: int
@@ -65,7 +77,7 @@ class CandidatePool:
 
         Args:
             frontiers: target points of the map; more than fit are left out, smallest id last.
-            instances: the live instances of the target.
+            instances: the live instances of the active target.
             stamp_ns: of the observation that the map was updated from; what is new was first
                 seen then.
             now_ns: the loop's time, which `discard` counts in.
@@ -75,6 +87,7 @@ class CandidatePool:
         n_new = min(frontiers.n, len(self.id) - n_instances)
         for name, saved in self._old.items():
             saved[:n_old] = getattr(self, name)[:n_old]
+        self._old_vl[:, :n_old] = self.vl[:, :n_old]
         old = self._old
         _associate(
             old["xy_m"], old["anchor_m"], n_old, frontiers.xy_m, n_new,
@@ -85,7 +98,7 @@ class CandidatePool:
         self.sure[:n_new] = False
         self._next_id = _carry_over(
             self._match, n_new, self._next_id, stamp_ns,
-            old["anchor_m"], old["id"], old["first_seen_ns"], old["vl"],
+            old["anchor_m"], old["id"], old["first_seen_ns"], self._old_vl,
             self.xy_m, self.anchor_m, self.id, self.first_seen_ns, self.vl,
         )  # fmt: skip
         for i, instance in enumerate(instances[:n_instances], start=n_new):
@@ -94,8 +107,9 @@ class CandidatePool:
             self.kind[i] = INSTANCE
             self.id[i] = instance.id
             self.first_seen_ns[i] = instance.first_seen_ns
-            self.vl[i] = instance.score
-            self.sure[i] = instance.state == "confirmed"
+            self.vl[:, i] = np.nan
+            self.vl[self.channel, i] = instance.score
+            self.sure[i] = instance.state in ("confirmed", "reached")
         self.n = n_new + n_instances
         _mark_blocked(
             self.xy_m, self.kind, self.id, self.n,
@@ -196,12 +210,12 @@ def _carry_over(
             anchor[i] = old_anchor[j]
             ids[i] = old_id[j]
             seen[i] = old_seen[j]
-            vl[i] = old_vl[j]
+            vl[:, i] = old_vl[:, j]
         else:
             anchor[i] = xy[i]
             ids[i] = next_id
             seen[i] = stamp_ns
-            vl[i] = np.nan
+            vl[:, i] = np.nan
             next_id += 1
     return next_id
 

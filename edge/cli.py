@@ -6,6 +6,7 @@ Thin: every command is a function of another module, and imports happen inside t
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import signal
@@ -71,21 +72,26 @@ def _watch_parent(parent: int, stop: threading.Event) -> None:
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The configuration that a command names, with `--target` put in."""
+    """The configuration that a command names, with the mission of its options put in."""
     from edge.config import load
 
-    environ = None
-    if getattr(args, "target", None):
-        import json
-
-        environ = {**os.environ, "EDGE__MISSION__TARGET": json.dumps(args.target)}
+    given = {name: getattr(args, name, None) for name in ("target", "mission", "formula")}
+    environ = dict(os.environ)
+    if given["target"]:
+        environ["EDGE__MISSION__TARGET"] = json.dumps(given["target"])
+        environ["EDGE__MISSION__INSTRUCTION"] = "null"
+    elif text := given["mission"] or given["formula"]:
+        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(text)
+    if given["formula"]:
+        environ["EDGE__MISSION__TRANSLATOR"] = "{kind: ltl}"
     return load(args.config, environ)
 
 
 def _run(args: argparse.Namespace) -> int:
     from edge.commands import run_service
 
-    return run_service(load_config(args), stop_on_signals(), args.once, args.report)
+    asked = args.target or args.mission or args.formula
+    return run_service(load_config(args), stop_on_signals(), args.once, args.report, asked)
 
 
 def _demo(args: argparse.Namespace) -> int:
@@ -108,8 +114,6 @@ def _motion(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace) -> int:
-    import json
-
     from edge.config import Config
 
     if args.schema:

@@ -36,14 +36,19 @@ class Outcome(NamedTuple):
     record: RunRecord
 
 
-def run_service(config: Config, stop: threading.Event, once: bool, report: str | None) -> int:
+def run_service(
+    config: Config, stop: threading.Event, once: bool, report: str | None, asked: str | None
+) -> int:
     """Run the service; 0 when it ended well or was stopped, 1 when the mission failed.
+
+    Args:
+        asked: the mission as given on the command line; see `open_service`.
 
     Raises:
         UserError: no report can be written there (said before the run).
     """
     _prepare(report)
-    return _conclude(_serve(config, stop, once), report)
+    return _conclude(_serve(config, stop, once, asked), report)
 
 
 def _prepare(report: str | None) -> None:
@@ -53,10 +58,11 @@ def _prepare(report: str | None) -> None:
         prepare(report)
 
 
-def _serve(config: Config, stop: threading.Event, once: bool) -> Outcome:
+def _serve(config: Config, stop: threading.Event, once: bool, asked: str | None = None) -> Outcome:
     recorder = RecorderSink(config)
-    with open_service(config, [ConsoleSink(), recorder]) as running:
-        log.info("ready: looking for %s on %s", config.mission.target, config.zenoh.endpoint)
+    with open_service(config, [ConsoleSink(), recorder], asked) as running:
+        asked = running.service.mission.brief.translation.instruction
+        log.info("ready: %s, on %s", asked, config.zenoh.endpoint)
         status = loop(running, stop, once)
         record = recorder.record(running.service, running.source.counters)
         return Outcome(status, running.service.latency.report(), record)
@@ -79,7 +85,8 @@ def summary(status: MissionStatus) -> str:
     phase = status.phase if status.done else f"stopped while {status.phase}"
     reason = f" ({status.reason})" if status.reason else ""
     return (
-        f"{phase}: {status.target}{reason}, {status.elapsed_s:.1f} s, {status.path_m:.1f} m driven"
+        f"{phase}: {status.instruction}{reason}, {status.elapsed_s:.1f} s, "
+        f"{status.path_m:.1f} m driven"
     )
 
 

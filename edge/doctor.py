@@ -23,6 +23,7 @@ from typing import Literal
 
 from edge import resources
 from edge.config import Config, load
+from edge.errors import UserError
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -323,6 +324,32 @@ def check_models(config: Config) -> Iterator[Finding]:
             yield Finding("ok", f"model {name}: {card.path}")
 
 
+def check_mission(config: Config) -> Iterator[Finding]:
+    """The configured mission is understood and can be done; its checkpoint can be kept."""
+    from edge.mission.brief import prepare
+    from edge.mission.checkpoint import CheckpointWriter
+
+    try:
+        brief = prepare(config.mission)
+        if config.mission.checkpoint is not None:
+            CheckpointWriter(Path(config.mission.checkpoint).expanduser()).close()
+    except UserError as error:
+        what, todo = _split(error)
+        yield Finding("fail", what, todo or "see `edge mission explain`")
+    else:
+        yield Finding("ok", f"mission: {brief.translation.english} [{brief.translation.formula}]")
+
+
+def _targets(config: Config) -> tuple[str, ...]:
+    """What the detector will be asked for; of a mission that is refused, nothing is known."""
+    from edge.mission.brief import prepare
+
+    try:
+        return prepare(config.mission).targets
+    except UserError:
+        return (config.mission.target,)
+
+
 def check_vocabulary(config: Config) -> Iterator[Finding]:
     from edge.perception.text import PromptError, TextEmbeddings
 
@@ -331,7 +358,7 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
     try:
         words = TextEmbeddings(configured)
         if detector.kind == "onnx":
-            words.embed([config.mission.target])
+            words.embed(_targets(config))
     except PromptError as error:
         yield Finding("fail" if detector.kind == "onnx" else "warn", *_split(error))
     else:
@@ -361,6 +388,7 @@ CHECKS: tuple[Check, ...] = (
     check_endpoint,
     check_onnxruntime,
     check_models,
+    check_mission,
     check_vocabulary,
     check_worlds,
 )

@@ -24,20 +24,20 @@ class Orders:
 
     Args:
         tell: hands a goal to those who send it.
-        target: what the goals are for.
 
     Attributes:
+        target: what the goals are for.
         answer: the controller's newest answer to the present goal; None before it came.
         driving: whether the controller has a goal that it has not finished with.
         heard: whether a controller answers.
     """
 
-    def __init__(self, tell: Callable[[Goal], None], target: str) -> None:
+    def __init__(self, tell: Callable[[Goal], None]) -> None:
+        self.target = ""
         self.answer: GoalStatus | None = None
         self.driving = False
         self.heard = False
         self._tell = tell
-        self._target = target
         self._goal: Goal | None = None
         self._without_since_ns: int | None = None
         self._unanswered_since_ns: int | None = None
@@ -76,7 +76,7 @@ class Orders:
     def stand(self, pose: SE2, now_ns: int) -> None:
         """Have the robot stay where it is; the goal for that is nobody's to follow up."""
         here = (pose.x_m, pose.y_m)
-        self._send(Goal(now_ns, pose, "look", 0, here, 0.0, self._target), now_ns)
+        self._send(Goal(now_ns, pose, "look", 0, here, 0.0, self.target), now_ns)
         self.withdraw()
         self.driving = False
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from edge import __version__
 from edge.logs import add_arguments
+from edge.mission import order
 
 Handler = Callable[[argparse.Namespace], int]
 
@@ -32,7 +33,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, add in _OWN.items():
         add(commands).set_defaults(handler=handlers.get(name))
-    for add in (_models, _record, _bench, _eval, _doctor):
+    for add in (_mission, _models, _record, _bench, _eval, _doctor):
         add(commands)
     return parser
 
@@ -61,7 +62,7 @@ def count(text: str) -> int:
 def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     run = commands.add_parser("run", help="run the service on a robot's (or simulator's) sensors")
     run.add_argument("config", help=_CONFIG)
-    run.add_argument("--target", help=_TARGET)
+    _what(run)
     run.add_argument("--once", action="store_true", help="exit when the mission is over")
     run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
     return run
@@ -71,9 +72,17 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     text = "simulator, controller and service in the built-in house"
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
-    demo.add_argument("--target", help=_TARGET)
+    _what(demo)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
     return demo
+
+
+def _what(command: argparse.ArgumentParser) -> None:
+    """What the mission is; nothing: as the configuration (or its checkpoint) says."""
+    what = command.add_mutually_exclusive_group()
+    what.add_argument("--target", help=_TARGET)
+    what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
+    what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
 
 
 def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
@@ -101,6 +110,17 @@ def _config(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def
     config.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
     config.add_argument("--schema", action="store_true", help="print the JSON Schema")
     return config
+
+
+def _mission(commands) -> None:  # type: ignore[no-untyped-def]
+    mission = commands.add_parser("mission", help="explain a mission; order a running service")
+    actions = order.add_arguments(mission)
+    explain = actions.add_parser("explain", help="what is understood, and how it is planned")
+    explain.add_argument("text", help="an instruction in words")
+    explain.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+    explain.add_argument("--config", default="demo", help=f"{_CONFIG} (default: demo)")
+    explain.add_argument("--draw", metavar="FILE", help="the automaton as .svg, .png or .dot")
+    explain.set_defaults(handler=lazy("edge.mission.explain", "run"))
 
 
 def _models(commands) -> None:  # type: ignore[no-untyped-def]
@@ -145,7 +165,10 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _eval(commands) -> None:  # type: ignore[no-untyped-def]
-    evaluate = commands.add_parser("eval", help="evaluate on simulated episodes")
+    # They take `count` from here.
+    from edge.eval.tasks import add_arguments as tasks_options
+
+    evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
     episodes = kinds.add_parser("episodes", help="find-the-object episodes in simulated time")
     episodes.add_argument("config", help=_CONFIG)
@@ -167,6 +190,32 @@ def _eval(commands) -> None:  # type: ignore[no-untyped-def]
     episodes.add_argument("--report", metavar="DIR", help="a report for every episode, and results")
     episodes.add_argument("--episode", help=argparse.SUPPRESS)
     episodes.set_defaults(handler=lazy("edge.eval.episodes", "run"))
+    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
+    tasks_options(tasks)
+    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
+    _eval_translate(kinds)
+
+
+def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]
+    translate = kinds.add_parser("translate", help="how well instructions become formulas")
+    option = translate.add_argument
+    option("--backend", choices=("grammar", "llm"), default="grammar", help="translator to score")
+    option("--url", help="of the OpenAI-compatible server, for --backend llm")
+    option("--model", help="its model, for --backend llm")
+    option(
+        "--constrain", choices=("gbnf", "guided_grammar", "none"), default="none",
+        help="how the server is told the formulas' grammar, for --backend llm",
+    )  # fmt: skip
+    option("--limit", type=count, metavar="N", help="at most N instructions of each set")
+    option("--seed", type=int, default=0, help="of the benchmark's tasks (default: 0)")
+    option(
+        "--lang2ltl", type=Path, metavar="CSV",
+        help="Lang2LTL's symbolic utterances (symbolic_batch12_noperm.csv); without it that set "
+        "is skipped",
+    )  # fmt: skip
+    option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
+    option("--out", type=Path, metavar="FILE", help="the counts as JSON")
+    translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

@@ -10,16 +10,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from time import perf_counter_ns
 
 import zenoh
 
 from edge.bus import open_session
 from edge.config import Config
+from edge.mission.brief import prepare
+from edge.mission.desk import MissionDesk
+from edge.mission.keeper import Keeper
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.priority import real_time
+from edge.requests import handle
 from edge.service import DETECT, INGEST, Service
 from edge.sinks import Sink
 from edge.sinks.zenoh import ZenohSink
@@ -46,23 +52,35 @@ class Running:
     worker: DetectorWorker | InlineWorker
     source: Source
     inbox: GoalStatusInbox
+    desk: MissionDesk
     sinks: list[Sink] = field(default_factory=list)
     epoch: int = 0
 
 
 @contextmanager
-def open_service(config: Config, sinks: list[Sink]) -> Iterator[Running]:
-    """Load the detector, compile kernels, open Zenoh; everything is closed at exit.
+def open_service(config: Config, sinks: list[Sink], asked: str | None = None) -> Iterator[Running]:
+    """Prepare the mission, load the detector, compile kernels, open Zenoh; all closed at exit.
 
     Args:
         sinks: take the results besides the Zenoh sink.
+        asked: the mission as it was asked for on the command line; None lets a checkpoint's
+            unfinished one go on, whatever the configuration says.
 
     Raises:
+        UserError: the mission is not understood or cannot be done.
+        CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's model is missing or unusable.
         BusError: the endpoint cannot be listened on.
     """
     with ExitStack() as stack:
-        detector = make_detector(config.perception, (config.mission.target,))
+        mission, keeper, brief = config.mission, None, None
+        if mission.checkpoint is not None:
+            keeper = Keeper(config, Path(mission.checkpoint).expanduser(), asked)
+            stack.callback(keeper.close)
+            brief = keeper.brief()
+        if brief is None:
+            brief = prepare(mission)
+        detector = make_detector(config.perception, brief.targets)
         worker = (
             InlineWorker(detector, config.loop.detect_every)
             if config.loop.lockstep
@@ -76,7 +94,8 @@ def open_service(config: Config, sinks: list[Sink]) -> Iterator[Running]:
         every: list[Sink] = [ZenohSink(session, config), *sinks]
         for sink in every:
             stack.callback(sink.close)
-        service = Service(config, worker, every)
+        service = Service(config, brief, worker, every, keeper)
+        stack.callback(service.close)
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()
         gc.freeze()
@@ -84,7 +103,9 @@ def open_service(config: Config, sinks: list[Sink]) -> Iterator[Running]:
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         sys.setswitchinterval(_SWITCH_S)
         inbox = GoalStatusInbox(session, config.zenoh.prefix)
-        yield Running(config, session, service, worker, source, inbox, every)
+        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
+        stack.callback(desk.close)
+        yield Running(config, session, service, worker, source, inbox, desk, every)
 
 
 def loop(
@@ -134,6 +155,7 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
     while not stop.is_set():
         observation = _hear(running)
         now_ns = wall_ns + time.monotonic_ns()
+        _obey(running, now_ns)
         if observation is None:
             running.service.idle(now_ns, running.source.pose)
         else:
@@ -159,9 +181,11 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
         observation = _hear(running) if running.source.wait(_PATIENCE_S) else None
         if observation is not None:
             seen_s, now_ns = time.monotonic(), observation.stamp_ns
+        _obey(running, now_ns)
+        if observation is not None:
             _tick(running, observation, now_ns)
         elif time.monotonic() - seen_s > limit_s:
-            running.service.mission.fail(f"nothing to be seen for {limit_s:g} s")
+            running.service.mission.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
             running.service.idle(now_ns, running.source.pose)
         yield
 
@@ -172,6 +196,12 @@ def _hear(running: Running) -> Observation | None:
     for answer in running.inbox.poll():
         running.service.goal_answered(answer)
     return running.source.poll()
+
+
+def _obey(running: Running, now_ns: int) -> None:
+    """Take the next order from outside, if there is one."""
+    if (request := running.desk.poll()) is not None:
+        handle(running.service, request, now_ns)
 
 
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:

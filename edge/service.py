@@ -18,7 +18,12 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mapping.grid import RollingMap
-from edge.mission.target import TargetMission, Verdict
+from edge.mission.approach import Approach, Verdict
+from edge.mission.brief import Brief
+from edge.mission.keeper import Keeper
+from edge.mission.planning.surveyor import Surveyor
+from edge.mission.run import MissionRun
+from edge.mission.sight import Neighbours, newest_ids, places
 from edge.motion.stuck import StuckDetector
 from edge.orders import Orders
 from edge.perception.inline import InlineWorker
@@ -29,7 +34,7 @@ from edge.policies import make_policy
 from edge.policies.select import GoalSelector
 from edge.sinks import Sink
 from edge.status import status_of
-from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation
+from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.service")
 
@@ -41,35 +46,58 @@ class Service:
     """Everything between a source of observations and the sinks of results.
 
     Args:
+        brief: the mission to begin with; the worker's detector looks for its targets.
         worker: detects on the side; `submit` and `poll` never wait for the model.
         sinks: take goals, maps, status; their methods never block.
+        keeper: has the mission's state written, and what it read taken up again.
+
+    Attributes:
+        epoch: counts the frames that the map was in.
+        stamp_ns: of the newest observation, on the sensors' clock.
     """
 
     def __init__(
-        self, config: Config, worker: DetectorWorker | InlineWorker, sinks: list[Sink]
+        self,
+        config: Config,
+        brief: Brief,
+        worker: DetectorWorker | InlineWorker,
+        sinks: list[Sink],
+        keeper: Keeper | None = None,
     ) -> None:
         self.config = config
+        self.keeper = keeper
         self.grid = RollingMap(config.mapping)
         self.tracker = InstanceTracker(config.perception)
-        self.mission = TargetMission(config.mission)
+        self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = make_policy(config.policy)
         self.selector = GoalSelector(self.policy)
         self.pool = CandidatePool(
-            config.mapping.max_frontiers + config.perception.max_instances, config.policy.r_assoc_m
+            config.mapping.max_frontiers + config.perception.max_instances,
+            config.policy.r_assoc_m,
+            len(brief.targets),
         )
         self.latency = LatencyRing()
         self.goal: Goal | None = None
+        self.epoch = 0
+        self.stamp_ns = 0
+        by_distance = getattr(config.mission.planner, "weights", "") == "distance"
+        self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self._worker = worker
         self._sinks = sinks
         self._lifter = Lifter(config.perception)
+        self._approach = Approach(config.mission)
         self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
-        self.orders = Orders(self._tell, config.mission.target)
+        self.orders = Orders(self._tell)
         self._seen: Detections | None = None
         self.pose: SE2 | None = None
         self._second_look = False
+        self._neighbours = Neighbours(config.mission.reach_m)
+        self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation came
         self._blind_ns = _blind_ns(config)
         self._newest_seq = self._void_seq = -1
+        if keeper is not None:
+            keeper.resume(self)
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -84,6 +112,7 @@ class Service:
             The goal now being driven to, or None.
         """
         pose = self.pose = observation.pose
+        self.stamp_ns = observation.stamp_ns
         self._looked_ns, self._newest_seq = now_ns, observation.seq
         self._worker.submit(observation)
         # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
@@ -93,11 +122,11 @@ class Service:
         self._lap(MAP)
         self._lift(self._worker.poll())
         self._lap(LIFT)
-        self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
+        self._gather(observation, now_ns)
         self._lap(CANDIDATES)
         self.policy.score(self.pool, self.grid, self._seen, pose)
         self._lap(SCORE)
-        self._plan(pose, now_ns)
+        self._plan(observation, now_ns)
         self._lap(PLAN)
         goal = self._select(pose, now_ns)
         self._lap(SELECT)
@@ -124,40 +153,86 @@ class Service:
         self._seen = None
         if detections is None:
             return
-        if detections.observation.seq <= self._void_seq:
+        void = detections.observation.seq <= self._void_seq
+        if void or detections.prompts != self.mission.brief.targets:
             detections.observation.release()
             return
         self.latency.span(DETECT, detections.latency_ns)
         lifted = self._lifter.lift(detections)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation)
-        self._seen = _of_target(detections)
+        self._seen = _unrivalled(detections)
         for sink in self._sinks:
-            sink.detections(detections)
+            sink.detections(self._seen)
         # The arrays are only read through `_seen` in this tick; the frame may be used again.
         detections.observation.release()
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
-        if not self.policy.uses_instances or self.mission.status.done:
+        if not self.policy.uses_instances or self.mission.done:
             return []
-        return self.tracker.of(self.config.mission.target)
+        return self.tracker.of(self.mission.target)
 
-    def _plan(self, pose: SE2, now_ns: int) -> None:
-        """Stage 7: what the robot's arrival, or its failure to arrive, means."""
-        self.mission.observe(pose, now_ns)
+    def _gather(self, observation: Observation, now_ns: int) -> None:
+        """Stage 5: frontiers, and instances of the active target."""
+        self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
+
+    def _plan(self, observation: Observation, now_ns: int) -> None:
+        """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
+        mission, pose = self.mission, observation.pose
+        if not mission.started:
+            mission.start(now_ns)
+            if self.keeper is not None:
+                self.keeper.restore_places(self, observation)
+        mission.observe(pose, now_ns)
+        if self.policy.uses_instances:
+            mission.see(newest_ids(self.tracker, mission.brief.targets), now_ns)
+        if self._surveyor is not None:
+            self._survey(self._surveyor, pose, now_ns)
+        if self._turns == mission.turns and not (mission.done or mission.paused):
+            self._judge(pose, now_ns)
+            if self.selector.exhausted and not self._look_again():
+                found = "no way to" if mission.target in mission.detected else "found no"
+                reason = f"explored all that can be reached, {found} {mission.target}"
+                mission.give_up(reason, now_ns)
+        mission.check_limits(now_ns)
+        if self._turns != mission.turns:
+            self._turn(observation, now_ns)
+
+    def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
+        """Have driving distances worked out on the side, and take up those that are there."""
+        if (distance_m := surveyor.poll()) is not None and not self.mission.paused:
+            self.mission.survey(distance_m, now_ns)
+        if surveyor.due(now_ns):
+            letters = self.mission.brief.automaton.letters
+            surveyor.ask(self.grid, pose, places(self.tracker, letters), now_ns)
+
+    def _judge(self, pose: SE2, now_ns: int) -> None:
+        """What has become of the present goal."""
         goal, answer = self.goal, self.orders.answer
         instance = None
         if goal is not None and goal.kind == "instance":
             instance = self.tracker.get(goal.candidate_id)
         confirmed = instance is not None and self.tracker.confirmed(instance)
         looks = self._worker.stats.done
-        verdict = self.mission.advance(goal, instance, confirmed, answer, now_ns, looks)
+        verdict = self._approach.advance(goal, instance, confirmed, answer, pose, now_ns, looks)
         if verdict is not None:
             self._act_on(verdict, now_ns)
-        elif goal is not None and not self.mission.status.done:
+        elif goal is not None:
             self._follow(goal, answer, pose, now_ns)
-        self.mission.check_limits(self.selector.exhausted and not self._look_again())
+
+    def _turn(self, observation: Observation, now_ns: int) -> None:
+        """The plan set out for a target: choose among its candidates, by its scores, at once."""
+        self._turns = self.mission.turns
+        if self.mission.done:
+            return
+        self._drop_goal()
+        self.selector.start_over()
+        self._second_look = False
+        self.orders.target = self.mission.target
+        self.pool.channel = self.mission.brief.targets.index(self.mission.target)
+        self._gather(observation, now_ns)
+        self.policy.score(self.pool, self.grid, self._seen, observation.pose)
 
     def _act_on(self, verdict: Verdict, now_ns: int) -> None:
         instance = verdict.instance
@@ -165,12 +240,18 @@ class Service:
         where = f"{instance.label} #{instance.id} at ({x:.1f}, {y:.1f})"
         if verdict.kind == "reached":
             self.tracker.mark_reached(instance.id)
-        elif verdict.kind == "refuted":
+            label = self.mission.target
+            self.mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
+            if self.mission.target == label and not self.mission.done:
+                # A second visit to a thing of this kind: another one, or later.
+                self._discard(now_ns)
+            return
+        if verdict.kind == "refuted":
             self.tracker.refute(instance.id)
             self._drop_goal()
         else:
             self._discard(now_ns)
-        self._event(f"{verdict.kind.replace('_', ' ')}: {where}", now_ns)
+        self.event(f"{verdict.kind.replace('_', ' ')}: {where}", now_ns)
 
     def _follow(self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int) -> None:
         """Take up the controller's answers about frontiers and turns, and notice standstill.
@@ -183,12 +264,17 @@ class Service:
                 self.selector.looked(now_ns)
                 self._drop_goal()
         elif answer is not None and answer.state == "failed":
-            self._event(f"goal failed: {answer.reason}", now_ns)
+            self.event(f"goal failed: {answer.reason}", now_ns)
             self._discard(now_ns)
-        elif answer is not None and answer.state == "reached" and goal.kind == "frontier":
+        elif goal.kind == "frontier" and (
+            (answer is not None and answer.state == "reached")
+            or pose.distance_to(*goal.candidate_xy_m) <= self.policy.delta_reached_m
+        ):
+            # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
+            # turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
         if self._stuck.update(pose, moving and self.goal is not None, now_ns):
-            self._event("stuck: goal discarded", now_ns)
+            self.event("stuck: goal discarded", now_ns)
             self._discard(now_ns)
 
     def _discard(self, now_ns: int) -> None:
@@ -217,14 +303,13 @@ class Service:
         return True
 
     def _select(self, pose: SE2, now_ns: int) -> Goal | None:
-        """Stage 8: algorithm 2, or nowhere when the mission is over."""
-        if self.mission.status.done:
+        """Stage 8: algorithm 2, or nowhere when the mission is over or paused."""
+        if self.mission.done or self.mission.paused:
+            self.selector.drop()
             self.orders.withdraw(at_once=True)
             return None
         by_id = {i.id: i for i in self._instances()}
-        return self.selector.select(
-            self.pool, self.grid, by_id, pose, now_ns, self.config.mission.target
-        )
+        return self.selector.select(self.pool, self.grid, by_id, pose, now_ns, self.mission.target)
 
     def _publish(self, goal: Goal | None, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -232,7 +317,13 @@ class Service:
             self.orders.give_none(observation.pose, now_ns)
         elif self.orders.give(goal, now_ns):
             self._stuck.reset()
+            self._neighbours.look(goal, self.mission, self.tracker, now_ns)
         self.goal = goal
+        self._report(observation, now_ns)
+
+    def _report(self, observation: Observation | None, now_ns: int) -> None:
+        if self.keeper is not None:
+            self.keeper.note(self, now_ns)
         for sink in self._sinks:
             sink.tick(self, observation, now_ns)
 
@@ -241,6 +332,23 @@ class Service:
             sink.goal(goal)
 
     # -- what comes from outside --------------------------------------------------------------
+
+    def begin(self, brief: Brief, now_ns: int) -> None:
+        """Put another mission in the place of the present one; map and instances stay.
+
+        Raises:
+            PromptError: the detector cannot look for one of its targets; nothing has changed.
+        """
+        self._worker.detector.set_prompts(brief.targets)
+        self.mission = MissionRun(brief, self.config.mission, self._step_taken)
+        self.tracker.forget_reached()
+        self.pool.set_channels(len(brief.targets))
+        self._seen, self._turns = None, -1
+        self._neighbours.forget()
+        if self._surveyor is not None:
+            self._surveyor.forget()
+        self._drop_goal()
+        self.mission.start(now_ns)
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
@@ -258,16 +366,15 @@ class Service:
         if blind and pose is not None:
             self.pose = pose
         self.mission.observe(self.pose, now_ns)
-        self.mission.check_limits(False)
-        if self.pose is not None and (self.mission.status.done or blind):
+        self.mission.check_limits(now_ns)
+        if self.pose is not None and (self.mission.done or self.mission.paused or blind):
             self._stand(self.pose, now_ns)
-        for sink in self._sinks:
-            sink.tick(self, None, now_ns)
+        self._report(None, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
         if self.orders.driving:
-            if not self.mission.status.done:
-                self._event("nothing to be seen: standing still", now_ns)
+            if not (self.mission.done or self.mission.paused):
+                self.event("nothing to be seen: standing still", now_ns)
             self.orders.stand(pose, now_ns)
         self._drop_goal()
 
@@ -277,9 +384,10 @@ class Service:
         What the detector still finds in images of before is void as well. The robot is told to
         stand, unless the next tick finds a goal in the new frame.
         """
-        self._event("pose jumped: map and instances dropped", now_ns)
+        self.event("pose jumped: map and instances dropped", now_ns)
+        self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
-        self.tracker = InstanceTracker(self.config.perception)
+        self.tracker.clear()
         self.pool.clear()
         self._drop_goal()
         self.orders.withdraw(at_once=True)
@@ -288,16 +396,25 @@ class Service:
         self._second_look = False
         self._void_seq = self._newest_seq
 
-    def _event(self, text: str, now_ns: int) -> None:
+    def event(self, text: str, now_ns: int) -> None:
+        """Tell log and sinks of something that a person would want to know."""
         log.info(text)
         for sink in self._sinks:
             sink.event(text, now_ns)
 
+    def close(self) -> None:
+        """No tick comes any more."""
+        if self._surveyor is not None:
+            self._surveyor.close()
+
     # -- what others may ask ------------------------------------------------------------------
+
+    def _step_taken(self, step: Step) -> None:
+        self.event(step.text, step.stamp_ns)
 
     @property
     def status(self) -> MissionStatus:
-        return self.mission.status
+        return self.mission.status(self._approach.phase)
 
     def status_dict(self) -> dict[str, object]:
         """The status message; see `edge.status`."""
@@ -311,9 +428,9 @@ def _blind_ns(config: Config) -> int:
     return int(1e9 * max(BLIND_S, 3.0 / (lidar.rate_hz if by_lidar else camera.rate_hz)))
 
 
-def _of_target(detections: Detections) -> Detections:
-    """Only the boxes of the first prompt, which is the target, that nothing explains better."""
-    mine = np.flatnonzero((detections.class_id == 0) & detections.unrivalled())
+def _unrivalled(detections: Detections) -> Detections:
+    """Only the boxes that nothing else explains better."""
+    mine = np.flatnonzero(detections.unrivalled())
     return replace(
         detections,
         xyxy_px=detections.xyxy_px[mine],

@@ -9,18 +9,21 @@ from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 
 if TYPE_CHECKING:
+    from edge.mission.run import MissionRun
     from edge.service import Service
 
 
 def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
-    pose, goal, s = service.pose, service.goal, service.mission.status
+    pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
     return {
+        "instruction": s.instruction,
         "target": s.target,
         "phase": s.phase,
         "reason": s.reason,
         "elapsed_s": round(s.elapsed_s, 2),
         "path_m": round(s.path_m, 2),
+        "mission": mission_of(mission),
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "goal": None
         if goal is None
@@ -44,7 +47,46 @@ def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[s
                 "hits": i.hits,
                 "state": i.state,
             }
-            for i in service.tracker.of(s.target)
+            for label in mission.brief.targets
+            for i in service.tracker.of(label)
         ],
+        "checkpoint": None if service.keeper is None else service.keeper.status(),
         "detector": {"model": worker.detector.name, **asdict(worker.stats)},
+    }
+
+
+def mission_of(mission: MissionRun) -> dict[str, object]:
+    """Formula, automaton state, plan and sets of a mission (ViTL IV-A2), and why this target."""
+    translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
+    return {
+        "formula": str(mission.brief.automaton.formula),
+        "english": translation.english,
+        "translated_by": translation.backend,
+        "state": mission.state,
+        "states": mission.brief.automaton.n_states,
+        "word": list(mission.word),
+        "plan": list(plan.steps),
+        "cost": plan.cost if plan.feasible else None,
+        "why": plan.reason,
+        "options": [list(option) for option in plan.options],
+        "detected": sorted(knowledge.detected),
+        "reached": list(mission.reached),
+        "failed": sorted(knowledge.failed),
+        "forbidden": list(mission.forbidden),
+    }
+
+
+def answer_of(service: Service) -> dict[str, object]:
+    """How the mission stands, for whoever gave it an order."""
+    s, mission = service.status, service.mission
+    return {
+        "instruction": s.instruction,
+        "phase": s.phase,
+        "reason": s.reason,
+        "target": s.target,
+        "paused": mission.paused,
+        "elapsed_s": round(s.elapsed_s, 2),
+        "path_m": round(s.path_m, 2),
+        "warnings": list(mission.brief.warnings),
+        **mission_of(mission),
     }

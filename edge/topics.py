@@ -47,6 +47,9 @@ TICK = Topic("tick", "json", "block", 0, "service")
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
 GOAL_STATUS = Topic("goal_status", "json", "block", 0, "controller")
 
+# Not a topic but a queryable: orders to the mission, JSON in and out (see `edge.mission.desk`).
+MISSION_REQUEST = "mission/request"
+
 ALL: tuple[Topic, ...] = (
     RGB, DEPTH, CAMERA_INFO, OBJECT_IDS, OBJECT_LABELS, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH,
     GOAL, MAP, STATUS, LATENCY, MISSION, TICK, CMD_VEL, GOAL_STATUS,

@@ -110,7 +110,8 @@ class Instance:
         id: unique within a run.
         label: the prompt it answers to.
         center_m: (3,) float32 in `map`, median of its surface points.
-        points_m: (k, 3) float32 in `map`, voxel-filtered surface points.
+        points_m: (k, 3) float32 in `map`, voxel-filtered surface points, without those that
+            only few views show.
         score: running confidence in [0, 1].
         hits: frames it was detected in.
         last_seen_ns: stamp of the newest of them.
@@ -165,19 +166,47 @@ class GoalStatus:
     reason: str = ""
 
 
-MissionPhase = Literal["searching", "approaching", "verifying", "reached", "failed"]
+MissionPhase = Literal["searching", "approaching", "verifying", "paused", "reached", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
 class MissionStatus:
-    """How the mission stands; `reached` and `failed` are final."""
+    """How the mission stands; `reached` (fulfilled) and `failed` are final.
+
+    Attributes:
+        target: what is pursued now; at the end, what was pursued last.
+        instruction: what was asked for.
+    """
 
     target: str
     phase: MissionPhase
     reason: str = ""
     elapsed_s: float = 0.0
     path_m: float = 0.0
+    instruction: str = ""
 
     @property
     def done(self) -> bool:
         return self.phase in ("reached", "failed")
+
+
+StepKind = Literal["start", "target", "seen", "reached", "failed", "nothing", "warning", "end"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing that happened to a mission.
+
+    Attributes:
+        kind: `target`: the plan now goes to `label`; `seen`, `reached`, `failed`: what became of
+            it; `nothing`: a step in which nothing is reached, as the formula asks; `warning`: the
+            robot is about to stop beside something that must not be reached now.
+        state: of the automaton, after it.
+        text: for people.
+    """
+
+    stamp_ns: int
+    kind: StepKind
+    label: str
+    state: int
+    text: str

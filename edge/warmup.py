@@ -17,6 +17,7 @@ from edge.config import Config
 from edge.geometry import SE2, CameraModel
 from edge.mapping.grid import RollingMap
 from edge.mapping.grid import warmup as warm_mapping
+from edge.mission.planner import warm_up as warm_planners
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
 from edge.types import Detections, Observation
@@ -37,6 +38,7 @@ def warm_up(config: Config) -> float:
         ("mapping", lambda: warm_mapping(config.mapping)),
         ("perception", lambda: warm_perception()),
         ("policy", lambda: _warm_policy(config)),
+        ("planner", warm_planners),
         ("messages", warm_messages),
     ]
     started = perf_counter()

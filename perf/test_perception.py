@@ -95,15 +95,17 @@ def test_suppress(benchmark):
     scores = np.zeros((n, 7), np.float32)
     hot = random.choice(n, 300, replace=False)
     scores[hot] = random.uniform(0, 0.9, (300, 7)) ** 3
-    best, rival = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    label, keep = np.zeros(n, np.int32), np.zeros(64, np.int32)
-
-    against = np.zeros(len(keep), np.float32)
+    anchor, label, keep = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(64, np.int32)
+    score, top, tau = np.zeros(n, np.float32), np.zeros(n, np.float32), np.float32(0.05)
+    competes, against = np.ones((1, 7), np.bool_), np.zeros(len(keep), np.float32)
+    competes[0, 0] = False
 
     def decode():
-        kernels.split_scores(boxes, scores, 1, np.float32(0.05), best, label, rival)
-        n = kernels.suppress(boxes, best, label, 0.5, keep)
-        kernels.strongest_rivals(boxes, rival, keep, n, 0.5, against)
+        m, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
+        n = kernels.suppress(boxes, anchor, label, score, m, 0.5, keep)
+        kernels.strongest_rivals(
+            boxes, scores, competes, tau, top, anchor, label, keep, n, 0.5, against
+        )
         return n
 
     assert benchmark(decode) > 0

@@ -62,7 +62,7 @@ def test_score_and_select_200(benchmark):
     seen = detections(stamp_ns=1)
 
     def fresh() -> tuple[tuple[GoalSelector], dict]:
-        pool.vl[:CANDIDATES] = np.nan
+        pool.vl[:, :CANDIDATES] = np.nan
         return (GoalSelector(policy),), {}
 
     def score_and_select(selector: GoalSelector):

@@ -8,6 +8,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import SE2
+from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
@@ -55,8 +56,9 @@ class ClosedLoop:
         self.drive = DriveTrain(config.robot, config.sim, self.world, start, START_NS)
         self.rig = CameraRig(config, self.world)
         self.labels = tuple(o.label for o in self.world.objects)
-        worker = InlineWorker(make_detector(config.perception, (config.mission.target,)))
-        self.service = Service(config, worker, [self.notes, *self.sinks])
+        brief = prepare(config.mission)
+        worker = InlineWorker(make_detector(config.perception, brief.targets))
+        self.service = Service(config, brief, worker, [self.notes, *self.sinks])
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0

@@ -55,11 +55,28 @@ def test_identity(before, after, kept):
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers(*before), [], 0, 0)
     old = set(ids(pool))
-    pool.vl[: pool.n] = 0.7
+    pool.vl[:, : pool.n] = 0.7
     pool.update(frontiers(*after), [], 1, 1)
     assert [i in old for i in ids(pool)] == kept
-    assert [not np.isnan(v) for v in pool.vl[: pool.n]] == kept
+    assert [not np.isnan(v) for v in pool.vl[0, : pool.n]] == kept
     assert len(set(ids(pool))) == pool.n
+
+
+def test_every_target_keeps_its_scores_when_the_plan_turns_to_another():
+    pool = CandidatePool(16, 0.5, channels=2)
+    pool.update(frontiers((1, 1)), [instance(3, 5, 5, 0.8)], 0, 0)
+    assert np.isnan(pool.vl[1, 1])
+    pool.vl[:, 0] = 0.2, 0.6
+    pool.channel = 1
+    pool.update(frontiers((1.1, 1)), [instance(4, 6, 6, 0.9)], 1, 1)
+    assert pool.vl[:, 0] == pytest.approx([0.2, 0.6])
+    assert pool.vl[1, 1] == pytest.approx(0.9)
+    assert np.isnan(pool.vl[0, 1])
+    first = ids(pool)
+    pool.set_channels(3)
+    assert (pool.vl.shape, pool.channel) == ((3, 16), 0)
+    assert np.isnan(pool.vl).all()
+    assert ids(pool) == first
 
 
 def test_creeping_away_from_the_first_sight_is_a_new_frontier():
@@ -78,7 +95,7 @@ def test_instances_carry_their_id_and_score():
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers((5, 5)), [instance(42, 1, 2, 0.8)], 0, 0)
     at = pool.index_of(INSTANCE, 42)
-    assert pool.vl[at] == pytest.approx(0.8)
+    assert pool.vl[0, at] == pytest.approx(0.8)
     assert pool.xy_m[at].tolist() == [1, 2]
     # An instance's id is no frontier's.
     assert pool.index_of(FRONTIER, 42) == -1

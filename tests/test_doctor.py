@@ -194,3 +194,20 @@ def test_worlds(monkeypatch):
     assert levels(doctor.check_worlds) == ["warn"]
     (finding,) = doctor.check_worlds(mesh)
     assert (finding.level, "embreex" in finding.what) == ("fail", True)
+
+
+@pytest.mark.parametrize(
+    ("mission", "level", "words"),
+    [
+        ({"target": "bed"}, "ok", "F bed"),
+        ({"instruction": "go to the bed, then to the tv"}, "ok", "then the television"),
+        ({"instruction": "go to the bed and never go to the bed"}, "fail", "contradiction"),
+        ({"target": "bed", "checkpoint": "/no/such/folder/mission.json"}, "fail", "checkpoint"),
+    ],
+)
+def test_the_mission_is_checked(mission, level, words):
+    settings = config.parse({"mission": mission})
+    (finding,) = doctor.check_mission(settings)
+    assert finding.level == level
+    assert words in finding.what
+    assert finding.todo or level == "ok"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -51,6 +51,8 @@ class _Track:
         evidence_ns: newest stamp at which anything, even a weak box, was seen there.
         x_m, y_m, z_m: the centre, as plain numbers.
         radius_m: the farthest surface point from the centre.
+        points_m, support: every surface point, and in how many views something was near it; the
+            instance itself has those of what most views show.
     """
 
     instance: Instance
@@ -67,6 +69,8 @@ class _Track:
     y_m: float = 0.0
     z_m: float = 0.0
     radius_m: float = 0.0
+    points_m: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
+    support: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
@@ -241,6 +245,26 @@ class InstanceTracker:
         if track := self._tracks.get(instance_id):
             track.instance.state = "reached"
 
+    def adopt(self, instance: Instance) -> None:
+        """Take in an instance from before a restart, under its old id; what it takes to confirm
+        one has to be seen again."""
+        if instance.state == "confirmed":
+            instance.state = "seen"
+        track = _Track(instance, names.canonical(instance.label), instance.last_seen_ns)
+        self._tracks[instance.id] = track
+        self._next_id = max(self._next_id, instance.id + 1)
+        self._place(track, instance.points_m)
+
+    def clear(self) -> None:
+        """Forget every instance; ids go on, so that what comes is newer than all that was."""
+        self._tracks.clear()
+
+    def forget_reached(self) -> None:
+        """A new mission begins: what the last one reached is as good a target as any."""
+        for track in self._tracks.values():
+            if track.instance.state == "reached":
+                track.instance.state = "confirmed"
+
     def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
         """The instance that a detection belongs to; a refuted one near its centre comes first."""
         best, best_m = None, self.config.merge_m
@@ -290,11 +314,16 @@ class InstanceTracker:
 
     def _grow(self, track: _Track, points: np.ndarray) -> None:
         """Add surface points, one per voxel, at most MAX_POINTS spread over all of them."""
+        if track.instance.state != "refuted":
+            self._place(track, points)
+
+    def _place(self, track: _Track, points: np.ndarray) -> None:
+        track.points_m, track.support = kernels.merge_points(
+            track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
+        )
         instance = track.instance
-        if instance.state == "refuted":
-            return
-        instance.points_m, instance.center_m, track.radius_m = kernels.merge_points(
-            instance.points_m, points, self.config.voxel_m, MAX_POINTS
+        instance.points_m, instance.center_m, track.radius_m = kernels.core_points(
+            track.points_m, track.support
         )
         track.x_m, track.y_m, track.z_m = instance.center_m.tolist()
 

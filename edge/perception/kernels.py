@@ -38,65 +38,60 @@ def iou(a, b):
 
 
 @njit(nogil=True, cache=True)
-def split_scores(boxes, scores, n_targets, tau, best, label, rival):
-    """For every anchor: its best target and its best background prompt.
+def candidates(boxes, scores, n_targets, tau, anchor, label, score, top):
+    """Every target at every anchor where it scores at least `tau`, whatever else scores there.
 
     Args:
         boxes: (a, 4) float32.
         scores: (a, n) float32; columns below `n_targets` are targets, the rest background.
-        tau: scores below it do not count.
-        best: (a,) float32 out, the best target's score, 0 where below `tau`.
-        label: (a,) int32 out, its column.
-        rival: (a,) float32 out, the best background score, 0 where below `tau`.
+        anchor, label: (a * n_targets,) int32 out, score: (a * n_targets,) float32 out.
+        top: (a,) float32 out, the best score of targets and background, 0 where below `tau`.
 
     Returns:
-        How many anchors were left out since their box or a score is not finite.
+        (how many candidates were written, how many anchors were left out since their box or a
+        score is not finite).
     """
-    invalid = 0
+    m, invalid = 0, 0
     for i in range(len(boxes)):
-        best[i] = 0.0
-        rival[i] = 0.0
-        label[i] = 0
+        top[i] = 0.0
         total = boxes[i, 0] + boxes[i, 1] + boxes[i, 2] + boxes[i, 3]
         for j in range(scores.shape[1]):
+            total += scores[i, j]
+        if not np.isfinite(total):
+            invalid += 1
+            continue
+        for j in range(scores.shape[1]):
             s = scores[i, j]
-            total += s
             if s < tau:
                 continue
+            top[i] = max(top[i], s)
             if j < n_targets:
-                if s > best[i]:
-                    best[i] = s
-                    label[i] = j
-            elif s > rival[i]:
-                rival[i] = s
-        if not np.isfinite(total):
-            best[i] = 0.0
-            rival[i] = 0.0
-            invalid += 1
-    return invalid
+                anchor[m], label[m], score[m] = i, j, s
+                m += 1
+    return m, invalid
 
 
 @njit(nogil=True, cache=True)
-def suppress(boxes, best, label, iou_max, keep):
+def suppress(boxes, anchor, label, score, m, iou_max, keep):
     """Greedy class-wise non-maximum suppression.
 
     Args:
         boxes: (a, 4) float32.
-        best, label: from `split_scores`.
-        keep: (m,) int32 out, indices of kept boxes, highest score first.
+        anchor, label, score: from `candidates`, the first `m` count.
+        keep: (k,) int32 out, indices of kept candidates, highest score first.
 
     Returns:
-        How many were kept, at most m.
+        How many were kept, at most k.
     """
-    order = np.argsort(-best, kind="mergesort")
+    order = np.argsort(-score[:m], kind="mergesort")
     n = 0
     for i in order:
-        if best[i] <= 0.0 or n == len(keep):
+        if n == len(keep):
             break
         alone = True
         for k in range(n):
             j = keep[k]
-            if label[j] == label[i] and iou(boxes[i], boxes[j]) > iou_max:
+            if label[j] == label[i] and iou(boxes[anchor[i]], boxes[anchor[j]]) > iou_max:
                 alone = False
                 break
         if alone:
@@ -106,28 +101,37 @@ def suppress(boxes, best, label, iou_max, keep):
 
 
 @njit(nogil=True, cache=True)
-def strongest_rivals(boxes, rival, keep, n, iou_max, out):
-    """The best background score on the same place as each kept box (IoU over `iou_max`).
+def strongest_rivals(boxes, scores, competes, tau, top, anchor, label, keep, n, iou_max, out):
+    """The best score of any rival on the same place as each kept box (IoU over `iou_max`).
 
     Args:
-        rival: (a,) float32 from `split_scores`.
-        keep: (m,) int32, the first `n` are indices into `boxes`.
-        out: (m,) float32.
+        scores: (a, n) float32 as in `candidates`.
+        competes: (n_targets, n) bool, which columns are rivals of a target.
+        tau: scores below it do not count.
+        top, anchor, label: from `candidates`.
+        keep: (k,) int32, the first `n` are indices of candidates.
+        out: (k,) float32.
     """
     for k in range(n):
-        i = keep[k]
-        out[k] = rival[i]
+        i = anchor[keep[k]]
+        rivals = competes[label[keep[k]]]
+        out[k] = 0.0
         for j in range(len(boxes)):
-            if rival[j] > out[k] and iou(boxes[i], boxes[j]) > iou_max:
-                out[k] = rival[j]
+            if top[j] <= out[k] or (j != i and iou(boxes[i], boxes[j]) <= iou_max):
+                continue
+            for c in range(len(rivals)):
+                if rivals[c] and scores[j, c] >= tau and scores[j, c] > out[k]:
+                    out[k] = scores[j, c]
 
 
 @njit(nogil=True, cache=True)
-def to_image(boxes, keep, n, scale, top, left, width, height, out):
+def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out):
     """Boxes of the network's input as boxes of the image, clipped to it.
 
     Args:
-        keep: (m,) int32, the first `n` are indices into `boxes`; empty boxes are taken out.
+        anchor: from `candidates`.
+        keep: (m,) int32, the first `n` are indices of candidates; those with an empty box are
+            taken out.
         scale: input pixels per image pixel; `top`, `left` the image's place in the input.
         out: (m, 4) float32.
 
@@ -136,7 +140,7 @@ def to_image(boxes, keep, n, scale, top, left, width, height, out):
     """
     k = 0
     for m in range(n):
-        b = boxes[keep[m]]
+        b = boxes[anchor[keep[m]]]
         x0 = min(max((b[0] - left) / scale, 0.0), width)
         y0 = min(max((b[1] - top) / scale, 0.0), height)
         x1 = min(max((b[2] - left) / scale, 0.0), width)

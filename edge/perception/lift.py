@@ -53,9 +53,9 @@ class Lifted:
 class Lifter:
     """Lifts through the detections' *own* depth or cloud and pose, not the newest ones.
 
-    A box also shows what is in front of and behind the object. Of its inner part, the nearest
-    surface that fills a good share of it is taken (see `lift_kernels.surface`), without the
-    floor that the object stands on.
+    A box also shows what is in front of and behind the object. Of its inner part, the largest
+    surface that ends with the box is taken, else the nearest that fills a good share of it (see
+    `lift_kernels.lift_boxes`), without the floor that the object stands on.
 
     Attributes:
         unliftable: observations with boxes that lacked what lifting needs.
@@ -66,6 +66,9 @@ class Lifter:
         self.unliftable = 0
         side = kernels.SIDE
         self._samples = np.empty((side * side, 3), np.float32)
+        self._beside = np.empty((4, side * side, 3), np.float32)
+        self._n_beside = np.empty(4, np.int32)
+        self._found = np.empty((kernels.BINS, 3), np.float32)
         self._scratch = np.empty((3, side * side), np.float32)
         self._histogram = np.empty(kernels.BINS, np.int32)
         self._raster = _NO_RASTER
@@ -102,7 +105,8 @@ class Lifter:
             float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
             detections.xyxy_px, seen.T_map_base @ seen.T_base_camera,
             float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
-            self.config.lift_min_points, self._samples, self._histogram, self._scratch,
+            self.config.lift_min_points, self._samples, self._beside, self._n_beside,
+            self._histogram, self._found, self._scratch,
             out.center_m, out.points_m, out.n_points, out.n_samples, out.valid,
         )  # fmt: skip
         return out

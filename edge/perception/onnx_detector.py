@@ -91,8 +91,12 @@ class _Asked:
 
     prompts: tuple[str, ...]
     text: np.ndarray
+    competes: np.ndarray
     boxes: np.ndarray
     scores: np.ndarray
+    anchor: np.ndarray
+    label: np.ndarray
+    score: np.ndarray
     binding: Any
 
 
@@ -111,9 +115,11 @@ class _Placement:
 class OnnxDetector:
     """Every buffer is made once; an image costs one resize, one run and two kernels.
 
-    Background prompts (`config.background`) are never reported as boxes of their own; the best
-    of them on the place of a box is that box's `Detections.rival`. A background that is a kind of
-    the target (sofa bed, for bed) does not compete with it.
+    Each prompt has its own boxes, also where another scores higher: whoever weighs what a thing
+    is over many images needs to hear of the losers too. Background prompts
+    (`config.background`) have none. The best score of any other prompt, background or not, on the
+    place of a box is its `Detections.rival`; a prompt that is a kind of the other (sofa bed, bed)
+    does not compete.
     """
 
     def __init__(self, detector: config.DetectorOnnx, prompts: Sequence[str]) -> None:
@@ -139,9 +145,7 @@ class OnnxDetector:
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
         self._anchors = self._count_anchors()
-        self._best = np.empty(self._anchors, np.float32)
-        self._rival = np.empty(self._anchors, np.float32)
-        self._label = np.empty(self._anchors, np.int32)
+        self._top = np.empty(self._anchors, np.float32)
         self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)
         self._xyxy = np.empty((detector.max_detections, 4), np.float32)
@@ -158,13 +162,12 @@ class OnnxDetector:
         prompts = tuple(prompts)
         if not prompts:
             raise PromptError("no prompt: name at least one thing to look for")
-        wanted = {word for p in prompts for word in (p, self._text.resolve(p))}
-        rivals = [
-            rival
-            for rival in self.config.background
-            if not any(names.is_kind_of(rival, word) for word in wanted)
-        ]
-        text = self._text.embed([*prompts, *rivals])
+        columns = [*prompts, *self.config.background]
+        competes = self._competitors(prompts, columns)
+        useful = competes.any(axis=0)
+        useful[: len(prompts)] = True
+        competes = np.ascontiguousarray(competes[:, useful])
+        text = self._text.embed([c for c, kept in zip(columns, useful, strict=True) if kept])
         boxes = np.empty((1, self._anchors, 4), np.float32)
         scores = np.empty((1, self._anchors, text.shape[1]), np.float32)
         binding = self._session.io_binding()
@@ -172,7 +175,28 @@ class OnnxDetector:
             binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
         for name, array in zip(OUTPUTS, (boxes, scores), strict=True):
             binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        self._asked = _Asked(prompts, text, boxes, scores, binding)
+        places = self._anchors * len(prompts)
+        self._asked = _Asked(
+            prompts, text, competes, boxes, scores, np.empty(places, np.int32),
+            np.empty(places, np.int32), np.empty(places, np.float32), binding,
+        )  # fmt: skip
+
+    def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
+        """(prompts, columns) bool: whether a column's word is another thing than the prompt's.
+
+        A kind of the prompt's thing never is; between two prompts, neither is its broader name.
+        """
+        words = [(column, self._text.resolve(column)) for column in columns]
+
+        def kind_of(i: int, j: int) -> bool:
+            return any(names.is_kind_of(a, b) for a in words[i] for b in words[j])
+
+        competes = np.ones((len(prompts), len(columns)), np.bool_)
+        for row in range(len(prompts)):
+            for column in range(len(columns)):
+                broader = column < len(prompts) and kind_of(row, column)
+                competes[row, column] = not (kind_of(column, row) or broader)
+        return competes
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`."""
@@ -187,8 +211,8 @@ class OnnxDetector:
         return Detections(
             observation=observation,
             xyxy_px=self._xyxy[:n].copy(),
-            score=self._best[kept],
-            class_id=self._label[kept],
+            score=asked.score[kept],
+            class_id=asked.label[kept],
             prompts=asked.prompts,
             rival=self._against[:n].copy(),
             model=self.name,
@@ -239,10 +263,10 @@ class OnnxDetector:
     def _pick(self, asked: _Asked) -> int:
         """Scores and boxes of the last run → `_keep`, `_xyxy`, `_against`; how many."""
         c, place = self.config, self._place
-        boxes, scores = asked.boxes[0], asked.scores[0]
-        invalid = kernels.split_scores(
-            boxes, scores, len(asked.prompts), np.float32(c.tau_vl),
-            self._best, self._label, self._rival,
+        boxes, scores, tau = asked.boxes[0], asked.scores[0], np.float32(self.config.tau_vl)
+        found, invalid = kernels.candidates(
+            boxes, scores, len(asked.prompts), tau, asked.anchor, asked.label, asked.score,
+            self._top,
         )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
@@ -251,10 +275,15 @@ class OnnxDetector:
                     self.name, invalid, self._anchors,
                 )  # fmt: skip
             self.invalid_boxes += invalid
-        n = kernels.suppress(boxes, self._best, self._label, c.nms_iou, self._keep)
+        n = kernels.suppress(
+            boxes, asked.anchor, asked.label, asked.score, found, c.nms_iou, self._keep
+        )
         n = kernels.to_image(
-            boxes, self._keep, n, place.scale, place.top, place.left,
+            boxes, asked.anchor, self._keep, n, place.scale, place.top, place.left,
             place.width_px, place.height_px, self._xyxy,
         )  # fmt: skip
-        kernels.strongest_rivals(boxes, self._rival, self._keep, n, c.nms_iou, self._against)
+        kernels.strongest_rivals(
+            boxes, scores, asked.competes, tau, self._top, asked.anchor, asked.label,
+            self._keep, n, c.nms_iou, self._against,
+        )  # fmt: skip
         return n

@@ -24,8 +24,9 @@ class SimDetector:
 
     The score falls with range and smallness and carries Gaussian noise; objects are missed
     (`miss_rate` near by, three times that at `max_range_m`); now and then another object is
-    taken for the target. Noise depends on `config.seed` and `observation.seq` only, so a run
-    replays the same.
+    taken for the target. A prompt means the objects of that very name (a dog bed), and where the
+    world has none, those of its noun. Noise depends on `config.seed` and `observation.seq` only,
+    so a run replays the same.
     """
 
     name = "sim (ground-truth ids + noise, no neural network)"
@@ -37,6 +38,7 @@ class SimDetector:
         """
         self.config = detector
         self._labels: tuple[str, ...] = ()
+        self._present: set[str] = set()
         self._resize(0)
         self.set_prompts(prompts)
 
@@ -63,11 +65,15 @@ class SimDetector:
                 f"observation {observation.seq}: no object ids with depth: lost on the way, or no "
                 "simulator sends them (for a real camera use perception.detector.kind: onnx)"
             )
-        if len(observation.object_labels) != len(self._pixels):
-            self._resize(len(observation.object_labels))
+        if observation.object_labels != self._labels:
+            self._labels = observation.object_labels
+            self._present = {names.canonical(label) for label in self._labels}
+            self._resize(len(self._labels))
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
         prompts, nouns = self._asked
-        found = self._noisy(observation, nouns, ids.shape[0] * ids.shape[1])
+        exact = [names.canonical(prompt) for prompt in prompts]
+        wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
+        found = self._noisy(observation, wanted, ids.shape[0] * ids.shape[1])
         found.sort(key=lambda row: -row[0])
         return Detections(
             observation=observation,

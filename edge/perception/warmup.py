@@ -18,12 +18,16 @@ def warmup() -> None:
     kernels.to_planes(rgb, np.float32(1 / 255), 0, 0, np.zeros((3, 16, 16), np.float32))
     boxes = np.array([[0, 0, 8, 8], [1, 1, 9, 9]], np.float32)
     scores = np.array([[0.9, 0.1], [0.5, 0.8]], np.float32)
-    best, rival = np.zeros(2, np.float32), np.zeros(2, np.float32)
-    label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32)
-    kernels.split_scores(boxes, scores, 1, np.float32(0.05), best, label, rival)
-    n = kernels.suppress(boxes, best, label, 0.5, keep)
-    kernels.strongest_rivals(boxes, rival, keep, n, 0.5, np.zeros(2, np.float32))
-    kernels.to_image(boxes, keep, n, 1.0, 0, 0, 16, 16, np.zeros((2, 4), np.float32))
+    anchor, label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32), np.zeros(2, np.int32)
+    score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
+    found, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
+    n = kernels.suppress(boxes, anchor, label, score, found, 0.5, keep)
+    kernels.strongest_rivals(
+        boxes, scores, np.ones((1, 2), np.bool_), tau, top, anchor, label, keep, n, 0.5,
+        np.zeros(2, np.float32),
+    )  # fmt: skip
+    xyxy = np.zeros((2, 4), np.float32)
+    kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy)
     kernels.object_boxes(
         np.ones((16, 16), np.uint16), np.ones((16, 16), np.float32), np.zeros((1, 4), np.int32),
         np.zeros(1, np.int32), np.zeros(1, np.float32),
@@ -55,5 +59,7 @@ def _lift() -> None:
     tracker.expire(seen)
     # What an instance that is seen again needs; nothing here was clear enough to found one.
     points_m = np.zeros((1, 3), np.float32)
-    instance_kernels.merge_points(points_m, points_m, perception.voxel_m, MAX_POINTS)
+    support = np.ones(1, np.int32)
+    instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
+    instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)

@@ -33,7 +33,8 @@ class Policy(Protocol):
         """Fill `pool.score[: pool.n]` (and `pool.vl` of candidates seen for the first time).
 
         Args:
-            seen: the newest detections of the target, or None when nothing new came.
+            seen: the newest detections, `class_id` counting the pool's channels, or None when
+                nothing new came.
             pose: where the robot is now.
         """
         ...

@@ -34,12 +34,12 @@ class Hvl:
             middle = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
             mu = camera.bearing_of(middle)
             vl_scores(
-                pool.xy_m, pool.first_seen_ns, pool.n, at.x_m, at.y_m, at.yaw_rad,
+                pool.xy_m, pool.kind, pool.first_seen_ns, pool.n, at.x_m, at.y_m, at.yaw_rad,
                 seen.observation.stamp_ns, camera.hfov_rad, mu,
-                seen.score.astype(np.float64), c.sigma_rad, pool.vl,
+                seen.score.astype(np.float64), seen.class_id, c.sigma_rad, pool.vl,
             )  # fmt: skip
         grid.unknown_ratio(pool.xy_m, pool.n, c.unknown_radius_m, self._ratio)
         hvl_scores(
-            pool.xy_m, pool.kind, pool.vl, self._ratio, pool.n, pose.x_m, pose.y_m,
+            pool.xy_m, pool.kind, pool.vl[pool.channel], self._ratio, pool.n, pose.x_m, pose.y_m,
             c.w_dist, c.w_vl, c.unknown_k, c.heuristics, pool.score,
         )  # fmt: skip

@@ -25,4 +25,5 @@ class NearestFrontier:
         """See `Policy.score`."""
         n = pool.n
         away = np.hypot(pool.xy_m[:n, 0] - pose.x_m, pool.xy_m[:n, 1] - pose.y_m)
-        pool.score[:n] = np.where(pool.kind[:n] == FRONTIER, 1.0 / (1.0 + away), pool.vl[:n])
+        sight = pool.vl[pool.channel, :n]
+        pool.score[:n] = np.where(pool.kind[:n] == FRONTIER, 1.0 / (1.0 + away), sight)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -15,14 +15,16 @@ import yaml
 import edge
 from edge.errors import UserError
 from edge.latency import LatencyReport, StageLatency
-from edge.report import palette, picture
+from edge.report import palette, picture, story
 from edge.report.files import write_atomically
 from edge.report.style import CSS
-from edge.sinks.recorder import Frame, RunRecord
+from edge.sinks.record import Frame, RunRecord
 
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"
 JPEG_QUALITY = 85
+LOUD = ("target", "reached", "failed")  # steps of a mission
+MAX_SEEN = 4  # targets named under a frame
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
@@ -86,6 +88,7 @@ def html(record: RunRecord, png: bytes) -> str:
         _tiles(record),
         f'<section class="picture"><img alt="map of the run" src="{_data_url("png", png)}">'
         "</section>",
+        story.section(record),
         _latency(record.latency),
         _frames(record),
         f'<div class="columns">{_timeline(record)}<div>{_facts(record)}</div></div>',
@@ -112,6 +115,7 @@ def _tiles(record: RunRecord) -> str:
         (f"{mission.elapsed_s:.1f} s", "time"),
         (f"{mission.path_m:.1f} m", "driven"),
         (f"{record.map.known_m2:.0f} m²" if record.map is not None else "–", "mapped"),
+        *_reached(record),
         (f"{len(record.goals)}", "goals"),
         (f"{len(record.instances)}", "instances"),
         (_ms(latency.tick.p95_ms, latency.tick.n), "tick p95"),
@@ -121,6 +125,12 @@ def _tiles(record: RunRecord) -> str:
         f'<div class="tile"><b>{escape(v)}</b><span>{escape(k)}</span></div>' for v, k in tiles
     )
     return f'<div class="tiles">{"".join(cells)}</div>'
+
+
+def _reached(record: RunRecord) -> list[tuple[str, str]]:
+    if record.story is None or record.story.simple:
+        return []
+    return [(f"{len(record.story.reached)}", "reached")]
 
 
 def _ms(value_ms: float, n: int) -> str:
@@ -175,9 +185,11 @@ def _frames(record: RunRecord) -> str:
     if not record.frames:
         return '<section><h2>Frames</h2><p class="note">No frame was kept.</p></section>'
     figures = "".join(_figure(frame, record) for frame in record.frames)
+    plural = "s" if len(record.targets) > 1 else ""
     return (
-        '<section><h2>Frames: best views of the target, and the last</h2><div class="frames">'
-        f'{figures}</div><p class="note">Detector: {escape(record.detector)}.</p></section>'
+        f"<section><h2>Frames: best views of the target{plural}, and the last</h2>"
+        f'<div class="frames">{figures}</div>'
+        f'<p class="note">Detector: {escape(record.detector)}.</p></section>'
     )
 
 
@@ -188,10 +200,10 @@ def _figure(frame: Frame, record: RunRecord) -> str:
     jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
     # The target's boxes last, so that they lie on top.
     order = sorted(range(len(frame.labels)), key=lambda i: (frame.is_target[i], frame.score[i]))
-    boxes = "".join(_svg_box(frame, i, w, h) for i in order)
-    seen = frame.target_score
-    caption = f"{record.seconds(frame.stamp_ns):.1f} s"
-    caption += f", {record.target} {seen:.2f}" if seen > 0 else ", target not seen"
+    boxes = "".join(_svg_box(frame, i, w, h, record.targets) for i in order)
+    seen = [f"{label} {score:.2f}" for label, score in frame.best.items() if score > 0]
+    caption = ", ".join([f"{record.seconds(frame.stamp_ns):.1f} s", *seen[:MAX_SEEN]])
+    caption += "" if seen else ", target not seen"
     return (
         f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
         f'<image width="{w}" height="{h}" href="{_data_url("jpeg", jpeg)}"/>{boxes}</svg>'
@@ -199,11 +211,13 @@ def _figure(frame: Frame, record: RunRecord) -> str:
     )
 
 
-def _svg_box(frame: Frame, i: int, w: int, h: int) -> str:
+def _svg_box(frame: Frame, i: int, w: int, h: int, targets: Sequence[str]) -> str:
     x0, y0, x1, y1 = (float(v) for v in frame.xyxy_px[i])
     if not all(map(math.isfinite, (x0, y0, x1, y1))):
         return ""
-    colour = palette.TARGET if frame.is_target[i] else palette.INSTANCE
+    colour = palette.INSTANCE
+    if frame.is_target[i]:
+        colour = palette.target_colour(frame.labels[i], targets)
     words = f"{frame.labels[i]} {frame.score[i]:.2f}"
     size = w / 26
     width, top = 0.56 * size * len(words) + 6, min(max(0.0, y0 - 1.3 * size), h - 1.3 * size)
@@ -218,21 +232,30 @@ def _svg_box(frame: Frame, i: int, w: int, h: int) -> str:
 
 
 def _timeline(record: RunRecord) -> str:
-    """Events and goals in order of time."""
+    """Events and goals in order of time; what a mission turns on stands out."""
+    steps = record.story.steps if record.story is not None else ()
+    kinds = {step.text: step.kind for step in steps if step.kind in LOUD}
     goals = [
         (record.seconds(g.stamp_ns), f"goal {i}: {g.kind} {g.candidate_id} at "
          f"({g.candidate_xy_m[0]:.1f}, {g.candidate_xy_m[1]:.1f}), score {g.score:.2f}")
         for i, g in enumerate(record.goals, start=1)
     ]  # fmt: skip
     lines = sorted([*record.events, *goals], key=lambda line: line[0])
-    rows = "".join(f"<dt>{t_s:.1f} s</dt><dd>{escape(text)}</dd>" for t_s, text in lines)
+    rows = "".join(
+        f"<dt>{t_s:.1f} s</dt><dd{_class(kinds.get(text))}>{escape(text)}</dd>"
+        for t_s, text in lines
+    )
     content = f'<dl class="time">{rows}</dl>' if rows else '<p class="note">Nothing happened.</p>'
     return f"<section><h2>Timeline</h2>{content}</section>"
 
 
+def _class(kind: str | None) -> str:
+    return f' class="{kind}"' if kind else ""
+
+
 def _facts(record: RunRecord) -> str:
     run = [
-        ("target", record.target),
+        ("target" if len(record.targets) == 1 else "targets", ", ".join(record.targets)),
         ("robot", record.robot),
         ("detector", record.detector),
         ("configuration", record.config_path),

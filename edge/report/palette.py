@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from edge import names
+
 UNKNOWN = "#dde2ea"
 FREE = "#ffffff"
 OCCUPIED = "#39424f"
@@ -12,6 +16,11 @@ TARGET = "#d6225b"
 INSTANCE = "#2b6cb0"
 FRONTIER = "#f08c00"
 START = "#2f9e44"
+WARNING = "#e8590c"
+# One for each target of a mission; the first is the only target's.
+TARGETS = (
+    TARGET, "#1c7ed6", "#9c36b5", "#0b7285", "#8d5524", "#5c940d", "#6741d9", "#5c6b7f",
+)  # fmt: skip
 
 OUTCOME = {"reached": "#2b8a3e", "failed": "#c92a2a"}
 UNFINISHED = "#5c6b7f"
@@ -20,3 +29,11 @@ UNFINISHED = "#5c6b7f"
 def outcome_colour(phase: str) -> str:
     """The colour of a mission's phase; phases that are not final share one."""
     return OUTCOME.get(phase, UNFINISHED)
+
+
+def target_colour(label: str, targets: Sequence[str]) -> str:
+    """The colour of a thing by its label: each target has its own, all else shares one."""
+    for k, target in enumerate(targets):
+        if names.same(label, target):
+            return TARGETS[k % len(TARGETS)]
+    return INSTANCE

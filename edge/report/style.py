@@ -49,6 +49,13 @@ figcaption { color: var(--muted); font-size: 13px; margin-top: 4px; }
 .time { display: grid; grid-template-columns: max-content 1fr; gap: 3px 16px; margin: 0; }
 .time dt { color: var(--muted); text-align: right; font-variant-numeric: tabular-nums; }
 .time dd { margin: 0; overflow-wrap: anywhere; }
+.time dd.reached { color: var(--ok); font-weight: 600; }
+.time dd.failed { color: var(--over); font-weight: 600; }
+.time dd.target { font-weight: 600; }
+.story { display: grid; grid-template-columns: max-content 1fr; gap: 4px 16px; margin: 0 0 16px; }
+.story dt { color: var(--muted); } .story dd { margin: 0; overflow-wrap: anywhere; }
+.formula { font-family: ui-monospace, Menlo, Consolas, monospace; font-size: 13.5px; }
+.drawing { overflow-x: auto; margin-bottom: 18px; }
 .pairs td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
 .pairs td:first-child { min-width: 8.5em; }
 .pairs td:last-child { text-align: right; }

@@ -7,11 +7,14 @@ import time
 import numpy as np
 
 from edge.config import Config
+from edge.drawing.shapes import shorten
+from edge.mission.run import MissionRun
 from edge.progress import Progress, ProgressWriter
 from edge.service import Service
 from edge.sinks import SinkBase
-from edge.sinks.recorder import MapSnapshot, Recorder, RunRecord
-from edge.types import Detections, Goal, Observation
+from edge.sinks.record import MapSnapshot, RunRecord, Story
+from edge.sinks.recorder import Recorder
+from edge.types import Detections, Goal, Instance, Observation
 
 # Reports draw it apart from what is occupied itself.
 _TOO_CLOSE = 50
@@ -40,7 +43,7 @@ def progress_of(service: Service) -> Progress:
     detect = report.stage("detect")
     return Progress(
         phase=status.phase if pose is not None else "waiting for sensors, looking for",
-        target=status.target,
+        target=_ahead(service.mission),
         elapsed_s=status.elapsed_s,
         goal_kind=None if goal is None else goal.kind,
         goal_distance_m=0.0
@@ -50,6 +53,19 @@ def progress_of(service: Service) -> Progress:
         map_m2=service.grid.known_m2,
         tick_p95_ms=report.tick.p95_ms if report.tick.n else None,
         detector_ms=detect.p50_ms if detect.n else None,
+    )
+
+
+def _ahead(mission: MissionRun) -> str:
+    """What is pursued, and what the plan holds after it.
+
+    Why it was chosen is in the log: each step of a mission is an event.
+    """
+    then = ", ".join(letter or "nothing" for letter in mission.plan.steps[1:])
+    return (
+        f"{mission.target} (then {shorten(then, 60)})"
+        if then and not mission.done
+        else mission.target
     )
 
 
@@ -63,6 +79,7 @@ class RecorderSink(SinkBase):
         self._recorder.goal(goal)
 
     def detections(self, detections: Detections) -> None:
+        self._recorder.targets = detections.prompts  # the detector is asked for nothing else
         self._recorder.frame(detections)
 
     def event(self, text: str, now_ns: int) -> None:
@@ -76,11 +93,35 @@ class RecorderSink(SinkBase):
         """The run so far, with the map as it stands now."""
         grid = service.grid
         snapshot = grid.snapshot(inflated=_TOO_CLOSE)
+        self._recorder.targets = service.mission.brief.targets
         return self._recorder.finish(
             service.status,
             service.latency.report(),
             MapSnapshot(snapshot.cells, snapshot.origin_xy_m, snapshot.resolution_m),
             np.array(grid.frontiers.xy_m[: grid.frontiers.n]),
-            service.tracker.of(service.status.target),
+            _instances(service),
             counters,
+            story_of(service.mission),
         )
+
+
+def _instances(service: Service) -> list[Instance]:
+    """Those of all targets; one that answers to two of them stands once."""
+    found = [i for label in service.mission.brief.targets for i in service.tracker.of(label)]
+    return list({instance.id: instance for instance in found}.values())
+
+
+def story_of(mission: MissionRun) -> Story:
+    """A mission as its report tells it."""
+    translation, automaton = mission.brief.translation, mission.brief.automaton
+    return Story(
+        instruction=translation.instruction,
+        english=translation.english,
+        formula=str(automaton.formula),
+        backend=translation.backend,
+        automaton=automaton,
+        state=mission.state,
+        word=mission.word,
+        plan=() if automaton.accepting[mission.state] else mission.plan.steps,
+        steps=mission.steps,
+    )

@@ -1,14 +1,16 @@
-"""A furnished house, real weights, every process: one episode from the command line to its end."""
+"""A furnished house, real weights, every process, from the command line to the end."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from edge_processes import Edge
 
 from edge import config, resources
 from edge.perception.cards import ModelError, load_card, verify_model
@@ -53,3 +55,32 @@ def test_an_episode_ends_with_a_clear_outcome(environ, tmp_path):
     assert "1/1" in done.stdout
     assert done.stdout.splitlines()[-1].startswith("all")
     assert (tmp_path / "01-chair" / "report.png").stat().st_size > 10_000
+
+
+WORDS = (
+    "Go to the chair or the bed, then to the trash can, then to the sofa; "
+    "don't go to the tv before the sofa."
+)
+
+
+def test_a_mission_with_a_choice_and_a_prohibition(environ, endpoint, tmp_path):
+    """In lockstep, so that a loaded machine sees what an idle one does."""
+    extra = {
+        **environ,
+        "EDGE__ZENOH__ENDPOINT": endpoint,
+        "EDGE__LOOP__LOCKSTEP": "true",
+        "EDGE__SIM__LOCKSTEP": "true",
+        "EDGE__MISSION__TIME_LIMIT_S": "300",
+    }
+    sim = Edge("sim", "config/aws-house.yaml", cwd=CLONE, **extra)
+    try:
+        arguments = ["--mission", WORDS, "--once", "--report", tmp_path]
+        run = Edge("run", "config/aws-house.yaml", *arguments, cwd=CLONE, **extra)
+        try:
+            assert run.wait(900) == 0, run.output
+        finally:
+            run.kill()
+    finally:
+        sim.kill()
+    assert re.search(r"reached: (chair|bed), then trash can, then sofa", run.output), run.output
+    assert "<svg" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 import signal
-import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-from edge_processes import Edge, write_config
+from edge_processes import write_config
 
 from edge import topics
 from edge.bus import open_session
@@ -22,35 +21,16 @@ from edge.config import Zenoh
 from edge.geometry import SE2
 from edge.wire import messages
 
-SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+SIGNALS = pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
+)
 PREFIX = "edge"
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture
 def config(endpoint, tmp_path) -> Path:
     """The built-in house, at an address of this test's own, with a target not far off."""
     return write_config(tmp_path, zenoh={"endpoint": endpoint})
-
-
-@pytest.fixture
-def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
-    """Starts `edge` commands; all are killed at the end."""
-    started = []
-
-    def start(*arguments: object) -> Edge:
-        started.append(Edge(*arguments, cwd=tmp_path))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
 
 
 def check_report(folder: Path, outcome: str) -> None:

@@ -184,19 +184,19 @@ def test_the_cards_of_this_repository_are_valid():
 
 
 @pytest.mark.parametrize(
-    ("detector", "message"),
+    ("target", "detector", "message"),
     [
-        ("{kind: onnx, model: no-such-model}", "no-such-model"),
-        ("{kind: sim}", "prompt"),
+        ("chair", "{kind: onnx, model: no-such-model}", "no-such-model"),
+        (" ", "{kind: sim}", "prompt"),
     ],
 )
 def test_edge_run_says_in_one_line_why_it_cannot_detect(
-    tmp_path, capsys, monkeypatch, detector, message
+    tmp_path, capsys, monkeypatch, target, detector, message
 ):
     from edge import cli
 
     path = tmp_path / "robot.yaml"
-    path.write_text(f"mission: {{target: ' '}}\nperception: {{detector: {detector}}}\n")
+    path.write_text(f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n")
     monkeypatch.setattr(cli, "setup", lambda *_: None)
     monkeypatch.setattr(cli, "stop_on_signals", lambda: None)
     assert cli.main(["run", str(path)]) == 2

@@ -61,6 +61,15 @@ def test_nothing_seen_nothing_there(scene):
     assert s.tracker.get(1) is None
 
 
+def test_after_everything_is_forgotten_ids_go_on(scene):
+    s = scene()
+    (old,) = s.see(("chair", 2.0, 0.0, 0.8))
+    s.tracker.clear()
+    assert s.tracker.all == []
+    (new,) = s.see(("chair", 2.0, 0.0, 0.8))
+    assert new.id > old.id
+
+
 def test_only_what_is_over_tau_det_founds_an_instance(scene):
     s = scene(tau_det=0.3)
     assert s.see(("chair", 2, 0, 0.29)) == []

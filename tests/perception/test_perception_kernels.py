@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import (
+    candidates,
     cloud_raster,
+    going_on,
     iou,
     merge_points,
     object_boxes,
     sample_depth,
-    split_scores,
     strongest_rivals,
     suppress,
-    surface,
+    surfaces,
     to_planes,
 )
 
@@ -28,12 +29,13 @@ def random_boxes(random, n):
     return np.hstack((corner, corner + random.uniform(1, 40, (n, 2)))).astype(np.float32)
 
 
-def split(boxes, scores, n_targets, tau=TAU):
-    n = len(boxes)
-    best, rival = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    label = np.zeros(n, np.int32)
-    invalid = kernels.split_scores(boxes, scores, n_targets, tau, best, label, rival)
-    return best, label, rival, invalid
+def found_in(boxes, scores, n_targets, tau=TAU):
+    """(anchor, label, score, top, how many, invalid)."""
+    places, n = len(boxes) * n_targets, len(boxes)
+    anchor, label = np.zeros(places, np.int32), np.zeros(places, np.int32)
+    score, top = np.zeros(places, np.float32), np.zeros(n, np.float32)
+    m, invalid = kernels.candidates(boxes, scores, n_targets, tau, anchor, label, score, top)
+    return anchor, label, score, top, m, invalid
 
 
 @pytest.mark.parametrize(
@@ -63,34 +65,37 @@ def test_iou(a, b, expected):
 
 
 def test_no_anchor_gives_no_box():
-    best, label, _rival, invalid = split(
-        np.zeros((0, 4), np.float32), np.zeros((0, 1), np.float32), 1
-    )
-    assert invalid == 0
-    keep = np.zeros(4, np.int32)
-    assert kernels.suppress(np.zeros((0, 4), np.float32), best, label, 0.5, keep) == 0
+    boxes = np.zeros((0, 4), np.float32)
+    anchor, label, score, _top, m, invalid = found_in(boxes, np.zeros((0, 1), np.float32), 1)
+    assert (m, invalid) == (0, 0)
+    assert kernels.suppress(boxes, anchor, label, score, m, 0.5, np.zeros(4, np.int32)) == 0
 
 
 @given(seed=seeds, n=st.integers(1, 60), targets=st.integers(1, 3), rest=st.integers(0, 3))
 @settings(max_examples=60, deadline=None)
-def test_split_and_suppress_agree_with_their_twins(seed, n, targets, rest):
+def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, n)
     scores = random.uniform(0, 1, (n, targets + rest)).astype(np.float32) ** 2
     scores[random.random(scores.shape) < 0.05] = np.nan
     boxes[random.random(boxes.shape) < 0.02] = np.inf
-    best, label, rival, invalid = split(boxes, scores, targets)
-    t_best, t_label, t_rival, t_invalid = split_scores(boxes, scores, targets, TAU)
-    assert invalid == t_invalid
-    np.testing.assert_array_equal(best, t_best)
-    np.testing.assert_array_equal(rival, t_rival)
-    np.testing.assert_array_equal(label[best > 0], t_label[best > 0])
+    anchor, label, score, top, m, invalid = found_in(boxes, scores, targets)
+    t_anchor, t_label, t_score, t_top, t_invalid = candidates(boxes, scores, targets, TAU)
+    assert (m, invalid) == (len(t_anchor), t_invalid)
+    np.testing.assert_array_equal(anchor[:m], t_anchor)
+    np.testing.assert_array_equal(label[:m], t_label)
+    np.testing.assert_array_equal(score[:m], t_score)
+    np.testing.assert_array_equal(top, t_top)
     keep = np.zeros(10, np.int32)
-    k = kernels.suppress(boxes, best, label, 0.5, keep)
-    assert list(keep[:k]) == suppress(boxes, best, label, 0.5, 10)
+    k = kernels.suppress(boxes, anchor, label, score, m, 0.5, keep)
+    assert list(keep[:k]) == suppress(boxes, t_anchor, t_label, t_score, 0.5, 10)
     against = np.zeros(10, np.float32)
-    kernels.strongest_rivals(boxes, rival, keep, k, 0.5, against)
-    np.testing.assert_array_equal(against[:k], strongest_rivals(boxes, rival, keep[:k], 0.5))
+    competes = random.random((targets, targets + rest)) < 0.5
+    kernels.strongest_rivals(
+        boxes, scores, competes, TAU, top, anchor, label, keep, k, 0.5, against
+    )
+    expected = strongest_rivals(boxes, scores, competes, TAU, anchor, label, keep[:k], 0.5)
+    np.testing.assert_array_equal(against[:k], expected)
 
 
 @given(seed=seeds)
@@ -98,21 +103,24 @@ def test_split_and_suppress_agree_with_their_twins(seed, n, targets, rest):
 def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, 40)
-    best, label, _rival, _ = split(boxes, random.random((40, 2), dtype=np.float32), 2)
-    keep = np.zeros(40, np.int32)
-    kept = keep[: kernels.suppress(boxes, best, label, 0.4, keep)]
-    assert (np.diff(best[kept]) <= 0).all()
+    anchor, label, score, _, m, _ = found_in(boxes, random.random((40, 2), dtype=np.float32), 2)
+    keep = np.zeros(80, np.int32)
+    kept = keep[: kernels.suppress(boxes, anchor, label, score, m, 0.4, keep)]
+    assert (np.diff(score[kept]) <= 0).all()
     for a in kept:
-        assert all(a == b or label[a] != label[b] or iou(boxes[a], boxes[b]) <= 0.4 for b in kept)
+        for b in kept:
+            apart = iou(boxes[anchor[a]], boxes[anchor[b]]) <= 0.4
+            assert a == b or label[a] != label[b] or apart
 
 
 def test_boxes_come_back_to_the_image_and_are_clipped():
     boxes = np.array([[-10, 8, 160, 128], [0, 0, 320, 4], [40, 18, 50, 28]], np.float32)
-    keep = np.array([0, 1, 2], np.int32)
+    keep = np.array([2, 0, 1], np.int32)
+    anchor = np.array([1, 2, 0], np.int32)
     out = np.zeros((3, 4), np.float32)
-    n = kernels.to_image(boxes, keep, 3, 0.5, 8, 0, 640, 480, out)
+    n = kernels.to_image(boxes, anchor, keep, 3, 0.5, 8, 0, 640, 480, out)
     assert n == 2  # the second lies on the letterbox's rim only
-    assert list(keep[:2]) == [0, 2]
+    assert list(keep[:2]) == [2, 1]
     np.testing.assert_allclose(out[:2], [[0, 0, 320, 240], [80, 20, 100, 40]])
 
 
@@ -165,42 +173,53 @@ def test_sample_depth_agrees_with_its_twin(seed):
     np.testing.assert_allclose(samples[:n], twin, rtol=1e-5, atol=1e-6)
 
 
-def surface_of(z):
+def surfaces_of(z):
     samples = np.zeros((max(1, len(z)), 3), np.float32)
     samples[: len(z), 2] = z
     histogram = np.zeros(lift_kernels.BINS, np.int32)
-    return lift_kernels.surface(samples, len(z), 8.0, histogram)
+    found = np.zeros((lift_kernels.BINS, 3), np.float32)
+    return found[: lift_kernels.surfaces(samples, len(z), 8.0, histogram, found)]
 
 
 @given(seed=seeds, n=st.integers(0, 576), spread=st.floats(0.05, 4))
 @settings(max_examples=60, deadline=None)
-def test_surface_agrees_with_its_twin(seed, n, spread):
+def test_surfaces_agree_with_their_twin(seed, n, spread):
     random = np.random.default_rng(seed)
     middles = random.uniform(0.2, 8, 3)
     z = np.clip(random.choice(middles, n) + spread * random.normal(size=n) / 4, 0.05, 7.99)
     z = z.astype(np.float32)
-    twin = surface(
-        z.astype(np.float64), 8.0, lift_kernels.BINS, lift_kernels.GAP_M, lift_kernels.NEAREST_SHARE
+    twin = surfaces(
+        z.astype(np.float64), 8.0, lift_kernels.BINS, lift_kernels.GAP_M, lift_kernels.SPARSE
     )
-    assert surface_of(z) == pytest.approx(twin)
+    np.testing.assert_allclose(surfaces_of(z), twin, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("parts", "expected_m"),
-    [
-        ([(1.0, 300)], 1.0),
-        ([(1.0, 300), (3.0, 200)], 1.0),  # the thing before the wall
-        ([(1.0, 200), (3.0, 300)], 1.0),
-        ([(1.0, 20), (3.0, 400)], 3.0),  # a table leg in front of the thing
-        ([(1.0, 60), (2.0, 60), (3.0, 80), (4.0, 70), (5.0, 60)], 3.0),  # the largest of many
-    ],
-)
-def test_the_nearest_surface_of_good_size_is_the_thing(parts, expected_m):
-    random = np.random.default_rng(0)
-    z = np.concatenate([at + 0.05 * random.normal(size=n) for at, n in parts])
-    low, high = surface_of(z.astype(np.float32))
-    assert low < expected_m < high
-    assert high - low < 0.8
+@given(seed=seeds)
+@settings(max_examples=30, deadline=None)
+def test_going_on_agrees_with_its_twin(seed):
+    random = np.random.default_rng(seed)
+    n = random.integers(0, 20, 4).astype(np.int32)
+    beside = random.uniform(-3, 3, (4, 20, 3)).astype(np.float32)
+    T = np.eye(4)
+    T[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    low, high = np.sort(random.uniform(-3, 3, 2))
+    ours = lift_kernels.going_on(beside, n, low, high, T, -0.5)
+    strips = [beside[k, : n[k]].astype(np.float64) for k in range(4)]
+    assert ours == pytest.approx(going_on(strips, low, high, T, -0.5))
+
+
+def test_one_view_of_the_wrong_thing_moves_nothing():
+    """A sofa seen thirty times, and a table before it twice."""
+    sofa = np.array([[x, 4.0, 0.4] for x in np.arange(0, 2, 0.2)], np.float32)
+    table = sofa - np.float32([0, 1.5, 0])
+    points, support = np.empty((0, 3), np.float32), np.empty(0, np.int32)
+    for view in range(32):
+        seen = table if view in (3, 20) else sofa
+        points, support = instance_kernels.merge_points(points, support, seen, 0.1, 64)
+    core, center, _ = instance_kernels.core_points(points, support)
+    assert core[:, 1].min() == pytest.approx(4.0)
+    assert center[1] == pytest.approx(4.0)
+    assert len(points) == 20
 
 
 @given(seed=seeds, n_old=st.integers(0, 64), n_new=st.integers(1, 32))
@@ -209,11 +228,17 @@ def test_merge_points_agrees_with_its_twin(seed, n_old, n_new):
     random = np.random.default_rng(seed)
     old = random.uniform(-3, 3, (n_old, 3)).astype(np.float32)
     new = random.uniform(-1, 1, (n_new, 3)).astype(np.float32)
-    points, center, radius = instance_kernels.merge_points(old, new, 0.25, 20)
-    twin = merge_points(old, new, 0.25, 20)
+    support = random.integers(1, 9, n_old).astype(np.int32)
+    points, views = instance_kernels.merge_points(old, support, new, 0.25, 20)
+    near_m = instance_kernels.NEAR_M
+    twin, twin_views = merge_points(old, support, new, 0.25, 20, near_m)
     np.testing.assert_array_equal(points, twin)
-    np.testing.assert_allclose(center, np.median(twin, axis=0), rtol=1e-6)
-    planar = np.linalg.norm(twin[:, :2] - center[:2], axis=1)
+    np.testing.assert_array_equal(views, twin_views)
+    core, center, radius = instance_kernels.core_points(points, views)
+    least = max(min(2, views.max()), instance_kernels.CORE_SHARE * views.max())
+    np.testing.assert_array_equal(core, twin[twin_views >= least])
+    np.testing.assert_allclose(center, np.median(core, axis=0), rtol=1e-6)
+    planar = np.linalg.norm(core[:, :2] - center[:2], axis=1)
     assert radius == pytest.approx(planar.max(), rel=1e-5)
     x, y = random.uniform(-4, 4, 2)
     apart = np.linalg.norm(twin[:, :2] - (x, y), axis=1)

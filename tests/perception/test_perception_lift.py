@@ -241,3 +241,28 @@ def test_the_chair_of_a_real_depth_camera(shared_dir):
     np.testing.assert_allclose(out.center_m[0], out.center_m[1], atol=0.35)
     wall_m = np.median(seen.depth_m[20:60, 330:380])
     assert 1.0 < out.center_m[0][2] < wall_m
+
+
+def sofa_behind_table(table_left=0, table_right=80):
+    """A sofa 3 m away, seen over a table at 1.5 m that hides its lower part, before a wall."""
+    depth = np.full((64, 80), 5.0, np.float32)
+    depth[20:44, 20:60] = 3.0
+    depth[36:64, table_left:table_right] = 1.5
+    return depth
+
+
+@pytest.mark.parametrize("table", [(0, 80), (25, 55)])
+def test_what_stands_before_the_thing_is_not_the_thing(make_observation, table):
+    """The box around what is seen of the sofa holds much of the table too."""
+    out = lift(make_observation(depth_m=sofa_behind_table(*table)), (20, 20, 60, 44))
+    assert out.valid.tolist() == [True]
+    assert out.center_m[0, 0] == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_thing_on_a_table_before_a_wall_is_still_the_nearest_surface(make_observation):
+    """Vase and table top are one surface, and the wall goes on beyond the box as well."""
+    depth = np.full((64, 80), 4.0, np.float32)
+    depth[20:44, 34:46] = 2.0
+    depth[44:64, :] = 2.0
+    out = lift(make_observation(depth_m=depth), (32, 18, 48, 46))
+    assert out.center_m[0, 0] == pytest.approx(2.0, abs=0.1)

@@ -94,9 +94,10 @@ def test_boxes_scores_and_classes(tiny, make_observation):
     assert found.model == detector.name == "tiny"
     assert found.prompts == detector.prompts == ("sofa", "chair", "trash can")
     assert found.latency_ns > 0
-    assert [found.prompts[c] for c in found.class_id] == ["trash can", "chair"]
-    np.testing.assert_allclose(found.score, [1 / (1 + np.exp(-2)), 1 / (1 + np.exp(-1))], rtol=1e-5)
-    np.testing.assert_allclose(found.xyxy_px, [[44, 44, 60, 60], [8, 8, 40, 40]])
+    assert [found.prompts[c] for c in found.class_id] == ["trash can", "chair", "sofa"]
+    best = [1 / (1 + np.exp(-2)), 1 / (1 + np.exp(-1))]
+    np.testing.assert_allclose(found.score[:2], best, rtol=1e-5)
+    np.testing.assert_allclose(found.xyxy_px, [[44, 44, 60, 60], [8, 8, 40, 40], [8, 8, 40, 40]])
 
 
 def test_nothing_found_is_empty_arrays(tiny, make_observation):
@@ -144,6 +145,17 @@ def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
     assert list(found.class_id) == [0]
     assert found.rival[0] > found.score[0]
     assert found.unrivalled().tolist() == [False]
+
+
+def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny, make_observation):
+    """A chair that is a fair sofa too is told as both: the tracker weighs many images."""
+    seen = make_observation(rgb=image())
+    found = tiny(prompts=("sofa", "chair")).detect(seen)
+    assert [found.prompts[k] for k in found.class_id] == ["chair", "sofa"]
+    assert found.rival.tolist() == pytest.approx(found.score[::-1].tolist())
+    assert found.unrivalled().tolist() == [True, False]
+    found = tiny(prompts=("easy chair", "chair")).detect(seen)
+    assert found.rival.max() == 0.0
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,21 @@ def test_it_says_what_it_is():
 
 
 @pytest.mark.parametrize(
+    ("labels", "boxes"),
+    [
+        (("ChairA", "sofa", "Trash"), 1),  # no "dog chair" in this world: a chair will do
+        (("dog chair", "chair", "Trash"), 1),
+        (("lamp", "sofa", "dog chair"), 0),  # the one that there is cannot be seen from here
+    ],
+)
+def test_a_name_means_the_things_of_that_name_before_those_of_its_noun(
+    make_observation, labels, boxes
+):
+    seen = make_observation(**{**scene(), "object_labels": labels})
+    assert len(make(("dog chair",)).detect(seen)) == boxes
+
+
+@pytest.mark.parametrize(
     ("prompts", "classes"),
     [
         (("bed",), []),

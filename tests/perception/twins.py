@@ -18,30 +18,36 @@ def iou(a, b):
     return w * h / (area - w * h)
 
 
-def split_scores(boxes, scores, n_targets, tau):
-    """(best, label, rival, invalid)."""
+def candidates(boxes, scores, n_targets, tau):
+    """(anchor, label, score, top, invalid)."""
     finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
     clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
-    targets, rest = clean[:, :n_targets], clean[:, n_targets:]
-    rival = rest.max(axis=1) if rest.shape[1] else np.zeros(len(boxes), np.float32)
-    return targets.max(axis=1), targets.argmax(axis=1), rival, int((~finite).sum())
+    anchor, label = np.nonzero(clean[:, :n_targets])
+    return anchor, label, clean[anchor, label], clean.max(axis=1), int((~finite).sum())
 
 
-def suppress(boxes, best, label, iou_max, limit):
-    """Indices of the kept boxes."""
+def suppress(boxes, anchor, label, score, iou_max, limit):
+    """Indices of the kept candidates."""
     kept = []
-    for i in sorted(np.flatnonzero(best > 0), key=lambda i: (-best[i], i)):
+    for i in sorted(range(len(score)), key=lambda i: (-score[i], i)):
         if len(kept) == limit:
             break
-        if all(label[i] != label[j] or iou(boxes[i], boxes[j]) <= iou_max for j in kept):
+        here = boxes[anchor[i]]
+        if all(label[i] != label[j] or iou(here, boxes[anchor[j]]) <= iou_max for j in kept):
             kept.append(i)
     return kept
 
 
-def strongest_rivals(boxes, rival, keep, iou_max):
-    """The best rival on the place of each kept box."""
-    places = [[j == i or iou(boxes[i], b) > iou_max for j, b in enumerate(boxes)] for i in keep]
-    return np.array([rival[place].max() for place in places], np.float32)
+def strongest_rivals(boxes, scores, competes, tau, anchor, label, keep, iou_max):
+    """The best score of a competing column on the place of each kept box."""
+    finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
+    clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
+    best = []
+    for k in keep:
+        i = anchor[k]
+        place = [j == i or iou(boxes[i], b) > iou_max for j, b in enumerate(boxes)]
+        best.append(clean[place][:, competes[label[k]]].max(initial=0.0))
+    return np.array(best, np.float32)
 
 
 def object_boxes(ids, depth, n):
@@ -95,27 +101,39 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
     return np.array(points, np.float32).reshape(-1, 3)
 
 
-def surface(z, max_range, bins, gap_m, share):
-    """(low, high) of the nearest surface with its share of samples, else the largest."""
-    if len(z) == 0:
-        return 1.0, 0.0
+def surfaces(z, max_range, bins, gap_m, sparse):
+    """(k, 3): (low, high, how many) of the surfaces among depths, nearest first."""
     width = max_range / bins
     gap = max(2, int(np.ceil(gap_m / width)))
     counts = np.bincount(np.minimum((z / width).astype(int), bins - 1), minlength=bins)
-    filled = np.flatnonzero(counts > len(z) // 200)
-    if len(filled) == 0:
-        return 0.0, max_range
+    filled = np.flatnonzero(counts > len(z) // sparse)
     groups = np.split(filled, np.flatnonzero(np.diff(filled) > gap) + 1)
-    sizes = [counts[g].sum() for g in groups]
-    chosen = next((g for g, s in zip(groups, sizes, strict=True) if s >= share * len(z)), None)
-    chosen = groups[int(np.argmax(sizes))] if chosen is None else chosen
-    return chosen[0] * width, (chosen[-1] + 1) * width
+    found = [(g[0] * width, (g[-1] + 1) * width, counts[g].sum()) for g in groups if len(g)]
+    return np.array(found, np.float64).reshape(-1, 3)
 
 
-def merge_points(old, new, voxel_m, cap):
-    """One point per voxel, at most `cap`."""
+def going_on(strips, low, high, T, floor_z):
+    """Mean share of the strips' points that lie between two depths, above the floor."""
+    shares = []
+    for points in strips:
+        if len(points):
+            height = points @ T[2, :3] + T[2, 3]
+            inside = (points[:, 2] >= low) & (points[:, 2] <= high) & (height > floor_z)
+            shares.append(inside.mean())
+    return float(np.mean(shares)) if shares else 0.0
+
+
+def merge_points(old, support, new, voxel_m, cap, near_m):
+    """(points, support): one point per voxel, at most `cap`."""
     joined = np.concatenate((old, new))
+    apart = np.linalg.norm(joined[:, None, :2].astype(np.float64) - joined[None, :, :2], axis=2)
+    close, k = apart <= near_m, len(old)
+    counts = np.ones(len(joined), int)
+    counts[:k] = support + close[:k, k:].any(axis=1)
+    for j in range(k, len(joined)):
+        counts[j] = counts[:k][close[j, :k]].max(initial=1)
     keys = np.floor(joined / np.float64(voxel_m)).astype(np.int64)
     _, first = np.unique(keys, axis=0, return_index=True)
     kept = min(len(first), cap)
-    return joined[first[np.arange(kept) * len(first) // kept]]
+    chosen = first[np.arange(kept) * len(first) // kept]
+    return joined[chosen], counts[chosen]

@@ -20,27 +20,32 @@ FOV = math.radians(75)
 
 
 def eq3(offset: float, boxes: list[tuple[float, float]], sigma: float) -> float:
-    """VL-Nav eq. 3 and 4, inside the field of view."""
+    """VL-Nav eq. 3 and 4, inside the field of view; boxes are (bearing, confidence)."""
     mixture = sum(a * math.exp(-0.5 * ((offset - mu) / sigma) ** 2) for mu, a in boxes)
     return mixture * math.cos(offset / (FOV / 2) * math.pi / 2) ** 2
 
 
-def scored(points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None):  # noqa: B008
+def scored(points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None, targets=1):  # noqa: B008
+    """(targets, points) scores; boxes are (bearing, confidence[, target])."""
     xy = np.array(points, np.float32).reshape(-1, 2)
-    out = np.full(len(xy), np.nan, np.float32) if vl is None else np.array(vl, np.float32)
+    n = len(xy)
+    out = np.full((targets, n), np.nan, np.float32) if vl is None else np.array([vl], np.float32)
     mu = np.array([b[0] for b in boxes], np.float64)
     alpha = np.array([b[1] for b in boxes], np.float64)
-    seen = np.full(len(xy), seen_ns, np.int64)
-    vl_scores(xy, seen, len(xy), pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, 0.1, out)
+    label = np.array([b[2] if len(b) > 2 else 0 for b in boxes], np.int32)
+    kind, seen = np.zeros(n, np.int8), np.full(n, seen_ns, np.int64)
+    vl_scores(
+        xy, kind, seen, n, pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, label, 0.1, out
+    )
     return out
 
 
 def test_no_candidates():
-    assert len(scored([], [(0.0, 1.0)])) == 0
+    assert scored([], [(0.0, 1.0)]).size == 0
 
 
 def test_no_boxes_score_zero():
-    assert scored([(2, 0)], []).tolist() == [0.0]
+    assert scored([(2, 0)], [], targets=2).tolist() == [[0.0], [0.0]]
 
 
 @settings(max_examples=100, deadline=None)
@@ -52,7 +57,7 @@ def test_vl_score_is_eq_3(x, y, yaw, boxes):
     pose = SE2(0.3, -0.2, yaw)
     x, y = float(np.float32(x)), float(np.float32(y))
     offset = wrap_angle(math.atan2(y - pose.y_m, x - pose.x_m) - yaw)
-    got = scored([(x, y)], boxes, pose)[0]
+    got = scored([(x, y)], boxes, pose)[0, 0]
     if abs(abs(offset) - FOV / 2) < 1e-6:
         return
     if abs(offset) > FOV / 2:
@@ -62,11 +67,17 @@ def test_vl_score_is_eq_3(x, y, yaw, boxes):
 
 
 def test_vl_score_stays_from_first_sight():
-    assert scored([(2, 0)], [(0.0, 0.9)], vl=[0.25]).tolist() == [0.25]
+    assert scored([(2, 0)], [(0.0, 0.9)], vl=[0.25]).tolist() == [[0.25]]
+
+
+def test_each_target_has_a_score_of_its_own_from_the_same_look():
+    got = scored([(2, 0), (2, 1)], [(0.0, 0.9, 0), (0.46, 0.5, 1)], targets=3)
+    for target, boxes in enumerate(([(0.0, 0.9)], [(0.46, 0.5)], [])):
+        np.testing.assert_allclose(got[target], scored([(2, 0), (2, 1)], boxes)[0])
 
 
 def test_an_image_from_before_the_candidate_says_nothing():
-    assert math.isnan(scored([(2, 0)], [(0.0, 0.9)], seen_ns=10, stamp=9)[0])
+    assert math.isnan(scored([(2, 0)], [(0.0, 0.9)], seen_ns=10, stamp=9)[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -124,7 +135,7 @@ def test_blocked_candidates_are_left_out():
 
 def test_nearest_frontier_scores_by_nearness():
     pool = pool_of((FRONTIER, 4, 0, 0), (FRONTIER, 2, 0, 0), (INSTANCE, 9, 0, 0))
-    pool.vl[2] = 0.6
+    pool.vl[0, 2] = 0.6
     make_policy(PolicyNearest()).score(pool, None, None, SE2(0, 0, 0))
     assert pool.score[:3] == pytest.approx([0.2, 1 / 3, 0.6])
 

@@ -1,142 +1,20 @@
-"""A run that never was: a furnished flat, a robot's way through it, and what it saw."""
+"""Runs to report on; see `report_runs`."""
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
-
-import numpy as np
 import pytest
+from report_runs import flat_run, mission_run
 
 from edge.config import parse
-from edge.geometry import SE2
 from edge.latency import LatencyRing
-from edge.sinks.recorder import MapSnapshot, Recorder, RunRecord
-from edge.stages import STAGES
-from edge.types import Detections, Goal, Instance, MissionStatus, Observation
-
-MS = 1_000_000
-S = 1_000_000_000
-RESOLUTION_M = 0.05
-WALLS = (
-    (0, 0, 9, 0.15), (0, 6.85, 9, 7), (0, 0, 0.15, 7), (8.85, 0, 9, 7),
-    (4.4, 0, 4.55, 2.2), (4.4, 3.2, 4.55, 7), (4.55, 3.6, 6.2, 3.75), (7.2, 3.6, 9, 3.75),
-)  # fmt: skip
-FURNITURE = {
-    "sofa": (0.3, 4.6, 1.2, 6.5), "dining table": (2.2, 1.0, 3.6, 1.9), "tv": (3.9, 4.8, 4.3, 6.0),
-    "bed": (6.9, 0.4, 8.7, 2.2), "chair": (5.0, 5.6, 5.5, 6.1), "desk": (7.6, 4.4, 8.7, 6.2),
-}  # fmt: skip
-WAY = (
-    (1.0, 1.0),
-    (1.4, 3.0),
-    (2.6, 3.2),
-    (3.6, 2.7),
-    (5.4, 2.6),
-    (6.6, 3.2),
-    (6.7, 4.6),
-    (6.3, 5.5),
-)
+from edge.sinks.record import RunRecord
+from edge.sinks.recorder import Recorder
+from edge.types import MissionStatus
 
 
-def flat() -> MapSnapshot:
-    """Nine by seven metres with walls and furniture; one room's end not yet seen."""
-    h, w = int(10 / RESOLUTION_M), int(12 / RESOLUTION_M)
-    cells = np.full((h, w), -1, dtype=np.int8)
-
-    def fill(box: tuple[float, ...], value: int) -> None:
-        x0, y0, x1, y1 = (round((v + 1.5) / RESOLUTION_M) for v in box)
-        cells[y0:y1, x0:x1] = value
-
-    fill((0.1, 0.1, 8.9, 6.9), 0)
-    for wall in WALLS:
-        fill(wall, 100)
-    for x0, y0, x1, y1 in FURNITURE.values():
-        fill((x0 + 0.15, y0 + 0.15, x1, y1), -1)
-        fill((x0, y0, x1, y0 + 0.15), 100)
-        fill((x0, y0, x0 + 0.15, y1), 100)
-    fill((7.9, 0, 9.5, 3.4), -1)
-    return MapSnapshot(cells, (-1.5, -1.5), RESOLUTION_M)
-
-
-def image(rng: np.random.Generator) -> np.ndarray:
-    rgb = np.zeros((256, 320, 3), dtype=np.uint8)
-    rgb[:150] = (196, 188, 176)
-    rgb[150:] = (142, 110, 80)
-    x, y = int(rng.integers(60, 200)), int(rng.integers(90, 130))
-    rgb[y : y + 90, x : x + 70] = rng.integers(40, 220, 3)
-    return rgb
-
-
-def detections(stamp_ns: int, rng: np.random.Generator, target_score: float) -> Detections:
-    x, y = float(rng.integers(60, 200)), float(rng.integers(90, 130))
-    boxes = np.array([[x, y, x + 70, y + 90], [10, 40, 60, 200]], dtype=np.float32)
-    score = np.array([target_score, 0.3], dtype=np.float32)
-    seen = Observation(0, stamp_ns, np.eye(4), rgb=image(rng))
-    return Detections(seen, boxes, score, np.array([0, 1], np.int32), ("chair", "sofa"), "demo", 9)
-
-
-def instance(number: int, label: str, score: float, state: str = "seen") -> Instance:
-    x0, y0, x1, y1 = FURNITURE[label]
-    along = np.linspace(0, 1, 12, dtype=np.float32)
-    front = np.stack([x0 + along * (x1 - x0), np.full(12, y0), np.full(12, 0.4)], axis=1)
-    side = np.stack([np.full(12, x0), y0 + along * (y1 - y0), np.full(12, 0.4)], axis=1)
-    points = np.concatenate([front, side]).astype(np.float32)
-    center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.4], dtype=np.float32)
-    return Instance(number, label, center, points, score, 9, S, 9 * S, state)
-
-
-def drive(recorder: Recorder) -> int:
-    """Move along `WAY` at 0.4 m/s; returns the last stamp."""
-    stamp_ns = 0
-    for (x0, y0), (x1, y1) in pairwise(WAY):
-        length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-        for s in np.arange(0, length, 0.4 / 30):
-            f = s / length
-            recorder.pose(stamp_ns, SE2(x0 + f * (x1 - x0), y0 + f * (y1 - y0), yaw))
-            stamp_ns += S // 30
-    return stamp_ns
-
-
-def latency() -> LatencyRing:
-    rng = np.random.default_rng(3)
-    ring = LatencyRing()
-    for _ in range(800):
-        ring.begin_tick(0)
-        spent = 0
-        for i, stage in enumerate(STAGES):
-            duration = int(stage.budget_ms * MS * (0.35 + 0.12 * rng.standard_gamma(1.6)))
-            ring.span(i, duration)
-            spent += duration if stage.in_tick else 0
-        ring.end_tick(spent)
-    ring.set_drops(0, 4)
-    return ring
-
-
-def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
-    rng = np.random.default_rng(0)
-    recorder = Recorder(parse({"robot": {"name": "demo"}, "mission": {"target": "chair"}}))
-    end_ns = drive(recorder)
-    for i, (x, y) in enumerate(WAY[1:-1]):
-        pose = SE2(x, y, 0.5)
-        recorder.goal(Goal(i * 4 * S, pose, "frontier", i, (x + 0.5, y + 0.4), 0.4, "chair"))
-    at = SE2(*WAY[-1], 2.8)
-    recorder.goal(Goal(23 * S, at, "instance", 4, (5.3, 5.7), 0.9, "chair"))
-    for k in range(0, end_ns // S):
-        recorder.frame(detections(k * S, rng, float(rng.uniform(0.05, 0.9))))
-    recorder.event(0, "searching for chair")
-    recorder.event(22 * S, "approaching chair 4 (score 0.71)")
-    recorder.event(end_ns, f"{phase} chair")
-    frontiers = np.array([(7.85, y) for y in np.arange(0.5, 3.3, 0.3)], dtype=np.float32)
-    things = [instance(i, name, 0.4 + 0.07 * i) for i, name in enumerate(FURNITURE)]
-    things[4] = instance(4, "chair", 0.83, "reached")
-    return recorder.finish(
-        MissionStatus("chair", phase, reason, end_ns / S, 14.2),
-        latency().report(),
-        flat(),
-        frontiers,
-        things,
-        {"frames dropped": 3, "bad messages": 0},
-    )
+@pytest.fixture(scope="session")
+def long_run() -> RunRecord:
+    return mission_run()
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2
-from edge.report import palette, picture, raster
-from edge.sinks.recorder import MapSnapshot
+from edge.report import marks, palette, picture, raster
+from edge.sinks.record import MapSnapshot
 from edge.types import Goal
 
 
@@ -117,3 +117,28 @@ def test_where_it_cannot_be_written(run, tmp_path):
         picture.draw(run, tmp_path / "nowhere" / "a.png")
     picture.draw(run, tmp_path / "a.png")
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_reached_targets_are_numbered_in_order(long_run):
+    assert marks._order_reached(long_run) == {1: "1", 2: "2"}
+    simple = replace(long_run, story=None)
+    assert marks._order_reached(simple) == {}
+    green = palette.OUTCOME["reached"]
+    assert count(pixels(picture.png(long_run)), green) > count(pixels(picture.png(simple)), green)
+
+
+def test_of_two_things_of_a_name_the_nearer_one_was_reached(long_run):
+    sofa = long_run.instances[1]
+    at_s = 19.0
+    k = int(np.searchsorted(long_run.trajectory_t_s, at_s))
+    near = replace(sofa, id=9, center_m=np.array([*long_run.trajectory[k, :2], 0.4], np.float32))
+    both = replace(long_run, instances=(*long_run.instances, near))
+    assert marks._order_reached(both) == {9: "1", 2: "2"}
+
+
+def test_each_target_has_its_colour():
+    targets = tuple(f"thing {c}" for c in "abcdefgh"[: len(palette.TARGETS)])
+    assert [palette.target_colour(t, targets) for t in targets] == list(palette.TARGETS)
+    assert palette.target_colour("couch", ("chair", "sofa")) == palette.TARGETS[1]
+    assert palette.target_colour("lamp", ("chair", "sofa")) == palette.INSTANCE
+    assert palette.target_colour("chair", ("chair",)) == palette.TARGET

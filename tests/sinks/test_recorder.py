@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 from edge.config import parse
 from edge.geometry import SE2
 from edge.latency import LatencyRing
-from edge.sinks import recorder as module
-from edge.sinks.recorder import Ends, MapSnapshot, Recorder, RunRecord, Trail, detector_name
+from edge.mission.automaton import compile_formula
+from edge.mission.ltl import parse as parse_ltl
+from edge.sinks.album import MAX_FRAME_PX
+from edge.sinks.record import MapSnapshot, RunRecord, Story
+from edge.sinks.recorder import Ends, Recorder, Trail, detector_name
 from edge.types import Detections, Goal, MissionStatus, Observation
 
 S = 1_000_000_000
@@ -170,12 +173,52 @@ def test_another_word_for_the_target_is_the_target():
     assert not record.is_target("chair")
 
 
+def test_each_target_has_its_best_view():
+    """One target is seen well in many images; another only once, and badly."""
+    recorder = Recorder(parse({"report": {"frames": 4}}), ("chair", "sofa"))
+    for k in range(12):
+        recorder.frame(
+            seen(k * S, {"chair": 0.9 - 0.01 * k, "sofa": 0.3} if k == 5 else {"chair": 0.8})
+        )
+    frames = finish(recorder).frames
+    assert [f.stamp_ns // S for f in frames if "sofa" in f.best] == [5]
+    assert next(iter(frames[0].best.values())) == pytest.approx(0.85)
+    assert [f.stamp_ns // S for f in frames[-2:]] == [10, 11]
+
+
+def test_targets_may_change_with_the_mission():
+    recorder = make()
+    recorder.frame(seen(0, {"chair": 0.5, "sofa": 0.6}))
+    recorder.targets = ("sofa",)
+    recorder.frame(seen(S, {"chair": 0.5, "sofa": 0.6}))
+    record = finish(recorder)
+    assert [list(f.best) for f in record.frames] == [["chair"], ["sofa"]]
+    assert record.targets == ("sofa",)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "backend", "title"),
+    [
+        ("chair", "target", "Find the chair"),
+        ("go to the tv", "grammar", "go to the tv"),
+        ("x\n" * 500, "grammar", "x�" * 79 + "x…"),
+    ],
+)
+def test_a_run_is_called_after_its_instruction(instruction, backend, title):
+    automaton = compile_formula(parse_ltl("F chair"))
+    story = Story(instruction, "", "F chair", backend, automaton)
+    record = finish(make(), story=story)
+    assert record.title == title
+    assert record.story is story
+    assert story.simple
+
+
 def test_large_images_are_thinned_with_their_boxes():
     recorder = make()
     recorder.frame(seen(0, {"chair": 0.5}, size=(1000, 1500)))
     frame = finish(recorder).frames[0]
     assert frame.rgb.shape == (334, 500, 3)
-    assert max(frame.rgb.shape) <= module.MAX_FRAME_PX
+    assert max(frame.rgb.shape) <= MAX_FRAME_PX
     np.testing.assert_allclose(frame.xyxy_px, [[2 / 3, 4 / 3, 8 / 3, 4]], rtol=1e-6)
 
 

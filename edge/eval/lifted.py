@@ -1,0 +1,68 @@
+"""Tasks without their objects' names: many tasks share one formula, and so one automaton."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from edge import names
+from edge.mission.automaton import Automaton, compile_formula
+from edge.mission.ltl import Formula, postorder, propositions
+
+HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
+"""HM3D's six object-goal categories, by their canonical names."""
+
+MAX_OBJECTS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Lifted:
+    """A formula over the letters a, b, … in order of first appearance.
+
+    Attributes:
+        others: objects in the world that the formula does not name.
+    """
+
+    formula: Formula
+    others: int
+
+    @property
+    def automaton(self) -> Automaton:
+        """Compiled once a process."""
+        return compiled(self.formula)
+
+
+def lift(formula: Formula) -> Lifted:
+    """A task's formula with its objects left out; `world_of` gives them in the same order."""
+    objects = propositions(formula)
+    letters = {name: chr(ord("a") + i) for i, name in enumerate(objects)}
+    return Lifted(renamed(formula, letters), len(world_of(objects)) - len(objects))
+
+
+def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:
+    """All objects of a task's world: the task's own, then the rest of HM3D's six."""
+    return objects + tuple(o for o in HM3D_OBJECTS if o not in objects)
+
+
+def renamed(formula: Formula, new: dict[str, str]) -> Formula:
+    """The formula with its propositions' names replaced."""
+    done: dict[int, Formula] = {}
+    for node in postorder(formula):
+        args = tuple(done[id(arg)] for arg in node.args)
+        done[id(node)] = Formula(node.op, args, new.get(node.name, node.name))
+    return done[id(formula)]
+
+
+def with_canonical_names(formula: Formula) -> Formula:
+    """`tv` becomes `television`, as in worlds and detectors (`edge.names`)."""
+    return renamed(formula, {name: names.canonical(name) for name in propositions(formula)})
+
+
+@cache
+def compiled(formula: Formula) -> Automaton:
+    """The automaton of a lifted formula.
+
+    Raises:
+        CompileError: it grows beyond the compiler's limits.
+    """
+    return compile_formula(formula)

@@ -1,0 +1,230 @@
+"""`edge eval translate`: how many instructions a translator gets right, by language equivalence.
+
+Two sets: the 2000 tasks of the task-level benchmark (ViTL V-C), and Lang2LTL's symbolic
+utterances (Liu et al., CoRL 2023), whose formulas are about endless words. A mission ends, so a
+formula of theirs applies to the words that fulfil it when nothing more is reached afterwards; it
+counts where there is such a word with one object or nothing per step. "Visit a for ever" has none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from edge.config import TranslatorGrammar, TranslatorLlm
+from edge.errors import UserError
+from edge.eval.languages import difference, satisfiable, with_weak_untils
+from edge.eval.progress_bar import ProgressBar
+from edge.eval.task_templates import generate
+from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
+from edge.mission.translate import Translator, make_translator
+
+_TASKS = 2000
+_SHOWN_FAILURES = 5
+_GIVE_UP_AFTER = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An instruction with the formula it should give.
+
+    Attributes:
+        part: what it is counted under.
+        endless: the formula is about endless words.
+    """
+
+    part: str
+    sentence: str
+    formula: Formula
+    endless: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How one case went.
+
+    Attributes:
+        outcome: "right", "right if weak" (once the reference's `!x U y` is read as the weak
+            until), "wrong" or "refused".
+        got: the translator's formula as text, or why it refused.
+        witness: a shortest word on which reference and translation differ.
+    """
+
+    case: Case
+    outcome: str
+    got: str
+    witness: tuple[str, ...] = ()
+
+
+OUTCOMES = ("right", "right if weak", "wrong", "refused")
+
+
+def benchmark_cases(n: int, seed: int = 0) -> list[Case]:
+    """The benchmark's tasks."""
+    return [Case(task.template, task.sentence, task.formula) for task in generate(n, seed)]
+
+
+def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+    """The utterances whose formulas a mission can fulfil, and how many others by pattern.
+
+    Raises:
+        UserError: the file cannot be read, or is no such table.
+    """
+    cases: list[Case] = []
+    left_out: Counter[str] = Counter()
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                formula = parse_prefix(row["ltl_formula"])
+                if satisfiable(formula, silent_end=True):
+                    cases.append(Case(row["pattern_type"], row["utterance"], formula, True))
+                else:
+                    left_out[row["pattern_type"]] += 1
+    except (OSError, UnicodeDecodeError, csv.Error, KeyError, FormulaError) as error:
+        raise UserError(f"{path}: not readable as Lang2LTL's table: {error!r}") from error
+    return cases, left_out
+
+
+def score(case: Case, translator: Translator) -> Score:
+    """One case, translated and compared."""
+    try:
+        formula = translator.translate(case.sentence).formula
+        witness = difference(formula, case.formula, case.endless)
+    except UserError as error:
+        return Score(case, "refused", str(error))
+    if witness is None:
+        return Score(case, "right", to_text(formula))
+    weak = with_weak_untils(case.formula)
+    outcome = "wrong"
+    if weak != case.formula and difference(formula, weak, case.endless) is None:
+        outcome = "right if weak"
+    return Score(case, outcome, to_text(formula), witness)
+
+
+def table(title: str, scores: Sequence[Score], left_out: Counter[str]) -> str:
+    """Outcomes by part, and in total, as aligned text."""
+    parts = list(dict.fromkeys([*(s.case.part for s in scores), *left_out]))
+    rows = [[part, *_counts([s for s in scores if s.case.part == part])] for part in parts]
+    rows.append(["all", *_counts(scores)])
+    for row in rows:
+        row.append(left_out.total() if row[0] == "all" else left_out[str(row[0])])
+    head = [title, "cases", *OUTCOMES, "not expressible"]
+    lines = [[str(cell) for cell in row] for row in [head, *rows]]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    for line in lines:
+        line[0] = line[0].ljust(widths[0])
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
+        for line in lines
+    )
+
+
+def _counts(scores: Sequence[Score]) -> list[int]:
+    outcomes = Counter(s.outcome for s in scores)
+    return [len(scores), *(outcomes[outcome] for outcome in OUTCOMES)]
+
+
+def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
+    """Counts by part and in total, for the JSON file."""
+    parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
+    counts = {part: Counter(s.outcome for s in scores if s.case.part == part) for part in parts}
+    return {
+        "cases": len(scores),
+        "not_expressible": left_out.total(),
+        **{outcome: sum(count[outcome] for count in counts.values()) for outcome in OUTCOMES},
+        "parts": {
+            part: {
+                **{outcome: count[outcome] for outcome in OUTCOMES},
+                "not_expressible": left_out[part],
+            }
+            for part, count in counts.items()
+        },
+    }
+
+
+def failure_lines(scores: Iterable[Score]) -> Iterator[str]:
+    """What failed, one line of JSON each."""
+    for s in scores:
+        if s.outcome != "right":
+            yield json.dumps({
+                "part": s.case.part,
+                "sentence": s.case.sentence,
+                "outcome": s.outcome,
+                "expected": to_text(s.case.formula),
+                "got": s.got,
+                "differ_on": list(s.witness),
+            }, ensure_ascii=False)  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """`edge eval translate`: tables on the screen, failures and counts into files."""
+    translator = make_translator(_config(args))
+    sets = {"ViTL tasks": (benchmark_cases(_TASKS, args.seed), Counter[str]())}
+    if args.lang2ltl is None:
+        print("Lang2LTL: skipped; give its table with --lang2ltl FILE", file=sys.stderr)
+    else:
+        sets["Lang2LTL"] = lang2ltl_cases(args.lang2ltl)
+    result: dict[str, Any] = {"backend": args.backend, "seed": args.seed}
+    failed: list[str] = []
+    for title, (cases, left_out) in sets.items():
+        began = time.perf_counter()
+        scores = _scored(title, _sample(cases, args.limit), translator)
+        seconds = time.perf_counter() - began
+        result[title] = {**summary(scores, left_out), "seconds": round(seconds, 2)}
+        print(table(title, scores, left_out))
+        lines = list(failure_lines(scores))
+        failed += lines
+        for line in lines[:_SHOWN_FAILURES]:
+            print(f"  {line}")
+        if len(lines) > _SHOWN_FAILURES:
+            print(f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)")
+        print()
+    _write(args.failures, "".join(f"{line}\n" for line in failed))
+    _write(args.out, json.dumps(result, indent=2) + "\n")
+    return 0
+
+
+def _scored(title: str, cases: Sequence[Case], translator: Translator) -> list[Score]:
+    """All scores; gives up when the first ones are all refused.
+
+    That is how a server looks that is down; it must not take hours to say so.
+    """
+    scores: list[Score] = []
+    with ProgressBar(f"of {title}", len(cases)) as bar:
+        for case in cases:
+            scores.append(score(case, translator))
+            bar.update(len(scores))
+            if len(scores) == _GIVE_UP_AFTER and {s.outcome for s in scores} == {"refused"}:
+                raise UserError(f"the first {_GIVE_UP_AFTER} were all refused: {scores[-1].got}")
+    return scores
+
+
+def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:
+    """Evenly spread, so that a small sample has every part."""
+    if limit is None or limit >= len(cases):
+        return cases
+    return [cases[i * len(cases) // limit] for i in range(limit)]
+
+
+def _config(args: argparse.Namespace) -> TranslatorGrammar | TranslatorLlm:
+    if args.backend == "grammar":
+        return TranslatorGrammar()
+    given = {"url": args.url, "model": args.model, "constrain": args.constrain}
+    return TranslatorLlm(**{key: value for key, value in given.items() if value is not None})
+
+
+def _write(path: Path | None, text: str) -> None:
+    if path is None:
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,119 @@
+"""From an instruction to a mission that can be run, or to one line that says why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge import names
+from edge.config import Mission, TranslatorLtl
+from edge.errors import UserError
+from edge.mission import ltl
+from edge.mission.automaton import Automaton, compile_with
+from edge.mission.language.english import describe
+from edge.mission.logic.diagnosis import Diagnosis, diagnose
+from edge.mission.ltl import Formula
+from edge.mission.translate import Translation, make_translator
+
+
+class MissionError(UserError):
+    """A mission that is refused before it begins; one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Brief:
+    """A mission, ready to be run.
+
+    Attributes:
+        automaton: over the targets; letters that do not matter are left out.
+        targets: the propositions that matter, in order of first appearance: what the detector
+            is asked for, one VL channel each.
+    """
+
+    translation: Translation
+    automaton: Automaton
+    diagnosis: Diagnosis
+    targets: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know before the robot drives."""
+        unused = ", ".join(self.diagnosis.unused)
+        return (f"does not matter to the mission: {unused}",) if unused else ()
+
+
+def prepare(config: Mission, instruction: str | None = None, formula: str | None = None) -> Brief:
+    """Translate, compile and check a mission; may take as long as its translator does.
+
+    Args:
+        instruction: read by the configured translator.
+        formula: linear temporal logic, in place of an instruction. With neither, the
+            configuration's own instruction or target is taken.
+
+    Raises:
+        UserError: the instruction was not understood, the formula is malformed, too large, a
+            contradiction (the parts that conflict are named), or asks for nothing.
+    """
+    if formula is not None:
+        translation = make_translator(TranslatorLtl()).translate(formula)
+    elif instruction is not None or config.instruction is not None:
+        translation = make_translator(config.translator).translate(
+            instruction if instruction is not None else config.instruction
+        )
+    else:
+        if not config.target.strip():
+            raise MissionError(
+                "mission.target: empty prompt: name a thing to look for, such as 'chair'"
+            )
+        reach = ltl.eventually(ltl.ap(config.target))
+        translation = Translation(config.target, reach, describe(reach), "target")
+    return brief_of(config, translation)
+
+
+def brief_of(config: Mission, translation: Translation) -> Brief:
+    """Compile and check what was translated; see `prepare`."""
+    formula = _unified(translation.formula)
+    translation = replace(translation, formula=formula)
+    letters = ltl.propositions(formula)
+    if len(letters) > config.max_targets:
+        raise MissionError(
+            f"mission: {len(letters)} targets, at most {config.max_targets} are allowed "
+            "(mission.max_targets)"
+        )
+    automaton = compile_with(config.compiler, formula, config.max_states, config.compile_limit_s)
+    diagnosis = diagnose(automaton, config.max_states, config.compile_limit_s)
+    if diagnosis.contradiction:
+        parts = "; ".join(f"{part} ({describe(part)})" for part in diagnosis.contradiction)
+        what = "these conflict" if len(diagnosis.contradiction) > 1 else "this cannot be done"
+        raise MissionError(f"mission: a contradiction, {what}: {parts}")
+    if automaton.steps_left[0] == 0:
+        always = ", whatever is reached" if diagnosis.tautology else ""
+        raise MissionError(
+            f"mission: fulfilled by doing nothing{always}; name something to reach: {formula} "
+            f"({translation.english})"
+        )
+    targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
+    return Brief(translation, _narrowed(automaton, targets), diagnosis, targets)
+
+
+def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
+    """Without the letters that do not matter: no planner is to send the robot looking for them."""
+    if letters == automaton.letters:
+        return automaton
+    columns = [automaton.letters.index(letter) for letter in letters]
+    delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.letters)]])
+    return replace(automaton, letters=letters, delta=delta)
+
+
+def _unified(formula: Formula) -> Formula:
+    """The formula with one word for one thing: of synonyms, the one that came first."""
+    first: dict[str, str] = {}
+    word = {p: first.setdefault(names.canonical(p), p) for p in ltl.propositions(formula)}
+    made: dict[int, Formula] = {}
+    for f in ltl.postorder(formula):
+        if f.op == "ap":
+            made[id(f)] = ltl.ap(word[f.name])
+        else:
+            made[id(f)] = Formula(f.op, tuple(made[id(arg)] for arg in f.args))
+    return made[id(formula)]

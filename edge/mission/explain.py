@@ -1,0 +1,58 @@
+"""`edge mission explain`: what a mission means, before any robot moves."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from edge.errors import UserError
+
+_DRAWINGS = (".svg", ".png", ".dot")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge mission explain`.
+
+    Raises:
+        UserError: the mission is refused, or the drawing cannot be written.
+    """
+    from edge.config import load
+    from edge.mission.brief import prepare
+    from edge.mission.planner import make_planner
+    from edge.mission.planning.plan import Knowledge
+
+    drawing = Path(args.draw).expanduser() if args.draw else None
+    if drawing is not None and drawing.suffix not in _DRAWINGS:
+        raise UserError(f"--draw: {drawing}: unknown ending (choices: {', '.join(_DRAWINGS)})")
+    mission = load(args.config).mission
+    text, formula = (None, args.text) if args.formula else (args.text, None)
+    brief = prepare(mission, text, formula)
+    plan = make_planner(mission.planner, brief.automaton).plan(0, Knowledge())
+    translation = brief.translation
+    print(f"understood:  {translation.english}")
+    print(f"formula:     {translation.formula}")
+    print(f"by:          {translation.backend}, {translation.seconds:.2f} s")
+    print(f"targets:     {', '.join(brief.targets)}")
+    print(f"automaton:   {brief.automaton.n_states} states")
+    print(f"first plan:  {', then '.join(step or 'nothing' for step in plan.steps)}")
+    for warning in brief.warnings:
+        print(f"warning:     {warning}")
+    if drawing is not None:
+        _draw(drawing, brief.automaton, plan.steps)
+        print(drawing)
+    return 0
+
+
+def _draw(path: Path, automaton, steps: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
+    from edge.mission import drawing
+    from edge.report.files import write_atomically
+
+    content = {
+        ".svg": lambda: drawing.draw_svg(automaton, 0, steps).encode(),
+        ".png": lambda: drawing.draw_png(automaton, 0, steps),
+        ".dot": lambda: drawing.to_dot(automaton, 0, steps).encode(),
+    }[path.suffix]()
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise UserError(f"--draw: {path}: {error.strerror}") from None

@@ -1,0 +1,149 @@
+"""Between a running mission and its checkpoint: what is kept, when, and how it goes on."""
+
+from __future__ import annotations
+
+import logging
+from copy import copy
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edge.config import Config
+from edge.errors import UserError
+from edge.mission import ltl
+from edge.mission.brief import Brief, MissionError, brief_of
+from edge.mission.checkpoint import CheckpointWriter, continuous, load
+from edge.mission.saved import Saved, restore_instance, save_instances
+from edge.mission.translate import Translation
+
+if TYPE_CHECKING:
+    from edge.service import Service
+    from edge.types import Observation
+
+log = logging.getLogger("edge.mission")
+
+
+class Keeper:
+    """Has the state of a service's mission written: at once when it changes, else each second.
+
+    Attributes:
+        saved: the unfinished mission that the checkpoint held and that goes on; else None.
+        problem: why a checkpoint that was there is of no use, "" where there is none such.
+    """
+
+    def __init__(self, config: Config, path: Path, asked: str | None) -> None:
+        """
+        Args:
+            asked: what was asked for on the command line; None where nothing was. A checkpoint of
+                another mission then gives way.
+
+        Raises:
+            CheckpointError: there is a file and it cannot be read, or none can be written.
+        """
+        self._config = config
+        loaded = load(path)
+        self.problem = loaded.problem
+        self.saved = _to_go_on_with(loaded.saved, asked)
+        self._places = self.saved
+        self._writer = CheckpointWriter(path)
+        self._kept: tuple[int, int] | None = None
+
+    def brief(self) -> Brief | None:
+        """The saved mission again, from its formula: nothing is translated twice.
+
+        Raises:
+            MissionError: the limits in the configuration are narrower than they were.
+        """
+        if (saved := self.saved) is None:
+            return None
+        formula = ltl.parse(saved.formula)
+        translation = Translation(saved.instruction, formula, saved.english, saved.backend)
+        try:
+            return brief_of(self._config.mission, translation)
+        except UserError as error:
+            raise MissionError(
+                f"mission.checkpoint: {self._writer.path}: its mission cannot go on: {error}; "
+                "move the file away to begin without it"
+            ) from None
+
+    def resume(self, service: Service) -> None:
+        """Set the mission to where it was; what was seen comes back with the first observation."""
+        if (saved := self.saved) is not None:
+            service.mission.restore(
+                saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
+            )
+            log.info("going on with the mission: %s (state %d, reached: %s)", saved.instruction,
+                     service.mission.state, ", ".join(saved.reached) or "nothing yet")  # fmt: skip
+
+    def restore_places(self, service: Service, observation: Observation) -> None:
+        """Put the instances back if the robot's odometry is still the one they were seen in."""
+        saved, self._places = self._places, None
+        if saved is None:
+            return
+        pose = observation.pose
+        here = (pose.x_m, pose.y_m, pose.yaw_rad)
+        robot, source = self._config.robot, self._config.source
+        if continuous(
+            saved, here, observation.stamp_ns, robot.max_speed_mps, source.max_pose_jump_m
+        ):
+            for instance in saved.instances:
+                service.tracker.adopt(restore_instance(instance, observation.stamp_ns))
+            service.mission.overlook(max((i.id for i in saved.instances), default=-1))
+        else:
+            log.info("the pose is not where it was: what was seen before the restart is dropped")
+
+    def note(self, service: Service, now_ns: int) -> None:
+        """Hand the state to the writer if it is time. Never blocks."""
+        mission = service.mission
+        at = (id(mission), mission.changes)
+        if at == self._kept and not self._writer.due(now_ns):
+            return
+        self._kept = at
+        # Only references are taken here: instances replace their arrays and never write into them.
+        instances = [copy(i) for i in service.tracker.all]
+        status, pose, brief = service.status, service.pose, mission.brief
+        word, reached, failed = mission.word, mission.reached, mission.failed
+        detected, paused = mission.detected, mission.paused
+        stamp_ns, epoch = service.stamp_ns, service.epoch
+
+        def made() -> Saved:
+            return Saved(
+                instruction=status.instruction,
+                formula=str(brief.automaton.formula),
+                backend=brief.translation.backend,
+                english=brief.translation.english,
+                word=word,
+                reached=reached,
+                failed=tuple(sorted(failed)),
+                detected=tuple(sorted(detected)),
+                target=status.target,
+                phase=status.phase,
+                reason=status.reason,
+                paused=paused,
+                elapsed_s=status.elapsed_s,
+                path_m=status.path_m,
+                pose=None if pose is None else (pose.x_m, pose.y_m, pose.yaw_rad),
+                stamp_ns=stamp_ns,
+                odometry_epoch=epoch,
+                instances=save_instances(instances),
+            )
+
+        self._writer.post(made, now_ns)
+
+    def status(self) -> dict[str, object]:
+        """For the status message."""
+        writer = self._writer
+        problem = writer.problem or self.problem
+        return {"path": str(writer.path), "written": writer.written, "problem": problem}
+
+    def close(self) -> None:
+        """Write what waits."""
+        self._writer.close()
+
+
+def _to_go_on_with(saved: Saved | None, asked: str | None) -> Saved | None:
+    if saved is None or saved.phase in ("reached", "failed"):
+        return None
+    if asked is not None and asked != saved.instruction:
+        log.info("the checkpoint's mission (%s) gives way to the new one", saved.instruction)
+        return None
+    return saved

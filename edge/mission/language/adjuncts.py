@@ -1,0 +1,153 @@
+"""What may follow a verb and its object: orders, counts, conditions, things to avoid."""
+
+from __future__ import annotations
+
+from edge.mission.language.conditions import take_condition
+from edge.mission.language.counts import Count, take_count
+from edge.mission.language.spoken import (
+    CONDITIONS,
+    ORDERS,
+    Clause,
+    Memory,
+    skip_particles,
+    take_mood,
+)
+from edge.mission.language.things import starts_things, take_things
+from edge.mission.language.words import Reader, Token
+
+_APART = ("on", "off", "up", "out", "in", "down")  # "turn the tv on"
+
+
+def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
+    """Takes one more part of the clause; False at its end."""
+    token = reader.peek()
+    if token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
+        reader.at += 1
+    elif token.kind in ORDERS:
+        clause.order = token.kind
+        reader.at += 1
+    elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
+        reader.at += 1
+    elif (count := take_count(reader, clause.negated)) is not None:
+        clause.count = narrower(reader, clause.count, count, token)
+    elif token.kind == "first" and not (reader.sees("verb", ahead=1) or starts_things(reader, 1)):
+        clause.first = True
+        reader.at += 1
+    elif token.kind == "again":
+        clause.again = True
+        reader.at += 1
+    elif token.kind == "immediately":
+        clause.next_step = True
+        reader.at += 1
+    elif token.kind == "banned":
+        clause.negated = not clause.negated
+        clause.count = clause.count and _denied(reader, clause.count, token)
+        reader.at += 1
+    elif token.kind == "after" and reader.sees("comma", "stop", "end", "and", ahead=1):
+        clause.trails = True  # "visit a, and b after"
+        reader.at += 1
+    elif token.kind in ("but", "comma") and _count_ahead(reader, clause):
+        pass
+    elif token.kind == "then" and _trails(reader):
+        clause.trails = True
+        reader.at += 1
+    elif token.kind in ("while", "without") or (token.kind == "avoid" and "ing" in token.text):
+        _take_avoiding(reader, memory, clause)
+    elif _condition_ahead(reader, clause):
+        clause.conditions.append(take_condition(reader, memory, clause))
+    elif token.text in _APART and clause.verb and not starts_things(reader, 1):
+        reader.at += 1
+    else:
+        return False
+    return True
+
+
+def _denied(reader: Reader, count: Count, token: Token) -> Count:
+    """A count whose clause turns out to be forbidden: "visiting a more than once is prohibited"."""
+    if count.least == count.most:  # "more or less than once"
+        return count
+    rest = count.negated()
+    if rest is None:
+        reader.refuse("say how often it may be instead", token)
+    return rest
+
+
+def _count_ahead(reader: Reader, clause: Clause) -> bool:
+    """Takes "but at most twice"."""
+    begin, token = reader.at, reader.peek()
+    reader.skip("but", "comma")
+    count = take_count(reader, clause.negated)
+    if count is None:
+        reader.at = begin
+        return False
+    clause.count = narrower(reader, clause.count, count, token)
+    return True
+
+
+def narrower(reader: Reader, old: Count | None, new: Count, token: Token) -> Count:
+    """Both counts at once."""
+    if old is None:
+        return new
+    most = min((m for m in (old.most, new.most) if m is not None), default=None)
+    least = max(old.least, new.least)
+    if most is not None and least > most:
+        reader.refuse("the counts contradict each other", token)
+    return Count(least, most)
+
+
+def _trails(reader: Reader) -> bool:
+    """Whether "after that" ends a clause here, and does not begin the next."""
+    if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
+        return False
+    return reader.sees("comma", "and", "but", "stop", "end", "then", ahead=1)
+
+
+def _condition_ahead(reader: Reader, clause: Clause) -> bool:
+    """Whether a condition of this clause follows, maybe behind "but", "only", "not"."""
+    ahead = 1 if reader.sees("comma") else 0
+    if reader.sees("but", "and", ahead=ahead):
+        ahead += 1
+    joined = ahead > 0
+    limited = reader.sees("only", "not", ahead=ahead)
+    if limited:
+        ahead += 1
+    if not reader.sees(*CONDITIONS, ahead=ahead):
+        return False
+    if joined and not limited:
+        return False  # ", and before that …" begins a clause of its own
+    if not limited and _leads(reader, clause):
+        return False
+    reader.at += ahead - (1 if limited else 0)
+    return True
+
+
+def _leads(reader: Reader, clause: Clause) -> bool:
+    """Whether the condition here belongs to the next clause: "visit a before that visit b"."""
+    return (
+        reader.sees("before", "after", "until")
+        and reader.sees("pronoun", ahead=1)
+        and reader.sees("verb", "you", "ensure", "must", ahead=2)
+        and bool(clause.conditions)
+    )
+
+
+def _take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
+    token = reader.take("while", "without", "avoid")
+    assert token is not None
+    denied = token.kind != "while"
+    says = Clause(reader.peek())
+    take_mood(reader, says)
+    denied = denied or says.negated or bool(reader.take("avoid"))
+    while verb := reader.take("verb"):
+        says.again = says.again or verb.text.startswith(("revisit", "return"))
+        skip_particles(reader, says)
+    if not denied:
+        reader.refuse("only 'while avoiding …' can be told; say what to reach first", token)
+    if not starts_things(reader):
+        reader.refuse("expected the name of a thing here")
+    things = take_things(reader, memory.named, banned=True)
+    if says.again or reader.take("again"):
+        clause.not_again.append(things)
+    else:
+        clause.avoiding.append(things)

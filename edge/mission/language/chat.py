@@ -1,0 +1,281 @@
+"""A client for any OpenAI-compatible chat server.
+
+Standard library only: one POST needs no HTTP package on the robot, and `http.client` follows no
+redirects and reads no proxy variables, so the API key goes to the configured server alone.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import queue
+import re
+import socket
+import ssl
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import SplitResult, urlsplit
+
+from edge.config import TranslatorLlm
+from edge.errors import UserError
+
+READ_BYTES = 65536
+SHOWN_CHARACTERS = 200
+
+
+class ChatError(UserError):
+    """A chat server that gave no usable answer: which one, what happened, what to do."""
+
+
+class CutOffError(ChatError):
+    """The model ran into the limit of tokens before it came to an end.
+
+    Attributes:
+        answer: what it had said until then.
+    """
+
+    def __init__(self, message: str, answer: str) -> None:
+        super().__init__(message)
+        self.answer = answer
+
+
+@dataclass(slots=True)
+class _Exchange:
+    """One request, which a thread of its own carries out.
+
+    A socket's own time limit holds for each read, so a server that sends one byte a second would
+    outlast it, and looking up a host name knows no limit at all. Hence whoever waits for
+    `outcome` limits the total, and gives up by closing the socket.
+    """
+
+    connection: http.client.HTTPConnection
+    outcome: queue.SimpleQueue = field(default_factory=queue.SimpleQueue)
+    given_up: bool = False
+
+    def run(self, target: str, body: bytes, headers: dict[str, str], max_bytes: int) -> None:
+        try:
+            self.connection.connect()
+            if not self.given_up:
+                self.connection.request("POST", target, body, headers)
+                self.outcome.put(_receive(self.connection.getresponse(), max_bytes))
+        except Exception as error:  # whatever it is, it is raised anew where the answer is awaited
+            self.outcome.put(error)
+        finally:
+            self.connection.close()
+
+    def give_up(self) -> None:
+        self.given_up = True
+        if self.connection.sock is not None:
+            with suppress(OSError):  # it may just have been closed
+                self.connection.sock.shutdown(socket.SHUT_RDWR)
+
+
+@dataclass(frozen=True, slots=True)
+class _Reply:
+    status: int
+    headers: http.client.HTTPMessage
+    body: bytes  # one byte longer than allowed where the server would have sent more
+
+
+class ChatClient:
+    """Asks one model on one server.
+
+    Args:
+        url: base of the API, as `http://127.0.0.1:8080/v1`; requests go to
+            `{url}/chat/completions`.
+        api_key: sent as a bearer token, shown nowhere; None or empty sends none.
+        time_limit_s: for one question in all: finding and reaching the server, and its answer.
+        max_answer_bytes: of the HTTP body; a longer answer is cut off and refused.
+
+    Raises:
+        ChatError: the URL or the key cannot be used.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        model: str,
+        api_key: str | None = None,
+        time_limit_s: float = 30.0,
+        max_answer_bytes: int = 65536,
+    ) -> None:
+        parts = _split(url)
+        self.url = parts._replace(query="", fragment="").geturl()  # a query may hold a secret
+        self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
+        self._parts, self._api_key = parts, (api_key or "").strip()
+        if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
+            raise ChatError(
+                f"{self.url}: the API key has characters that no header can carry; set it anew"
+            )
+
+    def ask(
+        self, messages: list[dict[str, str]], time_limit_s: float | None = None, **options: Any
+    ) -> str:
+        """The model's answer to a conversation.
+
+        Args:
+            messages: `{"role": "system" | "user" | "assistant", "content": text}` each.
+            time_limit_s: takes the place of the client's own limit.
+            options: further fields of the request, as `temperature`.
+
+        Raises:
+            ChatError: no usable answer within the limits; `CutOffError` when the answer was
+                ended by the limit of tokens.
+        """
+        limit_s = self.time_limit_s if time_limit_s is None else time_limit_s
+        if limit_s <= 0:
+            raise self._error(_reason(TimeoutError(), limit_s))
+        request = {"model": self.model, "messages": messages, "stream": False, **options}
+        reply = self._exchange(json.dumps(request).encode(), limit_s)
+        if 300 <= reply.status < 400:
+            where = self._quote(reply.headers.get("Location", "nowhere"))
+            raise self._error(f"answered HTTP {reply.status}, see {where}; configure another URL")
+        if reply.status != 200:
+            raise self._error(f"answered HTTP {reply.status}{self._explanation(reply.body)}")
+        if len(reply.body) > self.max_answer_bytes:
+            limit_kb = self.max_answer_bytes / 1024
+            raise self._error(f"the answer has more than {limit_kb:g} KB; check what runs there")
+        return self._content(reply)
+
+    def _exchange(self, body: bytes, limit_s: float) -> _Reply:
+        parts, end_s = self._parts, time.monotonic() + limit_s
+        if parts.scheme == "https":
+            connection = http.client.HTTPSConnection(
+                parts.hostname, parts.port, timeout=limit_s, context=ssl.create_default_context()
+            )
+        else:
+            connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=limit_s)
+        headers = {"Content-Type": "application/json", "Accept": "application/json"}
+        if self._api_key:
+            headers["Authorization"] = f"Bearer {self._api_key}"
+        target = f"{parts.path.rstrip('/')}/chat/completions" + (parts.query and f"?{parts.query}")
+        exchange = _Exchange(connection)
+        arguments = (target, body, headers, self.max_answer_bytes)
+        threading.Thread(target=exchange.run, args=arguments, name="chat", daemon=True).start()
+        try:
+            outcome = exchange.outcome.get(timeout=max(end_s - time.monotonic(), 0.0))
+        except queue.Empty:
+            exchange.give_up()
+            outcome = TimeoutError()
+        if isinstance(outcome, _Reply):
+            return outcome
+        raise self._error(_reason(outcome, limit_s)) from None
+
+    def _content(self, reply: _Reply) -> str:
+        shown = self._quote(reply.body)
+        try:
+            answer = json.loads(reply.body)
+        except (ValueError, RecursionError):
+            kind = self._quote(reply.headers.get("Content-Type", "of no type"))
+            raise self._error(
+                f"the answer is not JSON ({kind}): {shown!r}; is it a chat server?"
+            ) from None
+        try:
+            choice = answer["choices"][0]
+            content, ended_by = choice["message"]["content"], choice.get("finish_reason")
+            expected = content is None or isinstance(content, str)
+        except (TypeError, KeyError, IndexError, AttributeError):
+            expected = False
+        if not expected:
+            raise self._error(
+                f"the answer has no choices[0].message.content: {shown!r}; is it a chat server?"
+            )
+        if ended_by == "length":
+            error = f"{self.url}: the model did not end within its tokens; try another"
+            raise CutOffError(error, content or "")
+        if not content or not content.strip():
+            raise self._error("the answer is empty; try another model")
+        return content
+
+    def _explanation(self, body: bytes) -> str:
+        """What the server says about an HTTP error, where it says something."""
+        text: Any = body
+        with suppress(ValueError, RecursionError):
+            text = json.loads(body)
+        for key in ("error", "message", "detail"):
+            if isinstance(text, dict) and key in text:
+                text = text[key]
+        shown = self._quote(text if isinstance(text, (str, bytes)) else json.dumps(text))
+        return f": {shown}" if shown else "; see the server's log"
+
+    def _quote(self, text: str | bytes) -> str:
+        """One short printable line of what the server said, which may have quoted the key."""
+        text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+        text = text.replace(self._api_key, "***") if self._api_key else text
+        return _line(text)
+
+    def _error(self, what: str) -> ChatError:
+        return ChatError(f"{self.url}: {what}")
+
+    def __repr__(self) -> str:
+        return f"ChatClient({self.url!r}, {self.model!r})"
+
+
+def _split(url: str) -> SplitResult:
+    wanted = "give it as http://HOST:PORT/v1"
+    try:
+        parts = urlsplit(url)
+        parts.port  # noqa: B018 - raises when it is no number
+    except ValueError:
+        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}") from None
+    if parts.username is not None or parts.password is not None:
+        raise ChatError(f"the URL of a chat server must not hold a password; {wanted}")
+    usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
+    if not usable or " " in url or not url.isascii():
+        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}")
+    return parts
+
+
+def _receive(response: http.client.HTTPResponse, max_bytes: int) -> _Reply:
+    """Reads until one byte more than `max_bytes` is there, or to the end."""
+    chunks, missing = [], max_bytes + 1
+    while missing > 0 and (chunk := response.read(min(missing, READ_BYTES))):
+        chunks.append(chunk)
+        missing -= len(chunk)
+    # `read(amount)` of a body of known length does not complain when the connection ends early.
+    if missing > 0 and response.length:
+        raise http.client.IncompleteRead(b"", response.length)
+    return _Reply(response.status, response.headers, b"".join(chunks))
+
+
+def _reason(error: BaseException, limit_s: float) -> str:
+    """What went wrong, and what to do."""
+    match error:
+        case TimeoutError():
+            return (
+                f"no whole answer within {limit_s:.3g} s; raise time_limit_s or use a faster model"
+            )
+        case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
+            return "the host is not known; check the URL"
+        case ssl.SSLCertVerificationError():
+            return f"its certificate is not trusted ({_line(error.verify_message)})"
+        case ConnectionRefusedError():
+            return "nothing listens there; start the server or correct the URL"
+        case ConnectionError() | http.client.IncompleteRead():
+            return "closed the connection before its answer was whole; see the server's log"
+        case http.client.HTTPException() | ssl.SSLError():
+            name = type(error).__name__
+            return f"does not speak {'TLS' if 'SSL' in name else 'HTTP'} ({name}); check the URL"
+        case OSError():
+            return f"cannot be reached ({error.strerror or type(error).__name__}); check the URL"
+    raise error
+
+
+def _line(text: str) -> str:
+    """The text as one printable line, shortened."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= SHOWN_CHARACTERS else line[: SHOWN_CHARACTERS - 1] + "…"
+
+
+def client_of(config: TranslatorLlm) -> ChatClient:
+    """The client that a configuration describes; the key comes from the environment.
+
+    Raises:
+        ChatError: the URL or the key cannot be used.
+    """
+    api_key, max_bytes = os.environ.get(config.api_key_env), int(config.max_answer_kb * 1024)
+    return ChatClient(config.url, config.model, api_key, config.time_limit_s, max_bytes)

@@ -1,0 +1,289 @@
+"""A formula in plain English, to be shown as the answer to "what did you understand?".
+
+Sequences, sets, choices, counts, bans and untils are put as people say them, in words that
+`edge.mission.language.grammar` reads back as the same language; anything else is read out
+literally, operator by operator, in brackets.
+
+>>> from edge.mission.ltl import parse
+>>> describe(parse("F((chair | sofa) & F television) & (!bed W television)"))
+'Reach either the chair or the sofa, then the television. Do not reach the bed until the \
+television is reached.'
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from edge.mission.language.chains import Chain, Stop, alternatives_of, options_of
+from edge.mission.language.things import Things, take_things
+from edge.mission.language.words import Reader, TranslationError
+from edge.mission.ltl import Formula, conj, postorder, propositions, to_text
+
+MAX_NODES = 600
+"""Longer formulas are shown as they are: no sentence of that length helps anyone."""
+
+_MAX_DEPTH = 60
+_SHOWN = 2000
+_TIMES = {1: "once", 2: "twice"}
+_NUMBERS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
+
+
+def describe(formula: Formula) -> str:
+    """What a formula asks for, in one or more English sentences; true of any formula."""
+    if _too_long(formula):
+        text = to_text(formula)
+        cut = text if len(text) <= _SHOWN else text[:_SHOWN] + " …"
+        return f"Fulfil this formula, which is too long to put into words: {cut}"
+    if formula.op == "true":
+        return "Nothing needs to be done."
+    if formula.op == "false":
+        return "This cannot be done."
+    parts = tuple(dict.fromkeys(formula.args)) if formula.op == "&" else (formula,)
+    sentences = [*_goals(parts), *_rules(parts)]
+    return " ".join(f"{sentence[0].upper()}{sentence[1:]}." for sentence in sentences)
+
+
+def _too_long(formula: Formula) -> bool:
+    depth: dict[int, int] = {}
+    for count, f in enumerate(postorder(formula)):
+        depth[id(f)] = 1 + max((depth[id(arg)] for arg in f.args), default=0)
+        if count >= MAX_NODES or depth[id(f)] > _MAX_DEPTH:
+            return True
+    return False
+
+
+def _goals(parts: tuple[Formula, ...]) -> list[str]:
+    """Sentences for the parts that ask for something, single visits together first."""
+    singles = [part for part in parts if part.op == "F" and options_of(part.args[0])]
+    exact = [part for part in parts if _exactly(part, parts)]
+    sentences = [f"reach {_stop(*_count_of(part), word='exactly')}" for part in exact]
+    singles = [part for part in singles if part not in exact]
+    if singles:
+        stops = [Stop(options_of(part.args[0]) or ()) for part in singles]
+        sentences.append(f"reach {_any_order(stops)}")
+    for part in parts:
+        if part in singles or part in exact:
+            continue
+        found = alternatives_of(part)
+        if found is None and part.op == "|":
+            sentences += [_choice(part)]
+        elif found is not None and len(found) == 1:
+            sentences += [f"reach {_chain(chain)}" for chain in _merged(found[0])]
+        elif found is not None:
+            sentences.append(_choice(part))
+    return sentences
+
+
+def _rules(parts: tuple[Formula, ...]) -> list[str]:
+    """Sentences for all other parts."""
+    counted = {_count_of(part) for part in parts if _exactly(part, parts)}
+    return [
+        _rule(part) or _literally(part)
+        for part in parts
+        if alternatives_of(part) is None
+        and part.op != "|"
+        and not (_limit_of(part) and _limit_of(part) in counted)
+    ]
+
+
+def _choice(f: Formula) -> str:
+    """`reach …; or reach …`, each with its own rules; literally if one cannot be put so."""
+    phrases: list[str] = []
+    for option in f.args if f.op == "|" else (f,):
+        parts = option.args if option.op == "&" else (option,)
+        asked = tuple(part for part in parts if alternatives_of(part) is not None)
+        rules = [_rule(part) for part in parts if part not in asked]
+        found = alternatives_of(conj(*asked)) if asked else None
+        if found is None or None in rules or any(_needs_a_sentence(r, asked) for r in parts):
+            return _literally(f)
+        for chains in found:
+            merged = _merged(chains)
+            if len(merged) != 1:
+                return _literally(f)
+            phrases.append(", but ".join([f"reach {_chain(merged[0])}", *map(str, rules)]))
+    return "; or ".join(phrases)
+
+
+def _needs_a_sentence(f: Formula, asked: tuple[Formula, ...]) -> bool:
+    """Whether a rule within an alternative could be misread beside what is asked for there."""
+    if f in asked:
+        return False
+    names = {name for part in asked for name in propositions(part)}
+    return f.op == "U" or (f.op in ("G", "!") and bool(names & set(propositions(f))))
+
+
+_Merged = tuple[Chain, tuple[Stop, ...]]
+
+
+def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
+    """Chains that differ in their last stop only, taken together: (what they share, the last)."""
+    groups: dict[Chain, list[Stop]] = {}
+    for chain in dict.fromkeys(chains):
+        groups.setdefault(chain[:-1], []).append(chain[-1])
+    merged: list[_Merged] = []
+    for shared, last in groups.items():
+        if len({stop.times for stop in last}) == 1 and last[0].times == 1:
+            merged.append((shared, tuple(last)))
+        else:
+            merged += [(shared, (stop,)) for stop in last]
+    return merged
+
+
+def _chain(merged: _Merged) -> str:
+    shared, last = merged
+    return ", then ".join([*(_stop(s.options, s.times) for s in shared), _any_order(list(last))])
+
+
+def _any_order(stops: list[Stop]) -> str:
+    if len(stops) == 1:
+        return _stop(stops[0].options, stops[0].times)
+    *most, last = (_things(stop.options) for stop in stops)
+    return f"{', '.join(most)} and {last} in any order"
+
+
+def _stop(options: tuple[str, ...], times: int = 1, word: str = "at least") -> str:
+    if times == 1 and word == "at least":
+        return _things(options)
+    return f"{_things(options)} {word} {_often(times)}"
+
+
+def _often(n: int) -> str:
+    return _TIMES.get(n) or f"{_NUMBERS[n] if n < len(_NUMBERS) else n} times"
+
+
+def _things(options: tuple[str, ...], joint: str = "or") -> str:
+    *most, last = map(_thing, options)
+    if not most:
+        return last
+    either = "either " if joint == "or" else ""
+    return f"{either}{', '.join(most)} or {last}"
+
+
+@lru_cache(maxsize=4096)
+def _thing(name: str) -> str:
+    """`the bed`, `a` (a letter), or the name in quotes where it could be misread."""
+    spoken = name if len(name) == 1 else f"the {name}"
+    try:
+        reader = Reader(spoken)
+        if take_things(reader, None) == Things(((name,),)) and reader.sees("end"):
+            return spoken
+    except TranslationError:
+        pass
+    return f'"{name}"'
+
+
+def _rule(f: Formula) -> str | None:
+    """A ban, an until, a limit or a reaction in words; None if it is none of them."""
+    if f.op == "G":
+        return _always(f.args[0])
+    if f.op in ("W", "U") and (banned := _banned(f.args[0])) and (until := options_of(f.args[1])):
+        if set(banned) & set(until):
+            return None
+        end = _things(until)
+        phrase = f"do not reach {_things(banned, 'nor')} until {end} is reached"
+        return phrase if f.op == "W" else f"{phrase}, and {end} must be reached"
+    if limit := _limit_of(f):
+        options, n = limit
+        return (
+            f"never reach {_things(options, 'nor')}"
+            if n == 0
+            else (f"reach {_stop(options, n, word='at most')}")
+        )
+    return _limit_until(f)
+
+
+def _banned(f: Formula) -> tuple[str, ...] | None:
+    """x and y of !x, of !(x | y) and of !x & !y."""
+    if f.op == "&":
+        each = [_banned(part) for part in f.args]
+        return None if None in each else tuple(name for names in each for name in names or ())
+    return options_of(f.args[0]) if f.op == "!" else None
+
+
+def _always(f: Formula) -> str | None:
+    if banned := _banned(f):
+        return f"never reach {_things(banned, 'nor')}"
+    if f.op != "->" or (when := options_of(f.args[0])) is None:
+        return None
+    then = f.args[1]
+    names = set(when)
+    if then.op == "F" and (asked := options_of(then.args[0])) and not names & set(asked):
+        return f"whenever {_things(when)} is reached, {_things(asked)} must be reached later"
+    if then.op == "X" and (asked := options_of(then.args[0])):
+        must = f"{_things(asked)} must be reached at the next step"
+        return f"whenever {_things(when)} is reached, {must}"
+    weak = then.op == "WX"
+    ban = then.args[0] if weak else then
+    if ban.op == "G" and (banned := _banned(ban.args[0])) and weak == bool(names & set(banned)):
+        return f"once {_things(when)} is reached, never reach {_things(banned, 'nor')}"
+    return None
+
+
+def _count_of(f: Formula) -> tuple[tuple[str, ...], int]:
+    """(names, n) of "at least n times"; ((), 0) of anything else."""
+    found = alternatives_of(f)
+    if found is None or len(found) != 1 or len(found[0]) != 1 or len(found[0][0]) != 1:
+        return (), 0
+    stop = found[0][0][0]
+    return stop.options, stop.times
+
+
+def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
+    """(names, n) of "at most n times"; None of anything else."""
+    if f.op != "!":
+        return None
+    options, times = _count_of(f.args[0])
+    return (options, times - 1) if options else None
+
+
+def _exactly(part: Formula, parts: tuple[Formula, ...]) -> bool:
+    """Whether a part asks for as many visits as another allows."""
+    count = _count_of(part)
+    return bool(count[0]) and any(_limit_of(other) == count for other in parts)
+
+
+def _limit_until(f: Formula) -> str | None:
+    """`!x W (x W (!x W end))`: at most one visit until the end."""
+    start, n = f, 0
+    while f.op == "W" and f.args[0].op == "!":
+        here, rest = f.args[0].args[0], f.args[1]
+        if (options := options_of(here)) is None:
+            return None
+        if n and (end := options_of(rest)):
+            limit = _stop(options, n, word="at most")
+            return f"reach {limit} until {_things(end)} is reached"
+        if rest.op != "W" or rest.args[0] != here or start.args[0] != f.args[0]:
+            return None
+        f, n = rest.args[1], n + 1
+    return None
+
+
+_LITERAL = {
+    "!": "it is not so that {0}",
+    "X": "there is a next step, and at it {0}",
+    "WX": "if there is a next step, then at it {0}",
+    "F": "now or later {0}",
+    "G": "now and always {0}",
+    "U": "now or later {1}, and until then {0}",
+    "W": "always or until {1}, {0}",
+    "R": "always, or up to and including when {0}, {1}",
+    "M": "now or later {0}, and up to and including then {1}",
+    "->": "if {0}, then {1}",
+    "<->": "{0} exactly if {1}",
+}
+
+
+def _literally(formula: Formula) -> str:
+    """The formula read out operator by operator, operands in brackets."""
+    said: dict[int, str] = {}
+    for f in postorder(formula):
+        parts = [said[id(arg)] if arg.op == "ap" else f"({said[id(arg)]})" for arg in f.args]
+        if f.op == "ap":
+            said[id(f)] = f"{_thing(f.name)} is reached at that step"
+        elif f.op in ("&", "|"):
+            said[id(f)] = (" and " if f.op == "&" else " or ").join(parts)
+        elif f.op in ("true", "false"):
+            said[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
+        else:
+            said[id(f)] = _LITERAL[f.op].format(*parts)
+    return f"see to it, from the first step on, that {said[id(formula)]}"

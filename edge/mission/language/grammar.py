@@ -1,0 +1,252 @@
+"""Controlled English to LTL, offline: the same sentence always gives the same formula.
+
+    instruction = sentence { ("." | ";") sentence }
+    sentence    = sequence { "or" sequence }        ("…; or …" also across a semicolon)
+    sequence    = step { "then" step }
+    step        = clause { (",", "and", "but", nothing) clause }
+
+Clauses, noun phrases, counts and the words themselves have files of their own (`clauses`,
+`things`, `counts`, `lexicon`). How a clause is read:
+
+- an order ("visit x") is a goal. Every verb of the lexicon means "reach", "see" included; other
+  verbs are refused. After an article any words are a name; without one, known names are;
+- a duty with a condition ("once you visit x you must visit y") is G(x -> F y); a permission
+  ("you can visit x") asks for nothing;
+- "do not x until y", and the like with "before", is the weak until `!x W y`: y need not happen.
+  ViTL writes U, but its tables II and III hold only under W;
+- "x before y" as an order asks for both, and y not before x; "x only after y" the same of y;
+- "x while avoiding y" is: x, and no y before it;
+- goals without "then" between them may come in any order; a list with commas only that "then"
+  ends ("a, b, then c") is in order;
+- "in order" is "then" between all; "in exactly this order" also bans each before the one before;
+- "n times" means at least n separate visits; in a sequence, "exactly once" and "at most once"
+  hold until the next step.
+
+Whatever fits none of this is refused by name, never skipped or guessed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from edge.mission.language.clauses import Bare, starts_clause, take_clause
+from edge.mission.language.discourse import anchored, only_then, put_first, sequence_goal
+from edge.mission.language.goals import Every, Goal, Some, Visit, formula_of, steps
+from edge.mission.language.meaning import Meaning, meaning_of, permission_of
+from edge.mission.language.spoken import Clause, Condition, Memory
+from edge.mission.language.things import Things
+from edge.mission.language.words import Reader, Token, TranslationError
+from edge.mission.ltl import TRUE, Formula, postorder
+
+__all__ = ["TranslationError", "parse_english"]
+
+MAX_NODES = 20_000
+"""A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
+
+_THEN = ("then", "only then")
+_JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
+
+
+def parse_english(text: str) -> Formula:
+    """The formula that an instruction asks for, over canonical names.
+
+    Raises:
+        TranslationError: it has a part that is not understood; the message names it.
+    """
+    return _Discourse(Reader(text)).formula()
+
+
+def _size(formula: Formula) -> int:
+    """Nodes of the formula as a tree; parts that it shares count each time, as in its text."""
+    sizes: dict[int, int] = {}
+    for f in postorder(formula):
+        sizes[id(f)] = 1 + sum(sizes[id(arg)] for arg in f.args)
+    return sizes[id(formula)]
+
+
+def _both(first: Meaning | None, second: Meaning) -> Meaning:
+    if first is None:
+        return second
+    first.add(second)
+    return first
+
+
+@dataclass(slots=True)
+class _Discourse:
+    """A cursor on the instruction, and what was said so far.
+
+    Attributes:
+        goal: what is to be achieved.
+        rules: what holds throughout, whichever alternative is taken.
+        times: how often each name was asked for.
+        first: the last goal was said to come first, so what follows comes after it.
+        clauses: how many there were.
+        denied: the last clause forbade something, so a bare "then the bed" could mean either.
+        permitted: what the last clause allowed, if it asked for nothing.
+    """
+
+    reader: Reader
+    memory: Memory = field(default_factory=Memory)
+    goal: Goal | None = None
+    rules: list[Meaning] = field(default_factory=list)
+    times: dict[str, int] = field(default_factory=dict)
+    first: bool = False
+    clauses: int = 0
+    permitted: Things | None = None
+    denied: bool = False
+
+    def formula(self) -> Formula:
+        """Sentence after sentence; "then" at the start of one goes on from the one before."""
+        reader = self.reader
+        reader.skip("comma", "stop")
+        while not reader.sees("end"):
+            if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
+                reader.take("any order")  # "…; the order does not matter": as it is anyway
+            else:
+                joint = reader.take(*_THEN, "and", "but")
+                reader.skip("comma")
+                self._sentence(joint)
+            reader.skip("comma", "stop")
+        parts = [] if self.goal is None else [self.goal]
+        parts += [sequence_goal([rule]) for rule in self.rules]
+        formula = formula_of(Every(tuple(parts)))
+        if _size(formula) > MAX_NODES:
+            reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
+        if formula == TRUE:
+            hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
+            reader.refuse(hint, reader.tokens[0])
+        return formula
+
+    def _sentence(self, joint: Token | None) -> None:
+        """Sequences with "or" between them."""
+        reader = self.reader
+        if reader.sees("either") and reader.sees("verb", "you", "first", ahead=1):
+            reader.take("either")
+        after = self.first or (joint is not None and joint.kind in _THEN)
+        start = reader.peek()
+        sequence, loose = self._sequence(joint)
+        sequences = [sequence]
+        while (ahead := self._alternative_ahead()) is not None:
+            reader.at += ahead
+            if loose:
+                sequences[-1].append(loose)
+            sequence, loose = self._sequence(Token("or", "or", 0, 0))
+            sequences.append(sequence)
+        if loose:
+            self.rules.append(loose)
+        if len(sequences) > 1 and not all(
+            any(step.goals for step in sequence) for sequence in sequences
+        ):
+            reader.refuse("each alternative needs something to reach", start)
+        if not sequence:
+            return
+        options = tuple(map(sequence_goal, sequences))
+        goal = options[0] if len(options) == 1 else Some(options)
+        if self.goal is None:
+            self.goal = goal
+        else:
+            self.goal = steps([self.goal, goal]) if after else Every((self.goal, goal))
+
+    def _alternative_ahead(self) -> int | None:
+        """Tokens up to the next alternative ("; or reach …"); None when there is none."""
+        ahead = 1 if self.reader.sees("comma", "stop") else 0
+        if not self.reader.sees("or", ahead=ahead):
+            return None
+        ahead += 1
+        if self.reader.sees("either", ahead=ahead) and self.reader.sees("verb", ahead=ahead + 1):
+            ahead += 1
+        return ahead if starts_clause(self.reader, ahead) else None
+
+    def _sequence(self, joint: Token | None) -> tuple[list[Meaning], Meaning | None]:
+        """Steps with "then" between them, and the rules that end them."""
+        sequence: list[Meaning] = []
+        loose: Meaning | None = None
+        while True:
+            clause, meaning = self._clause(joint, sequence)
+            kind = joint.kind if joint else ""
+            if meaning.loose and kind != "but" and not meaning.follows:
+                loose = _both(loose, meaning)
+            else:
+                if loose is not None:
+                    (sequence[-1] if sequence else meaning).add(loose)
+                    loose = None
+                self._place(clause, meaning, kind, sequence)
+            joint = self._joint()
+            if joint is None:
+                return sequence, loose
+
+    def _clause(self, joint: Token | None, sequence: list[Meaning]) -> tuple[Clause, Meaning]:
+        """The next clause, and what it means after those before it."""
+        bare: Bare = "known" if not self.clauses else "no"
+        if self.clauses and joint and joint.kind and not self.denied:
+            bare = "yes"
+        clause = take_clause(self.reader, self.memory, bare)
+        if clause.trails:
+            self._after_permission(clause, bool(sequence))
+        then = clause.trails or (joint is not None and joint.kind in _THEN)
+        meaning = meaning_of(clause, self.reader, self.times, then)
+        meaning.follows = then
+        anchored(meaning, sequence, self.times, then)
+        self.permitted = permission_of(clause)
+        self.denied = clause.negated
+        self.clauses += 1
+        self._count(meaning)
+        return clause, meaning
+
+    def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
+        """Makes a clause a step of its own, or a part of the last one."""
+        if joint == "only then" and sequence:
+            meaning.rules += only_then(sequence[-1], meaning)
+        if joint == "but" and clause.first and sequence and meaning.goals:
+            put_first(meaning, sequence)  # "…, but first go to the sofa"
+            clause.first = False
+        elif not sequence or meaning.follows or (self.first and not meaning.loose):
+            sequence.append(meaning)
+        else:
+            sequence[-1].add(meaning, joint)
+        self.first = clause.first and not meaning.loose
+
+    def _after_permission(self, clause: Clause, started: bool) -> None:
+        """`you can visit a, but you must visit b after that`: after a, if ever."""
+        if not self.permitted and clause.negated and not started:
+            self.permitted = self.memory.asked
+        if clause.conditions:
+            clause.trails = False  # "once you visit a, you must visit b after that"
+        elif self.permitted:
+            clause.conditions.append(Condition("after", clause.token, self.permitted))
+            clause.trails = False
+        elif not self.clauses:
+            self.reader.refuse("it comes after nothing", clause.token)
+
+    def _joint(self) -> Token | None:
+        """Passes what joins this clause to the next; None at the end of the sequence."""
+        reader = self.reader
+        if reader.sees("comma") and reader.sees("or", ahead=1):
+            return None
+        begin, joint = reader.at, reader.peek()
+        while token := reader.take(*_JOINTS):
+            if _JOINTS.index(token.kind) >= _JOINTS.index(joint.kind):
+                joint = token
+        if reader.sees("filler") and reader.sees("stop", "end", ahead=1):
+            reader.take("filler")  # "…, please."
+            return None
+        if reader.at > begin:
+            if not starts_clause(reader):
+                reader.refuse("expected a clause here")
+            return joint
+        if reader.sees("end", "stop", "or"):
+            return None
+        if not starts_clause(reader) or not self._begins_well():
+            reader.refuse("no word that is known here")
+        return Token("", "", joint.start, joint.start)
+
+    def _begins_well(self) -> bool:
+        """Whether a clause without a joint before it has a verb of its own."""
+        return not self.reader.sees("word", "quoted", "to") or len(self.reader.peek().text) == 1
+
+    def _count(self, meaning: Meaning) -> None:
+        """Notes how often things were asked for."""
+        for goal in meaning.goals:
+            for visit in goal.goals if not isinstance(goal, Visit) else (goal,):
+                if isinstance(visit, Visit):
+                    self.times |= dict.fromkeys(visit.options, visit.times)

@@ -1,0 +1,270 @@
+"""What one clause asks for: goals, and rules about the whole mission."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from edge.mission.language.counts import Count
+from edge.mission.language.goals import (
+    Every,
+    Goal,
+    any_of,
+    at_most,
+    at_most_before,
+    formula_of,
+    held_until,
+    never_after,
+    steps,
+    visits,
+)
+from edge.mission.language.spoken import Clause, Condition
+from edge.mission.language.things import Things
+from edge.mission.language.words import Reader
+from edge.mission.ltl import Formula, always, ap, implies, neg, next_, weak_next
+
+
+@dataclass(slots=True)
+class Meaning:
+    """What a clause, or several joined by "and", ask for.
+
+    Attributes:
+        goals: to be achieved in any order.
+        things: what the goals reach; what "while avoiding" lasts until.
+        rules: hold from the start on.
+        bans: names not to be reached; for how long is seen when the sequence is complete.
+        limits: (names, n): at most n separate visits, in a sequence until its next step.
+        loose: has no goal of its own.
+        listed: its goals stand side by side with no "and" between them.
+        follows: said to come after the step before it.
+        anchors: what the goals are said to come after.
+    """
+
+    goals: list[Goal] = field(default_factory=list)
+    things: Things = field(default_factory=lambda: Things(()))
+    rules: list[Formula] = field(default_factory=list)
+    bans: list[tuple[str, ...]] = field(default_factory=list)
+    limits: list[tuple[tuple[str, ...], int]] = field(default_factory=list)
+    listed: bool = True
+    follows: bool = False
+    anchors: list[Things] = field(default_factory=list)
+
+    @property
+    def loose(self) -> bool:
+        """Whether it only restricts."""
+        return not self.goals
+
+    def add(self, other: Meaning, joint: str = "") -> None:
+        """Both at once."""
+        if self.goals and other.goals:
+            self.listed = self.listed and joint in ("", "comma")
+        elif other.goals:
+            self.listed = other.listed
+        self.goals += other.goals
+        self.things = Things(self.things.groups + other.things.groups)
+        self.rules += other.rules
+        self.bans += other.bans
+        self.limits += other.limits
+
+
+def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: bool) -> Meaning:
+    """The meaning of a clause.
+
+    Args:
+        times: how often each name was asked for so far, for "do not visit it again".
+        then: it follows another one in time, so that "you can go to x" asks for x.
+
+    Raises:
+        TranslationError: parts that do not go together.
+    """
+    if clause.only and clause.count and clause.count.most is None:
+        clause.count = Count(clause.count.least, clause.count.least)
+    elif clause.only and clause.conditions:
+        clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
+    elif clause.only and not clause.count and not clause.negated:
+        reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
+    if clause.things is None:
+        return _until_done(clause, reader)
+    if clause.negated:
+        return _forbidden(clause, clause.things, reader, times)
+    if then and clause.mood == "can":
+        clause.mood = "do"
+    return _asked(clause, clause.things, reader, times)
+
+
+def permission_of(clause: Clause) -> Things | None:
+    """What a clause merely allows: the condition's things or, without one, its own."""
+    if clause.mood != "can" or clause.negated or clause.count:
+        return None
+    return clause.conditions[-1].things if clause.conditions else clause.things
+
+
+def _until_done(clause: Clause, reader: Reader) -> Meaning:
+    """`do not stop until a and b are visited`"""
+    if len(clause.conditions) != 1 or clause.conditions[0].kind != "until":
+        reader.refuse("say until when, as in 'do not stop until the bed is reached'", clause.token)
+    things = clause.conditions[0].things
+    return Meaning([visits(things)], things)
+
+
+def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
+    """`do not visit x …`, `avoid x …`, `never visit x more than twice`."""
+    meaning = Meaning()
+    if clause.order:
+        reader.refuse("an order makes no sense of what is not to be reached", clause.token)
+    for again in clause.not_again:
+        meaning.limits += [((name,), times.get(name, 1)) for name in again.names]
+    for avoided in clause.avoiding:  # "do not visit b without visiting a"
+        meaning.rules += held_until(things.names, avoided)
+    if clause.count:
+        _counted(clause, things, clause.count, meaning)
+        _no_conditions(clause, reader)
+    elif clause.again and all(c.things.names == things.names for c in clause.conditions):
+        for name in things.names:
+            most = times.get(name, 1)
+            for condition in clause.conditions:
+                most = condition.count.least if condition.count else most
+            meaning.limits.append(((name,), most))
+    elif clause.conditions:
+        for condition in clause.conditions:
+            meaning.rules += _forbidden_when(clause, things, condition, reader)
+    elif not clause.avoiding:
+        meaning.bans.append(things.names)
+    return meaning
+
+
+def _forbidden_when(
+    clause: Clause, things: Things, condition: Condition, reader: Reader
+) -> list[Formula]:
+    if condition.kind in ("before", "until", "unless") or condition.denied:
+        rules = held_until(things.names, condition.things)
+        if not rules:
+            reader.refuse("nothing can come before itself", condition.token)
+        return rules
+    if condition.count and condition.things.names == things.names:
+        return [at_most([name], condition.count.least) for name in things.names]
+    if clause.next_step:
+        return [
+            always(implies(any_of(group), weak_next(neg(ap(name)))))
+            for name in things.names
+            for group in condition.things.groups
+        ]
+    return never_after(things.names, condition.things)
+
+
+def _no_conditions(clause: Clause, reader: Reader) -> None:
+    for condition in clause.conditions:
+        reader.refuse("a count and a condition do not go together", condition.token)
+
+
+def _counted(clause: Clause, things: Things, count: Count, meaning: Meaning) -> None:
+    if count.least and (clause.negated or clause.mood != "can"):
+        meaning.goals.append(visits(things, count.least))
+        meaning.things = things
+    if count.most is not None:
+        meaning.limits += [(group, count.most) for group in things.groups]
+
+
+def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
+    """`visit x …`, `you must visit x …`, `you can visit x …`."""
+    meaning = Meaning()
+    if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
+        return _counted_until(clause, things, clause.count, reader)
+    if clause.count and len(things.groups) > 1 and clause.order:
+        meaning.limits += [
+            (group, clause.count.most) for group in things.groups if clause.count.most is not None
+        ]
+        meaning.goals.append(
+            steps([visits(Things((g,)), clause.count.least) for g in things.groups])
+        )
+        meaning.things = things
+    elif clause.count:
+        _counted(clause, things, clause.count, meaning)
+    elif clause.mood != "can" or any(c.only and c.denied for c in clause.conditions):
+        meaning.goals.append(visits(things))
+        meaning.things = things
+    if clause.order in ("in order", "strict order") and meaning.goals and not clause.count:
+        meaning.goals = [steps([visits(Things((group,))) for group in things.groups])]
+    if clause.order == "strict order":
+        for before, after in itertools.pairwise(things.groups):
+            meaning.rules += held_until(after, Things((before,)))
+    for avoided in clause.avoiding:
+        meaning.rules += held_until([n for n in avoided.names if n not in times], things)
+    for avoided in (*clause.not_again, *clause.avoiding):
+        again = [n for n in avoided.names if n in times or avoided in clause.not_again]
+        meaning.rules += [
+            at_most_before([name], times.get(name, 1), end)
+            for name in again
+            for end in things.groups
+        ]
+    for condition in clause.conditions:
+        _conditioned(clause, things, condition, reader, meaning)
+    several = len(things.groups) > 1
+    meaning.listed = (things.listed or not several) and not clause.order
+    return meaning
+
+
+def _counted_until(clause: Clause, things: Things, count: Count, reader: Reader) -> Meaning:
+    """`reach x at most twice until y is reached`"""
+    meaning = Meaning()
+    most = count.most
+    if len(clause.conditions) != 1 or most is None:
+        reader.refuse("only an upper limit can last until something", clause.token)
+    _counted(clause, things, Count(count.least), meaning)
+    meaning.rules += [
+        at_most_before(group, most, end)
+        for group in things.groups
+        for end in clause.conditions[0].things.groups
+    ]
+    return meaning
+
+
+def _conditioned(
+    clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
+) -> None:
+    """Adds what a condition makes of "visit x"."""
+    kind, when = condition.kind, condition.things
+    answers = condition.recurring or clause.mood == "must"
+    if set(when.names) & set(things.names) and not answers:
+        reader.refuse("nothing comes before or after itself", condition.token)
+    if kind == "until" and not condition.denied:
+        reader.refuse("reaching is done in one step, so it has no 'until'", condition.token)
+    if condition.denied and kind != "after":  # "visit x, but not before y"
+        meaning.rules += held_until(things.names, when)
+    elif kind == "unless":
+        reader.refuse("'unless' goes with something forbidden", condition.token)
+    elif kind == "before" and (clause.mood != "can" or condition.only):
+        meaning.rules += held_until(when.names, things)
+        if clause.mood == "do":
+            meaning.goals = [steps([*meaning.goals, visits(when)])]
+            meaning.things = when
+    elif condition.only:
+        meaning.rules += held_until(things.names, when)
+    elif condition.denied:
+        reader.refuse("say it as 'do not …, once …'", condition.token)
+    elif answers:
+        _reaction(clause, things, condition, reader, meaning)
+    elif clause.mood == "do":
+        meaning.anchors.append(when)
+
+
+def _reaction(
+    clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
+) -> None:
+    """`once you visit x you must visit y`: G(x -> F y), or X y right after it."""
+    if len(condition.things.groups) != 1:
+        reader.refuse("a duty can follow on one thing, or on one of several", condition.token)
+    when = any_of(condition.things.groups[0])
+    if clause.next_step:
+        if len(things.groups) != 1:
+            reader.refuse("only one thing can come next", clause.token)
+        answer = next_(any_of(things.groups[0]))
+    else:
+        goals = meaning.goals or [visits(things)]
+        answer = formula_of(Every(tuple(goals)))
+        if set(condition.things.names) & set(things.names):
+            answer = next_(answer)
+    meaning.goals = []
+    meaning.things = Things(())
+    meaning.rules.append(always(implies(when, answer)))

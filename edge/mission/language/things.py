@@ -1,0 +1,253 @@
+"""Noun phrases: what an instruction names, alone, in lists and in choices.
+
+    things  = element { ("," | "and" | "or" | ", and" | ", or") element }
+    element = "either" name { ("," | "or") name } | "one of" names | ["all of"] name | pronoun
+    name    = [article] word { word } [place [article] word { word }] | letter | '"' text '"'
+
+Single letters need no comma between them ("visit a b and c"), and `a` is an article wherever a
+longer word follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from edge import names
+from edge.mission.language.lexicon import AFTER_VERB
+from edge.mission.language.words import Reader, Token
+
+_ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
+_STARTS_PREDICATE = ("be", "must", "can", "happen")
+_NOT_NAMES = """
+    anywhere nowhere everywhere somewhere none nothing everything more less most leave leaving
+    among exit mean means if than which who whose whom what how why where about because not very
+    again here else anything something anyone someone everyone nobody otherwise except unlike
+    soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
+    instead
+    """
+_NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
+
+
+@dataclass(frozen=True, slots=True)
+class Things:
+    """All of some groups, any one of each group: ((chair, sofa), (bed,)) is "either a chair or
+    a sofa, and a bed".
+
+    Attributes:
+        listed: two or more, with neither "and" nor "or" between them.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    listed: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every name once, in order."""
+        return tuple(dict.fromkeys(name for group in self.groups for name in group))
+
+
+def starts_things(reader: Reader, ahead: int = 0) -> bool:
+    """Whether a noun phrase can begin at that token."""
+    token = reader.peek(ahead)
+    if token.kind in ("number", "article") and reader.sees("group", ahead=ahead + 1):
+        return True
+    return token.kind in _ELEMENT and not (token.kind == "word" and token.text in AFTER_VERB)
+
+
+def take_things(
+    reader: Reader, mentioned: Things | None, subject: bool = False, banned: bool = False
+) -> Things:
+    """The noun phrase that begins here.
+
+    Args:
+        mentioned: what a pronoun stands for.
+        subject: a predicate is expected to follow, so it does not end the list early.
+        banned: "and" and "or" mean the same here ("avoid a and b", "never visit a or b").
+
+    Raises:
+        TranslationError: no noun phrase, or one that can be read in two ways.
+    """
+    start = reader.peek()
+    groups = list(_element(reader, mentioned))
+    joints: set[str] = set()
+    commas: set[str] = set()
+    while True:
+        ahead = _joint_length(reader)
+        if ahead is None:
+            break
+        aside = reader.sees("comma") and reader.sees("or", ahead=1)
+        if aside and not banned and "comma" not in commas:
+            break  # "the bed, or the sofa": an alternative to all before it
+        commas |= {reader.peek(i).kind for i in range(ahead)}
+        if not subject and _is_subject(reader, ahead):
+            break
+        joints |= {reader.peek(i).kind for i in range(ahead)} - {"comma", "to"}
+        reader.at += ahead
+        follower = reader.peek()
+        groups += _element(reader, mentioned)
+        if start.kind == "article" and follower.kind == "word" and not _plain(groups[-1]):
+            hint = f"no verb that is known; if it is a thing, say 'the {follower.text}'"
+            reader.refuse(hint, follower)
+    if len(set(groups)) < len(groups):
+        reader.refuse("the same thing is named twice", start)
+    if start.kind == "all of" and len(groups) == 1 and not banned:
+        reader.refuse("only one of a kind can be asked for; say 'the …'", start)
+    if banned:
+        return Things(tuple((name,) for group in groups for name in group))
+    if joints == {"or"}:
+        return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
+    if len(joints) > 1:
+        reader.refuse("it mixes 'and' with 'or': say 'either … or …' for the choice", start)
+    return Things(tuple(groups), listed=len(groups) > 1 and not joints)
+
+
+def _plain(group: tuple[str, ...]) -> bool:
+    """Whether names need no article to be names: letters, or known things."""
+    return all(len(name) == 1 or names.is_known(name) for name in group)
+
+
+def _joint_length(reader: Reader) -> int | None:
+    """Tokens between this element and the next of the same list; None when the list is over."""
+    if _is_letter(reader.peek(-1)) and _is_letter(reader.peek()):
+        return 0
+    ahead = 1 if reader.sees("comma") else 0
+    if reader.sees("and", "or", ahead=ahead):
+        ahead += 1
+    if ahead and reader.sees("to", ahead=ahead):
+        ahead += 1
+    return ahead if ahead and starts_things(reader, ahead) else None
+
+
+def _is_subject(reader: Reader, ahead: int) -> bool:
+    """Whether the element there is the subject of a clause of its own ("… and b is visited")."""
+    while reader.sees("word", "quoted", "article", "place", "all of", "group", ahead=ahead):
+        ahead += 1
+    return reader.sees(*_STARTS_PREDICATE, ahead=ahead)
+
+
+def _element(reader: Reader, mentioned: Things | None) -> tuple[tuple[str, ...], ...]:
+    """The groups of one element of a list."""
+    if reader.take("all of") or reader.sees("group", ahead=1):
+        reader.skip("number", "article", "group", "comma")
+    reader.skip("group")
+    if token := reader.take("pronoun"):
+        if mentioned is None:
+            reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
+        return mentioned.groups
+    if token := reader.take("either"):
+        return (_choice(reader, every=token.text != "either"),)
+    return ((_name(reader),),)
+
+
+def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
+    """`either x, y or z` ends after "or z"; `one of x, y and z` takes the whole list."""
+    if reader.take("all of"):
+        reader.skip("group")
+    reader.skip("group")
+    options = [_name(reader)]
+    decided = False
+    while (ahead := _joint_length(reader)) is not None:
+        joint = {reader.peek(i).kind for i in range(ahead)}
+        if not every and ((decided and "or" not in joint) or "and" in joint):
+            break
+        decided = decided or "or" in joint
+        reader.at += ahead
+        options.append(_name(reader))
+    return tuple(dict.fromkeys(options))
+
+
+def _name(reader: Reader) -> str:
+    """One thing's canonical name."""
+    start = reader.peek()
+    article = bool(reader.take("article"))
+    if reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader):
+        reader.take("word")
+        article = True
+    if token := reader.take("quoted"):
+        return _canonical(reader, token.text, token)
+    if _is_letter(reader.peek()):
+        return reader.tokens[_advance(reader)].text
+    words = _words(reader, article)
+    if start.kind == "number":
+        reader.refuse("how many of a kind cannot be told; say 'the …'", start)
+    if not words:
+        reader.refuse("expected the name of a thing here", start)
+    _check(reader, words)
+    if reader.sees("article"):
+        reader.refuse("no word that is known", words[0])
+    text = " ".join(token.text for token in words)
+    if reader.sees("place") and _place_follows(reader):
+        place = reader.take("place")
+        assert place is not None
+        reader.skip("article")
+        if reader.peek().text in ("a", "an"):
+            reader.take("word")
+        where = _words(reader, article=True)
+        _check(reader, where)
+        text = f"{text} {place.text} {' '.join(token.text for token in where)}"
+    return _canonical(reader, text, words[0])
+
+
+def _words(reader: Reader, article: bool) -> list[Token]:
+    """The run of words that a name consists of; after an article a verb may begin it."""
+    words: list[Token] = []
+    if reader.sees("verb") and article:
+        words.append(reader.tokens[_advance(reader)])
+    while reader.sees("word") and not _is_letter(reader.peek()):
+        if reader.peek().text in AFTER_VERB:
+            break
+        words.append(reader.tokens[_advance(reader)])
+    return words
+
+
+def _advance(reader: Reader) -> int:
+    reader.at += 1
+    return reader.at - 1
+
+
+def _goes_on(reader: Reader) -> bool:
+    """Whether `a` is an article: a longer word follows it, or a verb that is also a thing."""
+    follower = reader.peek(1)
+    if follower.kind == "verb":
+        return names.is_known(follower.text)
+    return follower.kind == "quoted" or (
+        follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
+    )
+
+
+def _place_follows(reader: Reader) -> bool:
+    follower = reader.peek(1)
+    return (
+        follower.kind == "article"
+        or (
+            follower.kind == "word" and follower.text not in AFTER_VERB and not _is_letter(follower)
+        )
+        or (follower.text in ("a", "an") and reader.sees("word", ahead=2))
+    )
+
+
+def _is_letter(token: Token) -> bool:
+    return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
+
+
+def _check(reader: Reader, words: list[Token]) -> None:
+    """Refuses a run of words that goes on after the thing it names."""
+    for token in words:
+        if token.text in _NEVER_IN_NAMES or (token.text.endswith("ly") and len(words) > 1):
+            reader.refuse("no name of a thing, and no known word", token)
+    texts = [token.text for token in words]
+    if any(names.is_known(" ".join(texts[i:])) for i in range(len(texts))):
+        return
+    for end in range(len(texts) - 1, 0, -1):
+        for begin in range(max(0, end - 3), end):
+            if names.is_known(" ".join(texts[begin:end])):
+                whole = " ".join(texts)
+                hint = f'unknown after {texts[end - 1]!r}; if it is one thing, write "{whole}"'
+                reader.refuse(f"{hint} in double quotes", words[end])
+
+
+def _canonical(reader: Reader, text: str, token: Token) -> str:
+    try:
+        return names.canonical(text)
+    except ValueError:
+        reader.refuse("a name needs at least one letter", token)

@@ -1,0 +1,168 @@
+"""An English instruction as a row of known phrases and possible names, and a cursor on it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NoReturn
+
+from edge.errors import UserError
+from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
+
+MAX_CHARS = 10_000
+MAX_WORDS = 1_000
+"""Far more than an instruction has; it bounds the formula, and so the time that follows."""
+
+REASONS = {
+    "endless": "a mission ends, so nothing can be asked for again and again",
+    "forever": "a mission ends, so nothing can be asked for ever",
+    "stay": "only reaching things can be asked for, not staying or leaving",
+    "mark": "this character has no place in an instruction",
+}
+"""Why tokens of these kinds are never understood."""
+
+_SHOWN = 60
+_PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
+_TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
+_STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
+
+
+class TranslationError(UserError):
+    """An instruction that cannot be translated.
+
+    Attributes:
+        part: what was not understood, in the user's words; "" when it is no part in particular.
+        position: of its first character, counted from 1; 0 when it is no part in particular.
+    """
+
+    def __init__(self, message: str, part: str = "", position: int = 0) -> None:
+        super().__init__(message)
+        self.part = part
+        self.position = position
+
+
+def not_understood(part: str, position: int, hint: str) -> TranslationError:
+    """The error that names a part of an instruction, shortened, and its place."""
+    shown = " ".join(part.split())
+    shown = shown if len(shown) <= _SHOWN else shown[: _SHOWN - 1] + "…"
+    what = f"did not understand {shown!r}" if shown else "it ends too early"
+    return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A known phrase, a possible name or a mark.
+
+    Attributes:
+        kind: a kind of the lexicon; "word" or "quoted" (a name), "comma", "stop" (a sentence's
+            end), "end", or "mark" (a character that no instruction needs).
+        text: lower case; of a quotation, what stands between the quotes.
+        start, end: character offsets in the instruction.
+    """
+
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+def tokenise(text: str) -> list[Token]:
+    """The instruction's tokens, longest phrases first, with an "end" at the end.
+
+    Raises:
+        TranslationError: too long.
+    """
+    if len(text) > MAX_CHARS:
+        hint = f"an instruction has at most {MAX_CHARS} characters"
+        raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)
+    words = _words(text)
+    if len(words) > MAX_WORDS:
+        late = words[MAX_WORDS].start
+        raise not_understood(text[late:], late + 1, f"it has more than {MAX_WORDS} words")
+    tokens: list[Token] = []
+    i = 0
+    while i < len(words):
+        word = words[i]
+        length = _phrase_at(words, i) if word.kind == "word" else 0
+        if length:
+            phrase = tuple(w.text for w in words[i : i + length])
+            end = words[i + length - 1].end
+            tokens.append(Token(TABLE[phrase], " ".join(phrase), word.start, end))
+        elif word.text.isdecimal():
+            tokens.append(Token("number", word.text, word.start, word.end))
+        else:
+            tokens.append(word)
+        i += max(length, 1)
+    return [*tokens, Token("end", "", len(text), len(text))]
+
+
+def _words(text: str) -> list[Token]:
+    words: list[Token] = []
+    for match in _TOKEN.finditer(text.translate(_STRAIGHT)):
+        found, start, end = match.group(), match.start(), match.end()
+        if match["quoted"] is not None:
+            words.append(Token("quoted", found[1:-1].strip(), start, end))
+        elif match["word"] is not None:
+            for part in expanded(found.lower()):
+                words.append(Token("word", part, start, end))
+        elif found == "&":
+            words.append(Token("word", found, start, end))
+        else:
+            words.append(Token(_PUNCTUATION.get(found, "mark"), found, start, end))
+    return words
+
+
+def _phrase_at(words: Sequence[Token], i: int) -> int:
+    """How many words from here make the longest known phrase; 0 when none does."""
+    key: tuple[str, ...] = ()
+    longest = 0
+    for word in words[i : i + LONGEST]:
+        if word.kind != "word":
+            break
+        key = (*key, word.text)
+        if key in TABLE:
+            longest = len(key)
+    return longest
+
+
+class Reader:
+    """A cursor on an instruction's tokens."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.tokens = tokenise(text)
+        self.at = 0
+
+    def peek(self, ahead: int = 0) -> Token:
+        """The token so many places on; "end" beyond the last."""
+        return self.tokens[min(self.at + ahead, len(self.tokens) - 1)]
+
+    def sees(self, *kinds: str, ahead: int = 0) -> bool:
+        """Whether that token is of one of these kinds."""
+        return self.peek(ahead).kind in kinds
+
+    def take(self, *kinds: str) -> Token | None:
+        """The next token, passed, if it is of one of these kinds."""
+        token = self.peek()
+        if token.kind not in kinds or token.kind == "end":
+            return None
+        self.at += 1
+        return token
+
+    def skip(self, *kinds: str) -> None:
+        """Past any tokens of these kinds."""
+        while self.take(*kinds):
+            pass
+
+    def refuse(self, hint: str, start: Token | None = None) -> NoReturn:
+        """Raises a TranslationError that names the rest of this sentence, from `start` on."""
+        first = start or self.peek()
+        hint = REASONS.get(first.kind, hint)
+        i = next((i for i, token in enumerate(self.tokens) if token is first), self.at)
+        last = first
+        for token in self.tokens[i:]:
+            if token.kind in ("stop", "comma", "end") and token is not first:
+                break
+            last = token
+        raise not_understood(self.text[first.start : last.end], first.start + 1, hint)

@@ -1,0 +1,175 @@
+"""The expected-cost planner: a stochastic shortest path over automaton and knowledge.
+
+ViTL's planner takes every unknown object for one attempt away. Here an attempt may fail and meet
+another object instead, as in ViTL V-C's executor, and the plan with the least expected cost under
+that model is found exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.config import PlannerExpected, PlannerVitl
+from edge.errors import UserError
+from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.planning import cooccurrence, reasons
+from edge.mission.planning import plan_kernels as kernels
+from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan
+from edge.mission.planning.vitl import W_NOTHING, VitlPlanner, working_order
+
+MAX_LETTERS = 12
+MAX_VALUES = 1 << 22
+"""Entries of a table of values: 32 MiB."""
+_TABLES = 2
+_LEAST_SHARE = 0.1
+"""A prior never takes p_obs down to less than this share of it."""
+
+
+class PlannerError(UserError):
+    """A planner cannot take on this formula."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Values of one set of failed objects.
+
+    Attributes:
+        usable: (m,) int64, letters that have not failed; bit i of a set stands for usable[i].
+        p_find: (2**m, m) float64, probability that exploring finds a letter, by what is known.
+        value: (2**m, e + 1, n) float64, least expected cost by set, by objects outside the
+            formula that were not met, and by state.
+    """
+
+    usable: np.ndarray
+    p_find: np.ndarray
+    value: np.ndarray
+
+
+class ExpectedPlanner:
+    """Least expected cost to acceptance.
+
+    Going to a known object costs `w_det` and succeeds. Exploring for an unknown one costs 1 and
+    with probability p finds and reaches it; else one other object that is not known yet, each as
+    likely, is seen but not reached, and where none is left nothing is learned. p is `p_obs`, or
+    with `prior: cooccurrence` that times the lift of `cooccurrence.Table.lift`, at most 1. Known
+    are D and R, failed objects are neither available nor met.
+
+    The model is taken at its word: where p is so low that an object is met sooner by chance, the
+    best plan looks for another one.
+
+    Values are solved at the first plan with a set of failed objects and kept for the last two.
+    One thread at a time.
+    """
+
+    def __init__(
+        self, config: PlannerExpected, automaton: Automaton, universe_extra: int = 0
+    ) -> None:
+        """
+        Args:
+            universe_extra: objects outside the formula that may be met too; names in D and R
+                that the formula lacks are taken off it.
+
+        Raises:
+            PlannerError: the table of values would be too large.
+        """
+        k, n = len(automaton.letters), automaton.n_states
+        values = n * (universe_extra + 1) << k
+        if k > MAX_LETTERS or values > MAX_VALUES:
+            raise PlannerError(
+                f"mission.planner: 'expected' cannot take on a formula with {k} objects and {n} "
+                f"states: {values} values by state and known objects (at most {MAX_VALUES} and "
+                f"{MAX_LETTERS} objects); choose kind: vitl"
+            )
+        self.config = config
+        self.automaton = automaton
+        self.universe_extra = universe_extra
+        self._w_known = max(config.w_det, 1.0 / kernels.SCALE)
+        self._order = working_order(automaton)
+        self._solved: dict[frozenset[str], Solution] = {}
+        self._first = np.empty(k + 1)
+        self._scratch = np.empty(k + 1)
+        # Within a set of known objects no state comes twice, and there are at most k + 1 sets.
+        self._path = np.empty(n * (k + 1) + 1, np.int32)
+
+    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+        """See `Planner.plan`. `steps` is the way if every exploration finds its object."""
+        a = self.automaton
+        if a.accepting[state]:
+            return ACCEPTED
+        if a.steps_left[state] < 0:
+            return DEAD
+        solution = self._solution(knowledge.failed.intersection(a.letters))
+        known, extra = self._place(solution, knowledge)
+        if not solution.value[known, extra, state] < np.inf:
+            return VitlPlanner(PlannerVitl(), a).plan(state, knowledge, current)
+        kernels.expected_first(
+            a.delta, *self._model(solution), state, known, extra, self._first
+        )  # fmt: skip
+        names = (*a.letters, NOTHING)
+        cost = self._first.tolist()
+        ranked = sorted((c for c in range(len(names)) if cost[c] < np.inf), key=cost.__getitem__)
+        tied = [c for c in ranked if cost[c] <= cost[ranked[0]] + kernels.TOLERANCE]
+        ways = {c: self._follow(solution, state, known, extra, c) for c in tied}
+        tied.sort(key=lambda c: (len(ways[c]), names[c] != current, c))
+        first = tied[0]
+        options = tuple((names[c], cost[c]) for c in (*tied, *ranked[len(tied) :]))
+        reason = reasons.explain(names[first], options, knowledge, "about {:.2f} attempts".format)
+        return Plan(names[first] or None, ways[first], cost[first], True, (), reason, options)
+
+    def _follow(
+        self, solution: Solution, state: int, known: int, extra: int, first: int
+    ) -> tuple[str, ...]:
+        a = self.automaton
+        length = kernels.expected_follow(
+            a.delta, a.accepting, *self._model(solution), state, known, extra, first,
+            self._scratch, self._path,
+        )  # fmt: skip
+        names = (*a.letters, NOTHING)
+        return tuple(names[c] for c in self._path[:length].tolist())
+
+    def _model(self, solution: Solution) -> tuple[np.ndarray, np.ndarray, float, float, np.ndarray]:
+        return solution.usable, solution.p_find, self._w_known, W_NOTHING, solution.value
+
+    def _place(self, solution: Solution, knowledge: Knowledge) -> tuple[int, int]:
+        """What is known as a set of bits, and how many objects outside the formula are left."""
+        letters = self.automaton.letters
+        seen = knowledge.detected | knowledge.reached
+        known = sum(1 << i for i, c in enumerate(solution.usable.tolist()) if letters[c] in seen)
+        return known, max(self.universe_extra - len(seen.difference(letters)), 0)
+
+    def _solution(self, failed: frozenset[str]) -> Solution:
+        if failed not in self._solved:
+            if len(self._solved) == _TABLES:
+                del self._solved[next(iter(self._solved))]
+            self._solved[failed] = self._solve(failed)
+        return self._solved[failed]
+
+    def _solve(self, failed: frozenset[str]) -> Solution:
+        a, c = self.automaton, self.config
+        usable = np.array([i for i, x in enumerate(a.letters) if x not in failed], np.int64)
+        p_find = find_probabilities(c, tuple(a.letters[i] for i in usable))
+        value = np.empty((1 << usable.size, self.universe_extra + 1, a.n_states))
+        kernels.expected_costs(
+            a.delta, a.accepting, self._order, usable, p_find, self._w_known, W_NOTHING, value
+        )
+        return Solution(usable, p_find, value)
+
+
+def find_probabilities(config: PlannerExpected, names: tuple[str, ...]) -> np.ndarray:
+    """Probability that exploring for an object finds it, by what is known.
+
+    Returns:
+        (2**m, m) float64; bit i of the first index: names[i] is known.
+    """
+    m = len(names)
+    p = np.full((1 << m, m), config.p_obs)
+    if config.prior == "cooccurrence" and m:
+        sets = (np.arange(1 << m)[:, None] >> np.arange(m)) & 1
+        lift = cooccurrence.load().lift(names)
+        n_known = sets.sum(axis=1, keepdims=True)
+        # A room drawn from those of the known objects; with none known, any room: lift 1.
+        mean = np.where(n_known > 0, sets @ lift.T / np.maximum(n_known, 1), 1.0)
+        p = np.clip(p * mean, _LEAST_SHARE * config.p_obs, 1.0)
+    return p

@@ -1,0 +1,208 @@
+"""The planner of ViTL IV-A2: the shortest weighted path over the automaton."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge.config import PlannerVitl
+from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.planning import plan_kernels as kernels
+from edge.mission.planning import reasons
+from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan
+
+W_NOTHING = 1e-6
+"""Weight of a step that reaches nothing: free, but never idle."""
+
+
+class VitlPlanner:
+    """Shortest path (eq. 2) under eq. 1's constant weights, or under driving distances.
+
+    A letter weighs `w_det` if its object was seen and 1 if it has to be found; one that failed
+    is dearer than any path without it, so that a plan with a failed edge exists only where every
+    path has one (the paper's "sum >= w_fail", for paths of any length). Weights are multiples
+    of 1e-6.
+
+    With distances, a known object weighs the metres from the step before, an unknown one
+    `explore_m`; from here none is farther than by way of others. From an object whose place is
+    not known yet, the way to a known one is the hypotenuse of `explore_m` and the way from here.
+    The current target is then kept unless another way is better by more than
+    `replan_margin_m`; constant weights switch at once.
+
+    Letters that leave the state as it is are never planned. The buffers are the planner's own:
+    one thread at a time.
+    """
+
+    def __init__(
+        self, config: PlannerVitl, automaton: Automaton, known_reached: bool = True
+    ) -> None:
+        """
+        Args:
+            known_reached: an object that was reached weighs what one that was seen weighs: its
+                place is known. False is eq. 1 to the letter, where it weighs 1.
+        """
+        self.config = config
+        self.automaton = automaton
+        self.known_reached = known_reached
+        k, n = len(automaton.letters), automaton.n_states
+        self._by_distance = config.weights == "distance"
+        places = k + 1 if self._by_distance else 1
+        self._here = places - 1
+        self._order = working_order(automaton)
+        # No path without a failed edge, which enters no node twice, gets as dear as FAILED.
+        self._heaviest = int(kernels.FAILED - 1) // (n * places)
+        self._weight = np.empty((k + 1, places), np.int64)
+        self._cost = np.empty((n, places), np.int64)
+        self._steps = np.empty((n, places), np.int32)
+        self._first_cost = np.empty(k + 1, np.int64)
+        self._first_steps = np.empty(k + 1, np.int32)
+        self._path = np.empty(n * places + 1, np.int32)
+
+    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+        """See `Planner.plan`.
+
+        Raises:
+            ValueError: `distance_m` does not have the letters' shape.
+        """
+        a = self.automaton
+        if a.accepting[state]:
+            return ACCEPTED
+        if a.steps_left[state] < 0:
+            return DEAD
+        self._weigh(knowledge)
+        kernels.cost_to_go(a.delta, a.accepting, self._order, self._weight, self._cost, self._steps)
+        kernels.first_letters(
+            a.delta, self._weight, self._cost, self._steps, state, self._here,
+            self._first_cost, self._first_steps,
+        )  # fmt: skip
+        cost, steps = self._first_cost.tolist(), self._first_steps.tolist()
+        names = (*a.letters, NOTHING)
+        ranked = sorted(
+            (c for c in range(len(names)) if cost[c] != kernels.UNREACHABLE),
+            key=lambda c: (cost[c], steps[c], names[c] != current),
+        )
+        options = tuple((names[c], self._float(cost[c])) for c in ranked)
+        first = best = ranked[0]
+        if cost[best] >= kernels.FAILED:
+            return self._blocked(self._follow(best, state), knowledge, options)
+        if self._by_distance and names[best] != current:
+            first = self._kept(ranked, cost, current)
+        path = self._follow(first, state)
+        if first == best:
+            reason = reasons.explain(path[0], options, knowledge, self._text)
+        else:
+            gain = self._text(self._float(cost[first] - cost[best]))
+            margin = self._text(self.config.replan_margin_m)
+            reason = reasons.explain_kept(path[0], names[best], gain, margin)
+        return Plan(path[0] or None, path, self._float(cost[first]), True, (), reason, options)
+
+    def _blocked(
+        self, path: tuple[str, ...], knowledge: Knowledge, options: tuple[tuple[str, float], ...]
+    ) -> Plan:
+        """What to answer where the best path needs failed objects: as few of them as possible."""
+        needed = tuple(dict.fromkeys(c for c in path if c in knowledge.failed))
+        reason = reasons.explain_blocked(needed)
+        return Plan(None, (), math.inf, False, needed, reason, options)
+
+    def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:
+        """The first letter under the margin: the current target's where that is near enough."""
+        limit = cost[ranked[0]] + round(self.config.replan_margin_m * kernels.SCALE)
+        letters = self.automaton.letters
+        if current in letters:
+            c = letters.index(current)
+            if c in ranked and cost[c] <= min(limit, int(kernels.FAILED) - 1):
+                return c
+        return ranked[0]
+
+    def _follow(self, first: int, state: int) -> tuple[str, ...]:
+        a = self.automaton
+        length = kernels.follow(
+            a.delta, a.accepting, self._weight, self._cost, self._steps, state, self._here,
+            first, self._path,
+        )  # fmt: skip
+        names = (*a.letters, NOTHING)
+        return tuple(names[c] for c in self._path[:length].tolist())
+
+    def _float(self, cost: int) -> float:
+        """Integer cost as eq. 2's sum, `w_fail` for each failed edge."""
+        failed, rest = divmod(cost, int(kernels.FAILED))
+        return failed * self.config.w_fail + rest / kernels.SCALE
+
+    def _text(self, cost: float) -> str:
+        return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
+
+    def _weigh(self, knowledge: Knowledge) -> None:
+        """Eq. 1, or metres, into `_weight`."""
+        letters, c, weight = self.automaton.letters, self.config, self._weight
+        known = knowledge.detected
+        if self.known_reached:
+            known = known | knowledge.reached
+        if self._by_distance:
+            metres = _metres(knowledge.distance_m, [x in known for x in letters], c.explore_m)
+            weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
+        else:
+            near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
+                         for w in (c.w_det, 1.0))  # fmt: skip
+            weight[:-1, 0] = [near if x in known else far for x in letters]
+        for i, letter in enumerate(letters):
+            if letter in knowledge.failed:
+                weight[i] = kernels.FAILED
+        weight[-1] = round(W_NOTHING * kernels.SCALE)
+
+
+def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
+    """Metres that each letter weighs from each place; see `VitlPlanner`.
+
+    Args:
+        distance_m: see `Knowledge.distance_m`; None: nothing is known of distances.
+
+    Returns:
+        (k + 1, k) float64.
+
+    Raises:
+        ValueError: the matrix has another shape.
+    """
+    k = len(known)
+    metres = np.full((k + 1, k), float(explore_m))
+    if distance_m is None:
+        return metres
+    if distance_m.shape != (k + 1, k):
+        raise ValueError(f"distance_m: expected shape {(k + 1, k)}, got {distance_m.shape}")
+    placed = np.array(known, bool) & np.isfinite(distance_m[-1])
+    for j in np.flatnonzero(placed):
+        here = distance_m[-1, j]
+        between = distance_m[:-1, j]
+        metres[:-1, j] = np.where(
+            placed & np.isfinite(between), between, math.hypot(explore_m, here)
+        )
+        metres[-1, j] = here
+    metres = np.maximum(metres, 0.0)
+    _no_detours(metres)
+    return metres
+
+
+def _no_detours(metres: np.ndarray) -> None:
+    """From here to any letter never farther than by way of others, in place.
+
+    Distances between things of several instances each, and rounded ones, need not keep the
+    triangle inequality. A way back to what was just reached could then seem to pay, over and over.
+    """
+    here = metres[-1]
+    for _ in range(len(here)):
+        by_way = (here[:, None] + metres[:-1]).min(axis=0)
+        if (by_way >= here).all():
+            return
+        np.minimum(here, by_way, out=here)
+
+
+def working_order(automaton: Automaton) -> np.ndarray:
+    """States that are neither accepting nor dead, those nearest to acceptance first.
+
+    Returns:
+        (m,) int32. Among equals later states come first: states are numbered from the initial
+        one on, so the last ones are the nearest to acceptance more often than not.
+    """
+    left = automaton.steps_left
+    order = np.lexsort((-np.arange(left.size), left))
+    return order[(left[order] >= 0) & ~automaton.accepting[order]].astype(np.int32)

@@ -1,0 +1,34 @@
+"""What the loop does with an order from outside: a new mission, pause, resume, cancel, status."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edge.errors import UserError
+from edge.mission.brief import Brief
+from edge.mission.desk import Request
+from edge.status import answer_of
+
+if TYPE_CHECKING:
+    from edge.service import Service
+
+
+def handle(service: Service, request: Request, now_ns: int) -> None:
+    """Do what is asked and answer how the mission stands, or refuse and change nothing."""
+    mission = service.mission
+    if request.do == "new":
+        assert isinstance(request.brief, Brief)
+        try:
+            service.begin(request.brief, now_ns)
+        except UserError as error:
+            request.refuse(str(error))
+            return
+    elif request.do != "status" and mission.done:
+        request.refuse(f"no mission is under way: the last one {service.status.phase}")
+        return
+    elif request.do == "cancel":
+        mission.fail("cancelled", now_ns)
+    elif request.do in ("pause", "resume"):
+        mission.pause(request.do == "pause")
+        service.event(f"mission: {request.do}d", now_ns)
+    request.answer(answer_of(service))

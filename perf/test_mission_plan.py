@@ -1,0 +1,79 @@
+"""Replanning, solving for the least expected cost, and driving distances between objects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.config import PlannerExpected, PlannerVitl
+from edge.mapping.results import OccupancySnapshot
+from edge.mission.automaton import compile_formula
+from edge.mission.ltl import parse
+from edge.mission.planner import Knowledge, make_planner, warm_up
+from edge.mission.planning.distances import distances
+
+DISTANCE = PlannerVitl(weights="distance")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled():
+    warm_up()
+
+
+def unordered(k: int):
+    """2^k states."""
+    return compile_formula(parse(" & ".join(f"F object{i}" for i in range(k))))
+
+
+def half_known(automaton) -> Knowledge:
+    letters = automaton.letters
+    k = len(letters)
+    metres = np.random.default_rng(0).uniform(1.0, 20.0, (k + 1, k))
+    return Knowledge(frozenset(letters[::2]), frozenset(), frozenset(), metres)
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "k"),
+    [
+        ("replan_64", PlannerVitl(), 6),
+        ("replan_distance_64", DISTANCE, 6),
+        ("replan_expected_64", PlannerExpected(), 6),
+        ("replan_4096", PlannerVitl(), 12),
+        ("replan_distance_4096", DISTANCE, 12),
+    ],
+)
+def test_replan(benchmark, name, config, k):
+    benchmark.extra_info["budget"] = name
+    automaton = unordered(k)
+    assert automaton.n_states == 1 << k
+    planner, knowledge = make_planner(config, automaton), half_known(automaton)
+    plan = benchmark(planner.plan, 0, knowledge, automaton.letters[-1])
+    assert plan.feasible
+    assert len(plan.steps) == k
+
+
+@pytest.mark.parametrize("k", [6, 8])
+def test_solve_expected(benchmark, k):
+    """A planner made anew, its table solved for all sets of known objects, and one plan."""
+    benchmark.extra_info["budget"] = f"solve_expected_{1 << k}"
+    automaton = unordered(k)
+
+    def solve():
+        return make_planner(PlannerExpected(), automaton).plan(0, Knowledge())
+
+    assert len(benchmark(solve).steps) == k
+
+
+def test_distances_1000(benchmark):
+    """Six objects on a map of 50 m a side, an open hall full of pillars, a fifth of it unknown."""
+    benchmark.extra_info["budget"] = "mission_distances_1000"
+    rng = np.random.default_rng(0)
+    cells = np.zeros((1000, 1000), np.int8)
+    cells[800:] = -1
+    for x, y in rng.integers(20, 980, (300, 2)):
+        cells[y - 11 : y + 11, x - 11 : x + 11] = 99
+        cells[y - 6 : y + 6, x - 6 : x + 6] = 100
+    places = [rng.uniform(2.0, 48.0, (2, 2)) for _ in range(6)]
+    snapshot = OccupancySnapshot(cells, (0.0, 0.0), 0.05)
+    out = benchmark(distances, snapshot, (25.0, 25.0), places)
+    assert np.isfinite(out).all()

@@ -1,0 +1,184 @@
+"""`edge eval translate`: comparing languages, counting outcomes."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.config import TranslatorGrammar
+from edge.errors import UserError
+from edge.eval import translate
+from edge.eval.languages import difference, satisfiable, with_weak_untils
+from edge.mission.ltl import Formula, ap, conj, disj, holds, neg, parse
+from edge.mission.translate import Translation, make_translator
+from edge.parsers import make_parser
+
+LANG2LTL = Path(__file__).parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"
+
+EQUAL = [
+    ("F a", "F a"),
+    ("F a & F b", "F b & F a"),
+    ("!(G !a)", "F a"),
+    ("(!b U a) & F b", "(!b W a) & F a & F b"),
+    ("F(a & (a U (!a & (!a U F a))))", "F(a & F(!a & F a))"),
+    ("F a & F b", "F(a & F b) | F(b & F a)"),  # one object per step
+]
+
+
+@pytest.mark.parametrize(("a", "b"), EQUAL)
+def test_equal_languages(a: str, b: str) -> None:
+    assert difference(parse(a), parse(b)) is None
+
+
+DIFFERENT = [
+    ("F a", "F b", ("a",)),
+    ("F a", "F(a | b)", ("b",)),
+    ("!b U a", "!b W a", ()),
+    ("F(a & F a)", "F(a & X F a)", ("a",)),
+]
+
+
+@pytest.mark.parametrize(("a", "b", "word"), DIFFERENT)
+def test_different_languages_have_a_shortest_witness(a: str, b: str, word: tuple[str, ...]) -> None:
+    f, g = parse(a), parse(b)
+    assert difference(f, g) == word
+    assert holds(f, word) != holds(g, word)
+
+
+LEAVES = st.sampled_from("abc").map(ap)
+
+
+def _combine(children: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
+    return st.one_of(
+        st.builds(neg, children),
+        st.builds(conj, children, children),
+        st.builds(disj, children, children),
+        st.builds(
+            lambda op, f: Formula(op, (f,)), st.sampled_from(["F", "G", "X", "WX"]), children
+        ),
+        st.builds(
+            lambda op, f, g: Formula(op, (f, g)), st.sampled_from("UWRM"), children, children
+        ),
+    )
+
+
+FORMULAS = st.recursive(LEAVES, _combine, max_leaves=5)
+
+
+@settings(max_examples=150, deadline=None)
+@given(FORMULAS, FORMULAS, st.lists(st.sampled_from(["a", "b", "c", ""]), max_size=5))
+def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: list[str]) -> None:
+    witness = difference(f, g)
+    if witness is None:
+        assert holds(f, word) == holds(g, word)
+    else:
+        assert holds(f, witness) != holds(g, witness)
+
+
+@settings(max_examples=150, deadline=None)
+@given(FORMULAS, st.lists(st.sampled_from(["a", "b", "c", ""]), max_size=4))
+def test_a_silent_end_is_many_steps_of_nothing(f: Formula, word: list[str]) -> None:
+    """w fulfils f with a silent end when w and many NOTHINGs do; nested X need as many."""
+    padded = disj(f, f)  # the same language under another tree
+    assert difference(f, padded, silent_end=True) is None
+    eternal = conj(f, parse("F a"))
+    if satisfiable(eternal, silent_end=True):
+        assert satisfiable(eternal)
+
+
+SILENT = [("G F a", False), ("G F a & G F b", False), ("F a", True), ("G(a -> X G !b)", True)]
+
+
+@pytest.mark.parametrize(("formula", "possible"), SILENT)
+def test_endless_behaviour_is_not_expressible(formula: str, possible: bool) -> None:
+    assert satisfiable(parse(formula), silent_end=True) is possible
+
+
+def test_weak_untils() -> None:
+    formula = parse("(!b U a) & F b & (c U a) & (!c U (a & b))")
+    assert with_weak_untils(formula) == parse("(!b W a) & F b & (c U a) & (!c U (a & b))")
+
+
+TABLE = """pattern_type,props,utterance,ltl_formula
+visit,['a'],visit a,F a
+visit,['a'],hum a,F a
+past_avoidance,"['a', 'b']",do not go to a until you see b,U ! a b
+global_avoidance,['a'],visit a,G ! a
+patrolling,['a'],keep visiting a,G F a
+"""
+
+
+def test_outcomes(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(TABLE)
+    cases, left_out = translate.lang2ltl_cases(path)
+    assert left_out == Counter(patrolling=1)
+    translator = make_translator(TranslatorGrammar())
+    scores = [translate.score(case, translator) for case in cases]
+    assert [s.outcome for s in scores] == ["right", "refused", "right if weak", "wrong"]
+    counts = translate.summary(scores, left_out)
+    assert counts["cases"] == 4
+    assert counts["not_expressible"] == 1
+    assert counts["parts"]["visit"]["right"] == 1
+    table = translate.table("set", scores, left_out)
+    assert table.splitlines()[-1].split() == ["all", "4", "1", "1", "1", "1", "1"]
+    assert len({len(line) for line in table.splitlines()}) == 1
+
+
+def _run(*argv: str) -> int:
+    return translate.run(make_parser("", {}).parse_args(["eval", "translate", *argv]))
+
+
+def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, out, failures = (tmp_path / name for name in ("t.csv", "o.json", "f.jsonl"))
+    table.write_text(TABLE)
+    code = _run("--limit", "20", "--lang2ltl", str(table), "--out", str(out),
+                "--failures", str(failures))  # fmt: skip
+    assert code == 0
+    counts = json.loads(out.read_text())
+    assert counts["ViTL tasks"]["right"] == counts["ViTL tasks"]["cases"] == 20
+    assert counts["Lang2LTL"]["right if weak"] == 1
+    failed = [json.loads(line) for line in failures.read_text().splitlines()]
+    assert [row["outcome"] for row in failed] == ["refused", "right if weak", "wrong"]
+    assert failed[2]["differ_on"] == []
+    assert "ViTL tasks" in capsys.readouterr().out
+
+
+class _Down:
+    def translate(self, instruction: str) -> Translation:
+        raise UserError("no answer from the server")
+
+
+def test_gives_up_on_a_translator_that_is_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(translate, "make_translator", lambda config: _Down())
+    with pytest.raises(UserError, match="first 5 were all refused: no answer"):
+        _run("--backend", "llm", "--limit", "50")
+
+
+def test_run_says_what_it_skips(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("--limit", "1") == 0
+    assert "--lang2ltl" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"\xff\xfe\x00", b"ltl_formula\nU\n"])
+def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.csv"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"other\.csv: not readable"):
+        translate.lang2ltl_cases(path)
+
+
+@pytest.mark.skipif(not LANG2LTL.exists(), reason="needs ../shared/nl2ltl")
+def test_lang2ltl_score_holds() -> None:
+    """How much of the table missions can express, and how much of that the grammar gets right."""
+    cases, left_out = translate.lang2ltl_cases(LANG2LTL)
+    assert (len(cases), left_out) == (1031, Counter(patrolling=125))
+    translator = make_translator(TranslatorGrammar())
+    outcomes = Counter(translate.score(case, translator).outcome for case in cases)
+    assert outcomes["right"] >= 780
+    assert outcomes["right"] + outcomes["right if weak"] >= 797

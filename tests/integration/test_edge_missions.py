@@ -1,0 +1,145 @@
+"""Missions as their user gives them: in words, by order, through a kill -9, and with bad input."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+from edge_processes import write_config
+
+WORDS = "Clean either the chair or the sofa, then turn on the tv; don't go to the bed before that."
+
+# As fast as the machine can, and the same on a slow one.
+LOCKSTEP = {"EDGE__LOOP__LOCKSTEP": "true", "EDGE__SIM__LOCKSTEP": "true"}
+THREE = (
+    "Clean either the chair or the sofa, then turn on the tv, then go to the bed; "
+    "don't go to the toilet before that."
+)
+
+
+def test_three_targets_with_a_choice_and_a_prohibition(edge, tmp_path):
+    demo = edge("demo", "--mission", THREE, **LOCKSTEP)
+    assert demo.wait() == 0, demo.output
+    assert "target: sofa: sofa was seen" in demo.output, "the branch that was seen first"
+    assert "reached: sofa, then television, then bed" in demo.output
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "<svg" in page
+    assert "Do not reach the toilet until the bed is reached" in page
+
+
+def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
+    kept = tmp_path / "mission.json"
+    mission = {"instruction": WORDS, "checkpoint": str(kept), "search_limit_s": 100}
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission, **lockstep)
+    edge("sim", config)
+    first = edge("run", config).says("reached: sofa").says("target: television")
+    first.until(lambda: b'"reached":["sofa"]' in kept.read_bytes(), "it was never kept")
+    first.kill()
+    second = edge("run", config, "--once")
+    assert second.wait() == 0, second.output
+    assert "going on with the mission" in second.output
+    assert "reached: sofa (" not in second.output, "what was reached stays reached"
+    assert "reached: sofa, then television" in second.output
+    third = edge("run", config).says("target: ")
+    assert "going on" not in third.output, "a mission that is over begins anew"
+
+
+def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, endpoint, tmp_path):
+    kept = tmp_path / "mission.json"
+    kept.write_text('{"format":"edge-mission","version":1,')
+    mission = {"target": "bed", "checkpoint": str(kept)}
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission)
+    run = edge("run", config).says("ready:")
+    assert "kept as mission.json.damaged-1" in run.output
+    assert (tmp_path / "mission.json.damaged-1").read_text().startswith('{"format"')
+
+
+def test_orders_by_command(edge, endpoint, tmp_path):
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"})
+
+    def order(*arguments: object) -> tuple[int, str]:
+        command = edge("mission", *arguments)
+        return command.wait(), command.output
+
+    code, said = order("status", config)
+    assert code == 2
+    assert "no service" in said or "cannot connect" in said, said
+    edge("sim", config)
+    run = edge("run", config).says("target: toilet")
+    code, said = order("status", config, "--json")
+    assert code == 0, said
+    assert json.loads(said)["formula"] == "F toilet"
+    code, said = order("pause", config)
+    assert (code, "paused" in said) == (0, True), said
+    code, said = order("resume", config)
+    assert code == 0, said
+    # What is refused leaves the running mission as it was.
+    for bad, part in [
+        (("new", config, "frobnicate the chair"), "frobnicate"),
+        (("new", config, "F a & G !a", "--formula"), "contradiction"),
+        (("new", config, "F (a", "--formula"), "column"),
+    ]:
+        code, said = order(*bad)
+        assert code == 2, said
+        assert part in said
+    assert json.loads(order("status", config, "--json")[1])["formula"] == "F toilet"
+    code, said = order("new", config, "go to the sofa or the tv")
+    assert code == 0, said
+    run.says("reached: confirmed")
+    code, said = order("pause", config)
+    assert code == 2
+    assert "no mission is under way" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["clean either the chair or the couch"], ["F (chair | sofa)", "either the chair or"]),
+        (["F a & F b", "--formula"], ["4 states", "first plan"]),
+    ],
+)
+def test_a_mission_is_explained(edge, arguments, words):
+    command = edge("mission", "explain", *arguments)
+    assert command.wait() == 0, command.output
+    assert all(word in command.output for word in words), command.output
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png", "dot"])
+def test_its_automaton_is_drawn(edge, tmp_path, suffix):
+    file = Path(tmp_path) / f"automaton.{suffix}"
+    command = edge("mission", "explain", WORDS, "--draw", file)
+    assert command.wait() == 0, command.output
+    begin = {"svg": b"<svg", "png": b"\x89PNG", "dot": b"digraph"}[suffix]
+    assert file.read_bytes().startswith(begin)
+
+
+def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_path):
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint})
+    run = edge("run", config, "--mission", "go to the chair and never go to the chair")
+    assert run.wait() == 2
+    assert "contradiction" in run.lines[-1]
+
+
+@pytest.mark.parametrize("answers", [False, True])
+def test_a_language_model_that_is_down_or_silent_costs_only_its_mission(
+    edge, endpoint, tmp_path, answers
+):
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        if answers:  # takes calls and says nothing
+            server.listen()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
+        translator = {"kind": "llm", "url": url, "time_limit_s": 2.0}
+        mission = {"target": "toilet", "translator": translator}
+        config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission)
+        edge("sim", config)
+        edge("run", config).says("target: toilet")
+        command = edge("mission", "new", config, "go to the sofa")
+        assert command.wait() == 2, command.output
+        assert url.removesuffix("/v1") in command.lines[-1]
+        status = edge("mission", "status", config, "--json")
+        assert status.wait() == 0
+        assert json.loads(status.output)["formula"] == "F toilet"

@@ -1,0 +1,230 @@
+"""Orders between real processes: services that stop and die, askers that vanish, and garbage."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import zenoh
+from edge_processes import write_config
+
+from edge.bus import open_session
+from edge.config import Zenoh
+from edge.mission.order import OrderError, add_arguments, ask
+
+PEER = Path(__file__).with_name("mission_desk_peer.py")
+PREFIX, KEY = "edge", "edge/mission/request"
+PATIENCE_S = 60.0  # only a failing test waits this long
+
+
+@pytest.fixture
+def config(endpoint, tmp_path) -> Path:
+    return write_config(tmp_path, zenoh={"endpoint": endpoint})
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts a peer of a role; all are killed at the end."""
+    started = []
+
+    def start(role: str, *arguments: object) -> subprocess.Popen:
+        command = [sys.executable, str(PEER), role, *map(str, arguments)]
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def service(start, endpoint) -> subprocess.Popen:
+    return started_service(start, endpoint)
+
+
+@pytest.fixture
+def session(endpoint, service) -> Iterator[zenoh.Session]:
+    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        yield session
+
+
+def started_service(start: Callable[..., subprocess.Popen], endpoint: str) -> subprocess.Popen:
+    process = start("service", endpoint)
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def done(process: subprocess.Popen) -> tuple[int, str, list[str]]:
+    """Exit code, output, and the lines of the error output that are no log."""
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, out, err.splitlines()
+
+
+def release(service: subprocess.Popen, n: int = 1) -> None:
+    """Let it understand `n` missions that are slow to understand."""
+    service.stdin.write("\n" * n)
+    service.stdin.flush()
+
+
+def eventually(what: Callable[[], object]) -> None:
+    """Waits until it is so; fails after a while."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline_s, "it did not happen"
+        time.sleep(0.01)
+
+
+def status(session: zenoh.Session) -> dict:
+    return ask(session, PREFIX, {"do": "status"}, PATIENCE_S)
+
+
+def test_the_life_of_a_mission(config, service, capsys):
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+
+    def said(verb: str, *more: str) -> dict:
+        args = parser.parse_args([verb, str(config), *more, "--json"])
+        assert args.handler(args) == 0
+        return json.loads(capsys.readouterr().out)
+
+    assert said("status")["formula"] == "F chair"
+    assert said("new", "F (bed & F tv)")["formula"] == "F (bed & F tv)"
+    assert said("pause")["paused"] is True
+    assert said("status")["paused"] is True
+    assert said("resume")["paused"] is False
+    assert said("new", "[] !bed", "--formula")["formula"] == "G !bed"
+    assert said("cancel")["phase"] == "cancelled"
+
+
+def test_what_a_person_reads(start, config, service):
+    code, out, err = done(start("order", "pause", config))
+    assert (code, err) == (0, [])
+    assert out.splitlines() == [
+        "understood:  do F chair",
+        "formula:     F chair",
+        "phase:       paused, `edge mission resume` goes on; exploring",
+        "reached:     bed, tv",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("order", "line"),
+    [
+        (["resume"], "mission: refused: nothing is paused"),
+        (["new", "find a unicorn"], "mission: refused: instruction: not understood: 'unicorn'"),
+        (["new", "F (", "--formula"], "mission: refused: formula, column 4: "),
+        (["new", " "], "mission: refused: instruction: expected text, got ' '"),
+    ],
+)
+def test_a_refusal_is_one_line_and_exit_code_2(start, config, service, order, line):
+    code, out, (error,) = done(start("order", order[0], config, *order[1:]))
+    assert (code, out) == (2, "")
+    assert error.startswith(line)
+
+
+def test_where_no_service_is(start, config, endpoint):
+    code, out, err = done(start("order", "status", config, "--timeout", "1"))
+    assert (code, out) == (2, "")
+    assert err[-1] == f"mission: no service at {endpoint}; start one with `edge run`"
+
+
+def test_where_somebody_is_that_takes_no_orders(endpoint):
+    settings = Zenoh(endpoint=endpoint)
+    nobody = pytest.raises(OrderError, match="no service answers at edge/mission/request")
+    with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
+        status(session)
+
+
+def test_a_service_that_hangs_and_wakes_up(service, session):
+    assert status(session)["phase"] == "exploring"
+    service.send_signal(signal.SIGSTOP)
+    with pytest.raises(OrderError, match=r"edge/mission/request: no answer within 0\.3 s"):
+        ask(session, PREFIX, {"do": "pause"}, 0.3)
+    service.send_signal(signal.SIGCONT)
+    assert status(session)["phase"] == "exploring"
+
+
+def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
+    ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    service.kill()
+    service.wait()
+    with pytest.raises(OrderError, match="mission: "):
+        ask(session, PREFIX, {"do": "status"}, 2.0)
+    started_service(start, endpoint)
+
+    def answers() -> bool:  # the session finds the new one by itself
+        try:
+            return status(session)["formula"] == "F chair"
+        except OrderError:
+            return False
+
+    eventually(answers)
+
+
+def test_while_a_mission_is_being_understood_the_other_orders_pass(session, service):
+    slow = {"do": "new", "instruction": "slow F sofa"}
+    with ThreadPoolExecutor(6) as pool:
+        asked = [pool.submit(ask, session, PREFIX, slow, PATIENCE_S)]
+        assert service.stdout.readline() == "slow\n"
+        asked += [pool.submit(ask, session, PREFIX, slow, PATIENCE_S) for _ in range(4)]
+        for do in ("pause", "status", "resume"):
+            answer = ask(session, PREFIX, {"do": do}, PATIENCE_S)
+            assert answer["formula"] == "F chair"
+        eventually(lambda: sum(future.done() for future in asked) == 2)
+        release(service, 3)
+        errors = [str(future.exception(PATIENCE_S) or "") for future in asked]
+    assert errors[0] == ""
+    assert sum("busy" in error for error in errors) == 2
+    assert errors.count("") == 3
+    assert status(session)["formula"] == "F sofa"
+
+
+def test_an_asker_that_is_killed_while_it_waits(start, config, service, session):
+    asker = start("order", "new", config, "slow F sofa")
+    assert service.stdout.readline() == "slow\n"
+    asker.kill()
+    asker.wait()
+    assert status(session)["formula"] == "F chair"
+    release(service)
+    eventually(lambda: status(session)["formula"] == "F sofa")  # the order itself was given
+
+
+def test_a_crowd_of_processes(start, config, service, endpoint):
+    askers = [start("order", "status", config, "--json", "--timeout", "60") for _ in range(4)]
+
+    def many(_: int) -> list[dict]:
+        with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+            return [status(session) for _ in range(10)]
+
+    with ThreadPoolExecutor(4) as pool:
+        answers = [answer for answers in pool.map(many, range(4)) for answer in answers]
+    answers += [json.loads(done(asker)[1]) for asker in askers]
+    assert len(answers) == 44
+    assert all(answer == answers[0] for answer in answers)
+
+
+def test_garbage_is_answered_and_done_with(service, session):
+    chance = random.Random(5)
+    begun = b'{"do": "new", "instruction": "'
+    for n in range(100):
+        noise = chance.randbytes(chance.choice([0, 1, 7, 100, 5000, 70_000]))
+        (reply,) = session.get(KEY, payload=noise if n % 2 else begun + noise, timeout=PATIENCE_S)
+        error = json.loads(reply.err.payload.to_bytes())["error"]
+        assert error
+        assert "\n" not in error
+    flood = [session.get(KEY, payload=b"\x00" * 1000, timeout=5.0) for _ in range(2000)]
+    assert status(session)["phase"] == "exploring"
+    assert all(reply.err is not None for replies in flood for reply in replies)
+    assert status(session)["formula"] == "F chair"
+    assert service.poll() is None

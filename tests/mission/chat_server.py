@@ -1,0 +1,82 @@
+"""A real HTTP server, in a thread, that plays a chat server of a test's choosing."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+Behaviour = Callable[[BaseHTTPRequestHandler], None]
+
+
+@dataclass
+class ChatServer:
+    """`requests` holds what was asked: the path, the headers and the JSON body of each.
+
+    Attributes:
+        stopping: set at the end, so that a behaviour which would go on for ever ends too.
+    """
+
+    url: str = ""
+    requests: list[tuple[str, dict[str, str], dict[str, Any]]] = field(default_factory=list)
+    stopping: threading.Event = field(default_factory=threading.Event)
+
+
+def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
+    """A whole answer."""
+    handler.send_response(status)
+    for name, value in {"Content_Type": "application/json", **headers}.items():
+        handler.send_header(name.replace("_", "-"), value)
+    handler.send_header("Content-Length", str(len(body)))
+    handler.end_headers()
+    handler.wfile.write(body)
+
+
+def completion(content: Any, finish_reason: str = "stop") -> bytes:
+    """The body of a chat completion."""
+    message = {"role": "assistant", "content": content}
+    choice = {"index": 0, "message": message, "finish_reason": finish_reason}
+    return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()
+
+
+def saying(*answers: str) -> Behaviour:
+    """Answers one after the other; the last one for ever."""
+    left = list(answers)
+
+    def behave(handler: BaseHTTPRequestHandler) -> None:
+        send(handler, completion(left.pop(0) if len(left) > 1 else left[0]))
+
+    return behave
+
+
+@contextlib.contextmanager
+def serving(behave: Behaviour) -> Iterator[ChatServer]:
+    """Runs a server that behaves so, on a free port of this machine."""
+    server = ChatServer()
+
+    class Handler(BaseHTTPRequestHandler):
+        stopping = server.stopping
+
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            server.requests.append((self.path, dict(self.headers), json.loads(body)))
+            with contextlib.suppress(ConnectionError):
+                behave(self)
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as http_server:
+        server.url = f"http://127.0.0.1:{http_server.server_port}/v1"
+        thread = threading.Thread(target=http_server.serve_forever, args=(0.01,), daemon=True)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stopping.set()
+            http_server.shutdown()
+            thread.join()

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from edge.config import Mission
+from edge.errors import UserError
+from edge.mission.automaton import compile_formula
+from edge.mission.brief import prepare
+from edge.mission.ltl import parse
+
+
+def test_a_bare_target_is_the_mission_to_reach_it():
+    brief = prepare(Mission(target="trash can"))
+    assert str(brief.automaton.formula) == 'F "trash can"'
+    assert brief.targets == ("trash can",)
+    assert brief.translation.instruction == "trash can"
+
+
+def test_an_instruction_takes_the_place_of_the_target():
+    brief = prepare(Mission(target="lamp", instruction="go to the bed, then to the tv"))
+    assert brief.targets == ("bed", "television")
+
+
+def test_synonyms_are_one_target():
+    brief = prepare(Mission(), formula="F (tv & F (bed & F (television & F couch)))")
+    assert brief.targets == ("tv", "bed", "couch")
+
+
+@pytest.mark.parametrize(
+    ("formula", "words"),
+    [
+        ("F a & G !a", ["contradiction", "F a", "G !a"]),
+        ("F a & F b & (!a W b) & (!b W a)", ["contradiction", "!a W b", "!b W a"]),
+        ("a & b", ["contradiction", "these conflict"]),
+        ("F (a & b)", ["contradiction", "cannot be done"]),
+        ("G !bed", ["doing nothing", "G !bed"]),
+        ("a | !a", ["doing nothing"]),
+        ("X true", ["doing nothing"]),
+        ("F !a", ["doing nothing"]),
+        ("X !a | F b", ["doing nothing"]),
+        ("G (a | !a)", ["doing nothing, whatever is reached"]),
+        (" & ".join(f"F p{i}" for i in range(17)), ["17 targets", "max_targets"]),
+        ("F (a", ["column"]),
+    ],
+)
+def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words):
+    with pytest.raises(UserError) as caught:
+        prepare(Mission(), formula=formula)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert all(word in text for word in words), text
+
+
+def test_what_does_not_matter_is_not_looked_for():
+    brief = prepare(Mission(), formula="F (chair & (bed | !bed))")
+    assert brief.targets == ("chair",)
+    assert brief.warnings == ("does not matter to the mission: bed",)
+
+
+def test_what_does_not_matter_is_no_letter_that_a_planner_could_choose():
+    formula = "F (bed & (sofa | !sofa) & F chair)"
+    automaton = prepare(Mission(), formula=formula).automaton
+    whole = compile_formula(parse(formula))
+    assert (automaton.letters, whole.letters) == (("bed", "chair"), ("bed", "sofa", "chair"))
+    assert automaton.delta.flags.c_contiguous
+    for word in itertools.product(("", *whole.letters), repeat=3):
+        assert automaton.run(word) == whole.run(word)

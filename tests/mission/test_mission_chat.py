@@ -1,0 +1,243 @@
+"""The chat client against servers that are down, slow, broken, talkative or of another kind."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+import tracemalloc
+from http.server import BaseHTTPRequestHandler
+
+import pytest
+from chat_server import completion, saying, send, serving
+
+from edge.config import TranslatorLlm
+from edge.mission.language.chat import ChatClient, ChatError, CutOffError, client_of
+
+HELLO = [{"role": "user", "content": "hello"}]
+KEY = "sk-very-secret-0123456789"
+PATIENCE_S = 20.0  # only a failing test waits this long
+
+
+def drip(handler: BaseHTTPRequestHandler, data: bytes) -> None:
+    """One byte every 50 ms: no single read is slow, the answer as a whole never ends."""
+    for at in range(len(data)):
+        handler.wfile.write(data[at : at + 1])
+        if handler.stopping.wait(0.05):
+            return
+
+
+def drip_header(handler):
+    drip(handler, b"HTTP/1.1 200 OK\r\nX-Long: " + b"a" * 10_000)
+
+
+def drip_body(handler):
+    handler.send_response(200)
+    handler.end_headers()
+    drip(handler, b" " * 10_000)
+
+
+def silent(handler):
+    handler.stopping.wait(PATIENCE_S)
+
+
+def talkative(handler):
+    """100 MB of JSON."""
+    handler.send_response(200)
+    handler.end_headers()
+    for _ in range(100):
+        handler.wfile.write(b" " * 1_000_000)
+
+
+def closes_midway(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", "1000")
+    handler.end_headers()
+    handler.wfile.write(completion("F chair"))
+
+
+def closes_midway_in_a_chunk(handler):
+    handler.protocol_version = "HTTP/1.1"
+    handler.send_response(200)
+    handler.send_header("Transfer-Encoding", "chunked")
+    handler.end_headers()
+    handler.wfile.write(b'40\r\n{"choices"')
+
+
+def no_http(handler):
+    handler.wfile.write(b"\x16\x03\x01 ssh-2.0 hello\r\n\r\n")
+
+
+def body(data: bytes, status: int = 200, **headers: str):
+    return lambda handler: send(handler, data, status, **headers)
+
+
+def redirect(handler):
+    send(handler, b"", 307, Location=f"http://{handler.headers['Host']}{handler.path}")
+
+
+@pytest.mark.parametrize(
+    ("behave", "expected"),
+    [
+        (silent, "no whole answer within 0.5 s"),
+        (drip_header, "no whole answer within 0.5 s"),
+        (drip_body, "no whole answer within 0.5 s"),
+        (talkative, "more than 16 KB"),
+        (closes_midway, "before its answer was whole"),
+        (closes_midway_in_a_chunk, "before its answer was whole"),
+        (lambda handler: None, "before its answer was whole"),
+        (no_http, "does not speak HTTP"),
+        (redirect, "HTTP 307, see http://"),
+        (body(b"", 302), "HTTP 302, see nowhere"),
+        (body(b""), "not JSON"),
+        (body(b"<html>hi</html>", Content_Type="text/html"), "not JSON (text/html): '<html>hi"),
+        (body(b"\xff\xfe\x00"), "not JSON"),
+        (body(b"[" * 10_000), "not JSON"),
+        (body(b"null"), "no choices[0].message.content"),
+        (body(b"[1, 2]"), "no choices[0].message.content"),
+        (body(b'{"choices": []}'), "no choices[0].message.content"),
+        (body(b'{"choices": [{"text": "F chair"}]}'), "no choices[0].message.content"),
+        (body(b'{"choices": {"0": 1}}'), "no choices[0].message.content"),
+        (body(completion(["F chair"])), "no choices[0].message.content"),
+        (body(completion(None)), "the answer is empty"),
+        (body(completion(" \n")), "the answer is empty"),
+        (body(b'{"error": {"message": "model\\nnot loaded"}}', 500), "HTTP 500: model not loaded"),
+        (body(b'{"detail": "no such model"}', 404), "HTTP 404: no such model"),
+        (body(b'{"error": ["odd"]}', 400), 'HTTP 400: ["odd"]'),
+        (body(b"<h1>Bad\x1b[2J Gateway</h1>", 502), "HTTP 502: <h1>Bad [2J Gateway</h1>"),
+        (body(b"x" * 10_000, 503), "HTTP 503: xxx"),
+        (body(b"", 401), "HTTP 401; see the server's log"),
+        (body(completion("F chair & F be", "length")), "did not end within its tokens"),
+    ],
+)
+def test_no_usable_answer_is_one_clear_line(behave, expected):
+    with serving(behave) as server:
+        client = ChatClient(server.url, "m", KEY, time_limit_s=0.5, max_answer_bytes=16 * 1024)
+        with pytest.raises(ChatError) as raised:
+            client.ask(HELLO)
+    message = str(raised.value)
+    assert message.startswith(f"{server.url}: ")
+    assert expected in message
+    assert message.isprintable()
+    assert len(message) < 500
+
+
+@pytest.mark.parametrize("behave", [silent, drip_header, drip_body])
+def test_the_limit_is_for_the_whole_answer(behave):
+    with serving(behave) as server:
+        begin_s = time.monotonic()
+        with pytest.raises(ChatError, match="no whole answer"):
+            ChatClient(server.url, "m", time_limit_s=60.0).ask(HELLO, time_limit_s=0.3)
+        assert time.monotonic() - begin_s < PATIENCE_S  # a read's own limit would never be hit
+    end_s = time.monotonic() + PATIENCE_S
+    while any(thread.name == "chat" for thread in threading.enumerate()):
+        assert time.monotonic() < end_s, "the request's thread goes on"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("limit_s", [0.0, -1.0])
+def test_no_time_left_asks_nothing(limit_s):
+    with serving(saying("F chair")) as server:
+        with pytest.raises(ChatError, match="no whole answer"):
+            ChatClient(server.url, "m").ask(HELLO, time_limit_s=limit_s)
+        assert server.requests == []
+
+
+def test_a_long_answer_is_not_kept():
+    with serving(talkative) as server:
+        tracemalloc.start()
+        try:
+            with pytest.raises(ChatError, match="more than 64 KB"):
+                ChatClient(server.url, "m").ask(HELLO)
+            assert tracemalloc.get_traced_memory()[1] < 8_000_000
+        finally:
+            tracemalloc.stop()
+
+
+def test_nothing_listens():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, not listening: the port refuses
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(ChatError, match="nothing listens there; start the server"):
+            ChatClient(url, "m").ask(HELLO)
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 70 + ".invalid"])
+def test_unknown_host(host):
+    with pytest.raises(ChatError, match=r"the host is not known|no whole answer"):
+        ChatClient(f"http://{host}/v1", "m", time_limit_s=5.0).ask(HELLO)
+
+
+def test_plain_http_where_tls_was_expected():
+    with (
+        serving(saying("F chair")) as server,
+        pytest.raises(ChatError, match=r"does not speak TLS|closed the connection"),
+    ):
+        ChatClient(server.url.replace("http:", "https:"), "m", time_limit_s=5.0).ask(HELLO)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "", "localhost:8080/v1", "ftp://host/v1", "file:///etc/passwd", "http://", "http:///v1",
+        "http://host:port/v1", "http://host:99999/v1", "http://host/a b", "http://host/\n",
+        "http://[::1/v1", "http://user:secret@host/v1", "http://höst/v1",
+    ],
+)  # fmt: skip
+def test_unusable_urls_are_refused_at_once(url):
+    with pytest.raises(ChatError, match="chat server") as raised:
+        ChatClient(url, "m")
+    assert "secret" not in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_good_answer():
+    with serving(saying("F chair")) as server:
+        client = ChatClient(server.url + "/?version=1", "tiny", KEY)
+        assert client.ask(HELLO, temperature=0) == "F chair"
+    ((path, headers, request),) = server.requests
+    assert path == "/v1/chat/completions?version=1"
+    assert headers["Authorization"] == f"Bearer {KEY}"
+    expected = {"model": "tiny", "messages": HELLO, "stream": False, "temperature": 0}
+    assert request == expected
+
+
+def test_a_good_answer_of_another_content_type():
+    with serving(body(completion("F chair"), Content_Type="text/plain")) as server:
+        assert ChatClient(server.url, "m").ask(HELLO) == "F chair"
+
+
+def test_what_was_cut_off_is_known_as_such():
+    with (
+        serving(body(completion("F a & F b", "length"))) as server,
+        pytest.raises(CutOffError) as raised,
+    ):
+        ChatClient(server.url, "m").ask(HELLO)
+    assert raised.value.answer == "F a & F b"
+
+
+def test_without_a_key_none_is_sent(monkeypatch):
+    monkeypatch.delenv("NO_KEY_HERE", raising=False)
+    with serving(saying("F chair")) as server:
+        client_of(TranslatorLlm(url=server.url, api_key_env="NO_KEY_HERE")).ask(HELLO)
+    assert "Authorization" not in server.requests[0][1]
+
+
+def test_the_key_is_taken_from_the_environment_and_never_shown(monkeypatch, caplog):
+    monkeypatch.setenv("MY_KEY", f"{KEY}\n")
+    echo = f'{{"error": {{"message": "wrong key {KEY}"}}}}'.encode()
+    with caplog.at_level(logging.DEBUG), serving(body(echo, 401)) as server:
+        client = client_of(TranslatorLlm(url=server.url, api_key_env="MY_KEY"))
+        with pytest.raises(ChatError, match=r"HTTP 401: wrong key \*\*\*") as raised:
+            client.ask(HELLO)
+    assert server.requests[0][1]["Authorization"] == f"Bearer {KEY}"
+    for shown in (str(raised.value), repr(client), caplog.text):
+        assert KEY not in shown
+
+
+@pytest.mark.parametrize("key", ["secret\nkey: value", "sëcret", "sec ret"])
+def test_a_key_that_no_header_can_carry(key):
+    with pytest.raises(ChatError, match="no header can carry") as raised:
+        ChatClient("http://host/v1", "m", key)
+    assert key not in str(raised.value)

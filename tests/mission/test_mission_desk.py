@@ -1,0 +1,396 @@
+"""Orders to a running service: what is taken, what is refused, and that nobody waits for ever."""
+
+from __future__ import annotations
+
+import json
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.bus import open_session
+from edge.config import Zenoh
+from edge.errors import UserError
+from edge.mission.desk import MAX_BYTES, MAX_CHARS, VERBS, MissionDesk, Order, Request, parse_order
+from edge.mission.order import OrderError, ask
+
+PREFIX = "edge"
+KEY = "edge/mission/request"
+PATIENCE_S = 30.0  # only a failing test waits this long
+
+
+@pytest.mark.parametrize(
+    ("data", "order"),
+    [
+        ({"do": "new", "instruction": "find the chair"}, Order("new", "find the chair")),
+        ({"do": "new", "formula": "F chair"}, Order("new", formula="F chair")),
+        ({"do": "new", "instruction": "é" * MAX_CHARS}, Order("new", "é" * MAX_CHARS)),
+        *[({"do": verb}, Order(verb)) for verb in VERBS if verb != "new"],
+    ],
+)
+def test_an_order(data, order):
+    assert parse_order(json.dumps(data).encode()) == order
+    assert parse_order(json.dumps(data, ensure_ascii=False).encode()) == order
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (b"", "not JSON"),
+        (b"\xff\x00", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b"9" * 60_000, "not JSON"),
+        (b"[]", "not a JSON object"),
+        (b"null", "not a JSON object"),
+        (b"{}", "do: unknown None (choices: new, pause, resume, cancel, status)"),
+        (b'{"do": "stop"}', "do: unknown 'stop' (choices: new, "),
+        (b'{"do": ["new"]}', "do: unknown a list"),
+        (b'{"do": {"a": [[]]}}', "do: unknown a dict"),
+        (b'{"do": NaN}', "do: unknown nan"),
+        (b'{"do": "pause", "why": 1}', "'why': not taken with do: pause"),
+        (b'{"do": "pause", "formula": "F a"}', "'formula': not taken with do: pause"),
+        (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not taken with do: new"),
+        (b'{"do": "new"}', "either an instruction or a formula"),
+        (b'{"do": "new", "formula": "a", "instruction": "b"}', "either an instruction or a"),
+        (b'{"do": "new", "formula": 3}', "formula: expected text, got 3"),
+        (b'{"do": "new", "formula": null}', "formula: expected text, got None"),
+        (b'{"do": "new", "formula": ["a"]}', "formula: expected text, got a list"),
+        (b'{"do": "new", "instruction": " \\n"}', "instruction: expected text, got ' \\n'"),
+        (b'{"do": "new", "instruction": "\\ud800"}', "instruction: not Unicode text"),
+        (b'{"do": "new", "instruction": "' + b"a" * 10_001 + b'"}', "at most 10000"),
+    ],
+)
+def test_no_order(payload, text):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        parse_order(payload)
+    assert text in str(caught.value)
+    assert len(str(caught.value)) < 200
+    assert "\n" not in str(caught.value)
+
+
+def parsed(payload: bytes) -> Order | str:
+    try:
+        return parse_order(payload)
+    except ValueError as error:
+        return str(error)
+
+
+@given(st.binary(max_size=100))
+def test_any_bytes_are_an_order_or_a_value_error(payload):
+    assert parsed(payload)
+
+
+@given(st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.sampled_from(VERBS),
+    lambda x: st.lists(x) | st.dictionaries(st.sampled_from(["do", "instruction", "formula"]), x),
+))  # fmt: skip
+def test_any_json_is_an_order_or_a_value_error(data):
+    order = parsed(json.dumps(data).encode())
+    if isinstance(order, Order):
+        given_texts = [t for t in (order.instruction, order.formula) if t is not None]
+        assert len(given_texts) == (order.do == "new")
+    else:
+        assert "\n" not in order
+
+
+@pytest.mark.parametrize("depth", [100, 900, 990, 1000, 5000, 30_000])
+def test_a_deep_nest_is_a_value_error(depth):
+    nest = b"[" * depth + b"]" * depth
+    for payload in (b'{"do": %s}' % nest, b'{"do": "new", "formula": %s}' % nest):
+        assert isinstance(parsed(payload), str)
+
+
+# -- the desk itself, on a session of its own --------------------------------------------------
+
+
+@pytest.fixture
+def session() -> Iterator[zenoh.Session]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with open_session(Zenoh(endpoint=endpoint), "listen") as session:
+        yield session
+
+
+@pytest.fixture
+def open_desk(session) -> Iterator[Callable[..., MissionDesk]]:
+    desks = []
+
+    def open_desk(prepare: Callable = lambda *texts: texts, **options: float) -> MissionDesk:
+        desks.append(MissionDesk(session, PREFIX, prepare, **options))
+        return desks[-1]
+
+    yield open_desk
+    for desk in desks:
+        desk.close()
+
+
+def eventually(what: Callable[[], object]) -> object:
+    """The first truthy answer; fails after a while."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (answer := what()):
+        assert time.monotonic() < deadline_s, "it did not happen"
+        time.sleep(0.002)
+    return answer
+
+
+def taken(desk: MissionDesk) -> Request:
+    """The next request, once it is there."""
+    return eventually(desk.poll)
+
+
+class Asking:
+    """Asks on a thread of its own."""
+
+    def __init__(self, session: zenoh.Session, **request: object) -> None:
+        self._pool = ThreadPoolExecutor(1)
+        self._answer = self._pool.submit(ask, session, PREFIX, request, PATIENCE_S)
+        self._pool.shutdown(wait=False)
+
+    @property
+    def done(self) -> bool:
+        return self._answer.done()
+
+    @property
+    def answer(self) -> dict:
+        return self._answer.result(PATIENCE_S)
+
+    @property
+    def outcome(self) -> dict | OrderError:
+        try:
+            return self.answer
+        except OrderError as error:
+            return error
+
+    @property
+    def refusal(self) -> str:
+        with pytest.raises(OrderError) as caught:
+            self._answer.result(PATIENCE_S)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+
+def test_an_idle_desk_has_nothing_for_the_loop(open_desk):
+    assert open_desk().poll() is None
+
+
+@pytest.mark.parametrize("do", ["pause", "resume", "cancel", "status"])
+def test_an_order_is_answered_by_the_loop(session, open_desk, do):
+    desk, asking = open_desk(), Asking(session, do=do)
+    request = taken(desk)
+    assert (request.do, request.brief) == (do, None)
+    request.answer({"phase": do, "é": [1, None]})
+    assert asking.answer == {"phase": do, "é": [1, None]}
+    assert desk.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("given_text", "brief"),
+    [({"instruction": "the chair"}, ("the chair", None)), ({"formula": "F a"}, (None, "F a"))],
+)
+def test_a_new_mission_comes_to_the_loop_prepared(session, open_desk, given_text, brief):
+    desk, asking = open_desk(), Asking(session, do="new", **given_text)
+    request = taken(desk)
+    assert (request.do, request.brief) == ("new", brief)
+    request.answer({"formula": "F a"})
+    assert asking.answer == {"formula": "F a"}
+
+
+def test_the_loop_may_refuse_and_only_its_first_word_counts(session, open_desk):
+    desk, asking = open_desk(), Asking(session, do="resume")
+    request = taken(desk)
+    request.refuse("not paused:\n  nothing to resume")
+    request.answer({"phase": "late"})
+    request.refuse("again")
+    assert asking.refusal == "mission: refused: not paused: nothing to resume"
+    asking = Asking(session, do="status")
+    taken(desk).answer({})
+    assert asking.answer == {}
+
+
+def test_an_answer_is_what_it_was_when_it_was_given(session, open_desk):
+    desk, asking, answer = open_desk(), Asking(session, do="status"), {"phase": "a"}
+    taken(desk).answer(answer)
+    answer["phase"] = "b"
+    assert asking.answer == {"phase": "a"}
+
+
+@pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
+def test_an_answer_that_is_not_json_is_an_error_to_the_asker_only(session, open_desk, answer):
+    desk, asking = open_desk(), Asking(session, do="status")
+    taken(desk).answer(answer)
+    assert "internal error" in asking.refusal
+
+
+def test_a_mission_that_cannot_be_prepared_never_comes_to_the_loop(session, open_desk, caplog):
+    def prepare(instruction: str, formula: str) -> object:
+        raise {"x": UserError("not understood: 'x'"), "y": ZeroDivisionError("bug")}[instruction]
+
+    desk = open_desk(prepare)
+    assert Asking(session, do="new", instruction="x").refusal.endswith("not understood: 'x'")
+    assert not caplog.records
+    with caplog.at_level(logging.CRITICAL):
+        assert "internal error: Zero" in Asking(session, do="new", instruction="y").refusal
+    assert desk.poll() is None
+
+
+def test_while_one_mission_is_prepared_other_orders_pass_and_few_wait(session, open_desk):
+    begun, go = threading.Semaphore(0), threading.Event()
+
+    def prepare(instruction: str, formula: None) -> str:
+        begun.release()
+        assert go.wait(PATIENCE_S)
+        return instruction
+
+    desk = open_desk(prepare)
+    first = Asking(session, do="new", instruction="first")
+    assert begun.acquire(timeout=PATIENCE_S)
+    others = [Asking(session, do="new", instruction=str(n)) for n in range(8)]
+    for _ in range(3):
+        asking = Asking(session, do="status")
+        taken(desk).answer({"phase": "running"})
+        assert asking.answer == {"phase": "running"}
+    eventually(lambda: sum(asking.done for asking in others) == 6)
+    go.set()
+    briefs = []
+    for _ in range(3):
+        request = taken(desk)
+        briefs.append(request.brief)
+        request.answer({"brief": request.brief})
+    assert first.answer == {"brief": "first"}
+    assert briefs[0] == "first"
+    outcomes = [asking.outcome for asking in others]
+    assert sum("busy" in str(outcome) for outcome in outcomes) == 6
+    assert {outcome["brief"] for outcome in outcomes if isinstance(outcome, dict)} == {*briefs[1:]}
+    assert desk.poll() is None
+
+
+def test_a_loop_that_does_not_run_is_told_of(session, open_desk):
+    desk = open_desk(patience_s=0.05)
+    assert "the loop is not running" in Asking(session, do="pause").refusal
+    assert "the loop is not running" in Asking(session, do="new", formula="F a").refusal
+    assert desk.poll() is None
+
+
+def test_a_loop_that_takes_an_order_and_says_nothing_is_told_of(session, open_desk):
+    desk = open_desk()
+    asking = Asking(session, do="pause")
+    request = taken(desk)
+    assert "taken, but not answered" in asking.refusal
+    request.answer({"phase": "late"})
+    asking = Asking(session, do="status")
+    taken(desk).answer({"phase": "well"})
+    assert asking.answer == {"phase": "well"}
+
+
+def replies(session: zenoh.Session, payload: bytes | None, key: str = KEY) -> list[bytes]:
+    """Error payloads that come back."""
+    found = list(session.get(key, payload=payload, timeout=PATIENCE_S))
+    assert all(reply.err is not None for reply in found)
+    return [reply.err.payload.to_bytes() for reply in found]
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (None, "no payload"),
+        (b"", "no payload"),
+        (b"\x00\xff\xfe", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b"{" + b" " * MAX_BYTES + b"}", "at most 65536"),
+        (b"x" * 5_000_000, "at most 65536"),
+        (b'{"do": "explode"}', "do: unknown 'explode'"),
+    ],
+)
+def test_nonsense_is_answered_with_one_line(session, open_desk, payload, text):
+    desk = open_desk()
+    (answer,) = replies(session, payload)
+    assert list(json.loads(answer)) == ["error"]
+    assert text in json.loads(answer)["error"]
+    assert len(answer) < 1100
+    assert desk.poll() is None
+    asking = Asking(session, do="status")
+    taken(desk).answer({})
+    assert asking.answer == {}
+
+
+def test_a_very_long_error_is_cut(session, open_desk):
+    desk, asking = open_desk(), Asking(session, do="status")
+    taken(desk).refuse("long " * 10_000)
+    assert len(asking.refusal) < 1100
+    assert desk.poll() is None
+
+
+def test_who_asks_for_everything_below_the_prefix_gets_an_answer_too(session, open_desk):
+    desk = open_desk()
+    (answer,) = replies(session, None, "edge/**")
+    assert "no payload" in json.loads(answer)["error"]
+    asked = session.get("edge/**", payload=b'{"do": "status"}', timeout=PATIENCE_S)
+    taken(desk).answer({"phase": "well"})
+    assert [str(reply.ok.key_expr) for reply in asked] == [KEY]
+
+
+def test_a_crowd_of_askers_gets_an_answer_each(session, open_desk):
+    desk = open_desk()
+    asking = [Asking(session, do="status") for _ in range(16)]
+    for n in range(16):
+        taken(desk).answer({"n": n})
+    assert sorted(a.answer["n"] for a in asking) == list(range(16))
+
+
+def test_an_asker_that_has_gone_is_no_matter(session, open_desk):
+    desk = open_desk()
+    handler = session.get(KEY, payload=b'{"do": "status"}', timeout=0.01)
+    request = taken(desk)
+    assert [reply.err.payload.to_bytes() for reply in handler] == [b"Timeout"]
+    request.answer({"phase": "late"})
+    asking = Asking(session, do="status")
+    taken(desk).answer({})
+    assert asking.answer == {}
+
+
+def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, open_desk):
+    begun, go = threading.Event(), threading.Event()
+
+    def prepare(*texts: object) -> None:
+        begun.set()
+        go.wait(PATIENCE_S)
+
+    desk = open_desk(prepare, patience_s=PATIENCE_S)
+    open_orders = [Asking(session, do="new", formula="F a")]
+    assert begun.wait(PATIENCE_S)
+    open_orders += [Asking(session, do=do) for do in ("status", "pause")]
+    request = taken(desk)
+    desk.close(0.2)
+    assert all("the service is stopping" in asking.refusal for asking in open_orders)
+    request.answer({"phase": "late"})
+    go.set()
+    assert "no service answers at edge/mission/request" in Asking(session, do="status").refusal
+    desk.close()
+
+
+def test_a_desk_can_be_opened_where_one_was_closed(session, open_desk):
+    for _ in range(3):
+        desk = open_desk()
+        asking = Asking(session, do="status")
+        taken(desk).answer({})
+        assert asking.answer == {}
+        desk.close()
+
+
+def test_a_session_that_is_closed_first_ends_the_desk_too(session, open_desk, caplog):
+    desk = open_desk()
+    session.close()
+    eventually(lambda: caplog.messages)
+    desk.close()
+    assert [line.split(":")[0] for line in caplog.messages] == [
+        "no more orders are taken, the session is closed"
+    ]
+    assert desk.poll() is None

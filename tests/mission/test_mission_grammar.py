@@ -1,0 +1,302 @@
+"""Controlled English: sentences and the formulas they must mean."""
+
+from __future__ import annotations
+
+import contextlib
+import string
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.eval.languages import difference
+from edge.mission.language.grammar import TranslationError, parse_english
+from edge.mission.language.lexicon import TABLE
+from edge.mission.language.words import MAX_CHARS, MAX_WORDS
+from edge.mission.ltl import parse, to_text
+
+VITL = [  # the paper's own sentences (III, V-C), the until weak
+    ("Reach either a chair or a couch, then reach a tv.", "F((chair | sofa) & F television)"),
+    (
+        "Reach a bed, then a tv, then a couch; or reach a toilet, then a chair",
+        "F(bed & F(television & F sofa)) | F(toilet & F chair)",
+    ),
+    (
+        "Reach a toilet and then a bed; or reach a couch and then a chair; or reach a potted plant "
+        "and then a tv. Do not reach a tv until a bed is reached, and do not reach a toilet until "
+        "a couch is reached, and do not reach a couch until a tv is reached.",
+        "(F(toilet & F bed) | F(sofa & F chair) | F(houseplant & F television)) & "
+        "(!television W bed) & (!toilet W sofa) & (!sofa W television)",
+    ),
+    (
+        "Reach a couch and then a toilet and then a bed and then a chair; or reach a bed and then "
+        "either a potted plant or a toilet; or reach a tv and then a potted plant and then a "
+        "couch. Do not reach a couch until a toilet is reached, and do not reach a bed until a tv "
+        "is reached, and do not reach a potted plant until a chair is reached.",
+        "(F(sofa & F(toilet & F(bed & F chair))) | F(bed & F(houseplant | toilet)) | "
+        "F(television & F(houseplant & F sofa))) & (!sofa W toilet) & (!bed W television) & "
+        "(!houseplant W chair)",
+    ),
+    (
+        "clean either the chair or the couch, then turn on the tv; don't go to the bed before that",
+        "F((chair | sofa) & F television) & (!bed W television)",
+    ),
+]
+
+HOUSEHOLD = [
+    ("the bed", "F bed"),
+    ("Go to the bed!", "F bed"),
+    ("Could you please find the fridge?", "F refrigerator"),
+    ("I want you to check the stove", "F stove"),
+    ("turn the tv off", "F television"),
+    ("look for my suitcase", "F suitcase"),
+    ("go to a vacuum", 'F "vacuum cleaner"'),
+    ("water the potted plant", "F houseplant"),
+    ("vacuum the rug", "F carpet"),
+    ("empty the trash can", 'F "trash can"'),
+    ("find the tall white trash can", 'F "tall white trash can"'),
+    ("go to the chair next to the window", 'F "chair next to window"'),
+    ('visit the "bed frame"', 'F "bed frame"'),
+    ("visit the bed and the chair", "F bed & F chair"),
+    ("visit the bed, the chair and the tv in any order", "F bed & F chair & F television"),
+    ("In any order, clean the sink, the oven, and the shower.", "F sink & F oven & F shower"),
+    ("Visit both the bed and the tv; the order does not matter.", "F bed & F television"),
+    ("go to the bed or the sofa", "F(bed | sofa)"),
+    ("visit at least one of the bed, the sofa and the desk", "F(bed | sofa | desk)"),
+    ("either go to the bed or go to the sofa, then the tv", "F bed | F(sofa & F television)"),
+    ("either the bed or the sofa, and the tv", "F(bed | sofa) & F television"),
+    ("Go to the bed. Then go to the tv.", "F(bed & F television)"),
+    (
+        "Go to the bed. Go to the tv. Then go to the sink.",
+        "F(bed & F sink) & F(television & F sink)",
+    ),
+    ("First go to the bed. Go to the tv.", "F(bed & F television)"),
+    (
+        "first visit the bed, after that the tv, and finally the sink",
+        "F(bed & F(television & F sink))",
+    ),
+    ("go to the bed, afterwards to the tv", "F(bed & F television)"),
+    ("go to the bed followed by the tv", "F(bed & F television)"),
+    ("go to the bed, the chair, then the tv", "F(bed & F(chair & F television))"),
+    ("go to the bed and the chair, then the tv", "F(bed & F television) & F(chair & F television)"),
+    ("visit the bed, the chair and the tv in this order", "F(bed & F(chair & F television))"),
+    (
+        "visit the bed and the tv in exactly this order",
+        "F(bed & F television) & (!television W bed)",
+    ),
+    ("reach the bed before the tv", "F(bed & F television) & (!television W bed)"),
+    ("before going to the tv, visit the bed", "F(bed & F television) & (!television W bed)"),
+    ("go to the tv after the bed", "F(bed & F television)"),
+    ("once you have visited the bed, go to the tv", "F(bed & F television)"),
+    ("go to the tv only after you have cleaned the sink", "F television & (!television W sink)"),
+    ("go to the sink and only then go to the tv", "F(sink & F television) & (!television W sink)"),
+    ("do not go to the tv until you have been to the bed", "!television W bed"),
+    ("do not go to the tv before the bed", "!television W bed"),
+    ("until the bed is reached, stay away from the tv", "!television W bed"),
+    ("don't visit the tv without visiting the bed", "!television W bed"),
+    (
+        "do not reach the tv or the sofa until the bed is reached",
+        "(!television W bed) & (!sofa W bed)",
+    ),
+    (
+        "do not reach the tv until either the bed or the sofa is reached",
+        "!television W (bed | sofa)",
+    ),
+    ("avoid the stove", "G !stove"),
+    ("never go to the stove or the oven", "G !stove & G !oven"),
+    ("you must not enter the shower, and visit the bed", "G !shower & F bed"),
+    ("the stove must be avoided", "G !stove"),
+    ("the bed must be visited", "F bed"),
+    ("make sure both the bed and the tv are visited", "F bed & F television"),
+    ("visit the bed without going to the tv", "F bed & (!television W bed)"),
+    ("visit the bed while avoiding the tv, then the sofa", "F(bed & F sofa) & (!television W bed)"),
+    ("go to the bed but not to the tv", "F bed & G !television"),
+    (
+        "go to the bed but do not go to the tv, then go to the tv",
+        "F(bed & F television) & (!television W bed)",
+    ),
+    ("go to the bed, then avoid the stove", "F bed & G(bed -> G !stove)"),
+    ("do not go to the stove once you have visited the bed", "G(bed -> G !stove)"),
+    ("whenever you visit the sink, you must visit the towel", "G(sink -> F towel)"),
+    ("if you see a cat, go to the door", "G(cat -> F door)"),
+    ("check the door twice", "F(door & F(!door & F door))"),
+    ("check the door at least three times", "F(door & F(!door & F(door & F(!door & F door))))"),
+    ("check the door at most once", "!F(door & F(!door & F door))"),
+    ("never go to the door more than once", "!F(door & F(!door & F door))"),
+    ("check the door exactly once", "F door & !F(door & F(!door & F door))"),
+    ("go to the bed, then to the bed", "F(bed & X F bed)"),
+    ("check the door twice, then the window", "F(door & F(!door & F(door & F window)))"),
+    (
+        "check the door exactly once, then the window",
+        "F(door & F window) & (!door W (door W (!door W window)))",
+    ),
+    ("find the cat, and never touch it again", "F cat & !F(cat & F(!cat & F cat))"),
+    ("go to the bed; until then do not go to the tv", "F bed & (!television W bed)"),
+    ("Bring me the mug; do not go near the stove.", "F mug & G !stove"),
+    ("First, clean the table; second, turn off the oven.", "F(table & F oven)"),
+    ("Go to the bed, but first go to the sofa.", "F(sofa & F bed)"),
+    ("Go to the bed; do not visit the sofa afterwards.", "F bed & G(bed -> G !sofa)"),
+    ("Go to the bed and, after that, to the sofa.", "F(bed & F sofa)"),
+    ("Do not go to the bed or touch the tv. Go to the sofa.", "G !bed & G !television & F sofa"),
+    ("visit neither the bed nor the sofa", "G !bed & G !sofa"),
+    ("avoid all chairs", "G !chair"),
+    (
+        "visit the bed, then the sofa without going back to the bed",
+        "F(bed & F sofa) & (!bed W (bed W (!bed W sofa)))",
+    ),
+    ("Visit the sofa and the desk, but the desk first.", "F(desk & F sofa)"),
+    (
+        "Turn on the lamp, sit on the couch, and then turn off the tv.",
+        'F("table lamp" & F(sofa & F television))',
+    ),
+    (
+        "Visit the bed and then the sofa, or the desk and then the tv.",
+        "F(bed & F sofa) | F(desk & F television)",
+    ),
+    ("Visit the bed, the sofa, or the desk.", "F(bed | sofa | desk)"),
+    ("Do not visit the bed, or the sofa.", "G !bed & G !sofa"),
+    (
+        "Visit the bed, sofa, and desk in any order, but avoid the tv until all are visited.",
+        "F bed & F sofa & F desk & (!television W bed) & (!television W sofa) & "
+        "(!television W desk)",
+    ),
+    ("The robot must visit the bed, please.", "F bed"),
+    ("Visit the bed. Then, once you have been there, go to the sofa.", "F(bed & F sofa)"),
+    ("The bed and the sofa should both be visited.", "F bed & F sofa"),
+    ("do not stop until the bed and the tv are visited", "F bed & F television"),
+    ("you can go to the bed, but you must visit the sink after that", "G(bed -> F sink)"),
+]
+
+LETTERS = [  # ../shared/nl2ltl writes letters, without commas; `a` is also an article
+    ("visit a b and c", "F a & F b & F c"),
+    ("go to a b c d and h in any order", "F a & F b & F c & F d & F h"),
+    ("visit a then go to b finally make your way to c", "F(a & F(b & F c))"),
+    ("find b but not until you find a first", "F b & (!b W a)"),
+    ("travel from a to b to c", "F(a & F(b & F c))"),
+    ("you cannot visit a less than twice", "F(a & F(!a & F a))"),
+    ("you must go to b immediately after you visit a", "G(a -> X b)"),
+]
+
+
+@pytest.mark.parametrize(("sentence", "formula"), [*VITL, *HOUSEHOLD, *LETTERS])
+def test_means(sentence: str, formula: str) -> None:
+    """The language is the expected one, and the formula's text parses back to it."""
+    got = parse_english(sentence)
+    assert difference(got, parse(formula)) is None, f"{sentence!r} gave {got}"
+    assert parse(to_text(got)) == got
+
+
+REFUSED = [
+    ("", ""),
+    (" . ", "."),
+    ("dance with the bed", "dance with the bed"),
+    ("go to the bed quickly", "quickly"),
+    ("go to the bed frame", "frame"),
+    ("fetch the cup to the table", "to the table"),
+    ("go to the bed or the chair and the tv", "the bed or the chair and the tv"),
+    ("do not go to the tv before that", "that"),
+    ("visit it", "it"),
+    ("go to", ""),
+    ("visit the bed and the bed", "the bed and the bed"),
+    ("find my keys and bring them to me", "to me"),
+    ("visit the bed, then come back here", "here"),
+    ("go to the bed without touching anything", "anything"),
+    ("do not visit the bed until the sofa is reached, or the desk", "the desk"),
+    ("only visit the bed", "only visit the bed"),
+    ("don't go to the bed and then to the sofa", "to the sofa"),
+    ("go upstairs", "upstairs"),
+    ("visit every chair", "every chair"),
+    ("visit two chairs", "two chairs"),
+    ("visit the bed, and the sofa before that", "before that"),
+    ("visit the bed and dance", "dance"),
+    ("keep visiting the bed", "keep visiting the bed"),
+    ("visit the bed forever", "forever"),
+    ("go to the bed until the tv is reached", "until the tv is reached"),
+    ("visit the bed 999999999999 times", "999999999999 times"),
+    ("you can visit the bed", "you can visit the bed"),
+    ("go to the bed @ noon", "@ noon"),
+    ("go to the bed, otherwise to the sofa", "otherwise to the sofa"),
+    ("do not visit the bed until you visit the bed", "until you visit the bed"),
+    ("visit the bed at least three times but at most twice", "but at most twice"),
+]
+
+
+@pytest.mark.parametrize(("sentence", "part"), REFUSED)
+def test_refuses_by_name(sentence: str, part: str) -> None:
+    """What was not understood is quoted, with its place."""
+    with pytest.raises(TranslationError) as refusal:
+        parse_english(sentence)
+    error = refusal.value
+    assert error.part == part
+    assert sentence[error.position - 1 :].startswith(part)
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "reason"),
+    [
+        ("keep visiting the bed", "a mission ends"),
+        ("wait at the door", "not staying or leaving"),
+        ("visit the bed forever", "a mission ends"),
+        ("visit the bed and the sofa or the desk", "either … or …"),
+        ("visit the bed frame", '"bed frame"'),
+    ],
+)
+def test_says_why(sentence: str, reason: str) -> None:
+    with pytest.raises(TranslationError, match=reason):
+        parse_english(sentence)
+
+
+def test_limits_are_named() -> None:
+    for text in ("x" * (MAX_CHARS + 1), "a " * (MAX_WORDS + 1)):
+        with pytest.raises(TranslationError, match=r"at most|more than"):
+            parse_english(text)
+
+
+def test_exponential_formulas_are_refused() -> None:
+    """Each step of two things doubles the formula."""
+    for steps in (3, 100):
+        text = "visit " + ", then ".join(f"the x{i} and the y{i}" for i in range(steps))
+        if steps == 3:
+            assert parse_english(text)
+        else:
+            with pytest.raises(TranslationError, match="too large"):
+                parse_english(text)
+
+
+def test_long_instructions_are_read() -> None:
+    """No recursion by length: 200 steps."""
+    names = [f"thing{chr(97 + i // 26)}{chr(97 + i % 26)}" for i in range(200)]
+    formula = parse_english(", then ".join(f"visit {name}" for name in names))
+    assert to_text(formula).count("F ") == 200
+
+
+WORDS = st.sampled_from(
+    [*sorted({word for phrase in TABLE for word in phrase}), "bed", "a", "b", "tv", *',.;"7']
+)
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.one_of(st.text(max_size=200), st.lists(WORDS, max_size=40).map(" ".join)))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    """Never anything but a formula that can be written, or a refusal of one line."""
+    try:
+        formula = parse_english(text)
+    except TranslationError as error:
+        assert len(str(error).splitlines()) == 1  # noqa: PT017
+    else:
+        assert parse(to_text(formula)) == formula
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from(sorted(TABLE)), st.sampled_from(["", " bed", " a", ",", ", then"]))
+def test_repetition_is_no_trap(phrase: tuple[str, ...], between: str) -> None:
+    """The same words over and over, as many as are allowed, are answered all the same."""
+    text = ((" ".join(phrase) + between + " ") * MAX_WORDS)[:MAX_CHARS]
+    with contextlib.suppress(TranslationError):
+        assert parse_english(text)
+
+
+def test_letters_of_the_alphabet_are_things() -> None:
+    for letter in set(string.ascii_lowercase) - {"i"}:
+        assert to_text(parse_english(f"visit {letter}")) == f"F {letter}"

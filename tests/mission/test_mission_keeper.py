@@ -1,0 +1,87 @@
+"""A mission goes on after a restart: checkpoint, new service, same robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from closed_loop import ClosedLoop
+
+from edge.config import Config, parse
+from edge.mission.keeper import Keeper
+from edge.perception.detector import make_detector
+from edge.perception.inline import InlineWorker
+from edge.service import Service
+
+
+def config(formula: str) -> Config:
+    mission = {"instruction": formula, "translator": {"kind": "ltl"}}
+    return parse({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+
+
+def restart(loop: ClosedLoop, path: Path) -> Keeper:
+    """Put a service that reads the checkpoint in the place of the present one."""
+    keeper = Keeper(loop.config, path, None)
+    brief = keeper.brief() or loop.service.mission.brief
+    worker = InlineWorker(make_detector(loop.config.perception, brief.targets))
+    loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
+    return keeper
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "mission.json"
+
+
+def test_with_no_checkpoint_there_is_nothing_to_go_on_with(path):
+    keeper = Keeper(config("F bed"), path, None)
+    assert (keeper.saved, keeper.brief(), keeper.problem) == (None, None, "")
+    keeper.close()
+
+
+def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
+    loop = ClosedLoop(config("F (sofa & F television)"))
+    first = restart(loop, path)
+    while not loop.service.mission.reached:
+        loop.step()
+    first.close()
+    old = loop.service
+    second = restart(loop, path)
+    assert loop.service.mission.word == old.mission.word == ("sofa",)
+    assert loop.service.mission.brief.automaton.formula == old.mission.brief.automaton.formula
+    loop.step()
+    assert {i.id for i in old.tracker.all} <= {i.id for i in loop.service.tracker.all}
+    assert loop.service.mission.target == "television"
+    loop.run(200)
+    second.close()
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.distance_m("television") <= 1.0
+
+
+def test_what_had_failed_is_not_taken_up_again_for_the_same_instance(path):
+    loop = ClosedLoop(config("F (television | bed)"))
+    first = restart(loop, path)
+    while "television" not in loop.service.mission.detected:
+        loop.step()
+    loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
+    loop.step()
+    first.close()
+    second = restart(loop, path)
+    for _ in range(3):
+        loop.step()
+    second.close()
+    assert loop.service.tracker.of("television")
+    assert loop.service.mission.failed == {"television"}
+    assert loop.service.mission.target == "bed"
+
+
+def test_an_ended_mission_is_not_taken_up_again(path):
+    loop = ClosedLoop(config("F bed"))
+    first = restart(loop, path)
+    loop.step()
+    loop.service.mission.fail("cancelled", loop.drive.motion.stamp_ns)
+    loop.step()
+    first.close()
+    second = restart(loop, path)
+    assert second.saved is None
+    second.close()

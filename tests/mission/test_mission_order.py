@@ -1,0 +1,90 @@
+"""What the client of the mission desk takes, and what it shows of an answer."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from edge.mission.order import ANSWER_S, NEW_S, add_arguments, as_text
+
+
+@pytest.mark.parametrize(
+    ("answer", "lines"),
+    [
+        ({}, ["done"]),
+        ({"unknown": 1, "target": None, "reached": [], "plan": []}, ["done"]),
+        ({"phase": "exploring"}, ["phase:       exploring"]),
+        ({"phase": "failed", "reason": "cancelled"}, ["phase:       failed; cancelled"]),
+        (
+            {"phase": "exploring", "paused": True},
+            ["phase:       paused, `edge mission resume` goes on; exploring"],
+        ),
+        ({"state": 0}, ["state:       0"]),
+        (
+            {
+                "failed": ["bed"],
+                "plan": ["tv", "", "tv"],
+                "state": 1,
+                "states": 4,
+                "english": "reach the tv twice",
+                "instruction": "the tv, twice",
+                "formula": "F (tv & X F tv)",
+                "warnings": ["a", "b"],
+                "target": "tv",
+                "why": "it is the cheapest",
+                "detected": ["tv", "bed"],
+            },
+            [
+                "instruction: the tv, twice",
+                "understood:  reach the tv twice",
+                "formula:     F (tv & X F tv)",
+                "warning:     a, b",
+                "state:       1 (of 0 … 3)",
+                "target:      tv",
+                "why:         it is the cheapest",
+                "plan:        tv, then nothing for a step, then tv",
+                "seen:        tv, bed",
+                "failed:      bed",
+            ],
+        ),
+    ],
+)
+def test_what_a_person_is_shown(answer, lines):
+    assert as_text(answer).splitlines() == lines
+
+
+@pytest.fixture
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser()
+    assert add_arguments(parser).add_parser("explain") is not None
+    return parser
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (["new", "demo", "words"], {"do": "new", "formula": False, "timeout": NEW_S}),
+        (["new", "demo", "F a", "--formula", "--json"], {"formula": True, "json": True}),
+        (["status", "demo"], {"do": "status", "timeout": ANSWER_S, "json": False}),
+        (["pause", "demo", "--timeout", "0.5"], {"do": "pause", "timeout": 0.5}),
+        (["resume", "demo"], {"do": "resume"}),
+        (["cancel", "demo"], {"do": "cancel"}),
+    ],
+)
+def test_a_command_line(parser, line, expected):
+    assert {**vars(parser.parse_args(line)), **expected} == vars(parser.parse_args(line))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        [], ["new", "demo"], ["pause"], ["pause", "demo", "text"], ["stop", "demo"],
+        ["status", "demo", "--timeout", "0"], ["status", "demo", "--timeout", "nan"],
+        ["status", "demo", "--timeout", "soon"], ["status", "demo", "--timeout", "inf"],
+    ],
+)  # fmt: skip
+def test_no_command_line(parser, line, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args(line)
+    assert "usage:" in capsys.readouterr().err

@@ -1,0 +1,393 @@
+"""ViTL's planner: the paper's cases, ties, both kinds of infeasibility, against networkx."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from mission_plan_twins import (
+    CASE_1,
+    CASE_2,
+    CHOICE,
+    automata,
+    compiled,
+    eq_1,
+    knowing,
+    knowledge_of,
+    shortest,
+    table_automaton,
+)
+
+from edge.config import PlannerExpected, PlannerVitl
+from edge.mission import planner as planners
+from edge.mission.planner import Knowledge, Plan, make_planner
+from edge.mission.planning.vitl import working_order
+
+CONSTANT = PlannerVitl()
+NOTHING_KNOWN = Knowledge()
+
+
+def planned(text: str, knowledge=NOTHING_KNOWN, current=None, config=CONSTANT, **keywords) -> Plan:
+    return make_planner(config, compiled(text), **keywords).plan(0, knowledge, current)
+
+
+def test_nothing_to_do():
+    plan = planned("true")
+    assert (plan.target, plan.steps, plan.cost, plan.feasible) == (None, (), 0.0, True)
+    assert plan.reason == "done: the formula is satisfied"
+
+
+def test_a_contradiction_has_no_plan():
+    plan = planned("F a & G !a")
+    assert (plan.target, plan.steps, plan.cost, plan.feasible) == (None, (), math.inf, False)
+    assert plan.blocked_by == ()
+    assert "can no longer be satisfied" in plan.reason
+
+
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [(CASE_1, ("bed", "plant", "tv")), (CASE_2, ("tv", "bed", "toilet"))],
+)
+def test_case_studies_of_the_paper(text, steps):
+    """Tables II and III, under the weak until."""
+    plan = planned(text)
+    assert plan.target == steps[0]
+    if text == CASE_1:  # one of two optima; this one wins by nothing but the order of letters
+        assert plan.steps in (steps, ("plant", *steps[:1], "tv"))
+        assert [cost for _, cost in plan.options[:2]] == [3.0, 3.0]
+    else:
+        assert plan.steps == steps
+        assert plan.options[1][1] > 3.0
+    assert plan.cost == 3.0
+
+
+def test_a_couch_that_is_seen_is_gone_to_at_once():
+    """The example at the end of IV-A2."""
+    planner = make_planner(CONSTANT, compiled(CHOICE))
+    before = planner.plan(0, NOTHING_KNOWN)
+    assert (before.target, before.cost) == ("chair", 2.0)
+    after = planner.plan(0, knowing(detected=["couch"]), current="chair")
+    assert (after.target, after.steps, after.cost) == ("couch", ("couch", "tv"), 1.01)
+    assert after.options == (("couch", 1.01), ("chair", 2.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "knowledge", "current", "target"),
+    [
+        ("F(a | b)", {}, None, "a"),
+        ("F(b | a)", {}, None, "b"),
+        ("F(a | b)", {}, "b", "b"),
+        ("F(a | b)", {}, "elsewhere", "a"),
+        ("F(a | b)", {"detected": ["a", "b"]}, "b", "b"),
+        ("F(a | b)", {"detected": ["a"]}, "b", "a"),
+        # Six w_det are as dear as 0.06, and a shorter path of the same cost comes first.
+        ("F(a & X F(b & X F c)) | F(d & X F e)", {"detected": "abcde"}, None, "d"),
+        ("F a & F b & F c", {}, "c", "c"),
+        ("F a & F b & F c", {"detected": ["b"]}, "c", "c"),
+    ],
+)
+def test_ties(text, knowledge, current, target):
+    assert planned(text, knowing(**knowledge), current).target == target
+
+
+@pytest.mark.parametrize("config", [PlannerVitl(w_det=0.5), PlannerExpected(w_det=0.5, p_obs=1.0)])
+def test_fewest_steps_come_before_the_current_target(config):
+    """From state 1, a and a again costs as much as b at once; any object leads there from 0."""
+    automaton = table_automaton(
+        [[1, 1, 0], [2, 3, 1], [3, 2, 2], [3, 3, 3]], [False, False, False, True]
+    )
+    planner = make_planner(config, automaton)
+    plan = planner.plan(1, knowing(detected=["a"]), "a")
+    assert plan.options == (("b", 1.0), ("a", 1.0))
+    assert plan.steps == ("b",)
+    if config.kind == "vitl":
+        assert planner.plan(0, knowing(detected=["a"])).steps == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("text", "failed", "feasible", "blocked_by", "target"),
+    [
+        ("F a", "a", False, ("a",), None),
+        ("F a & F b", "a", False, ("a",), None),
+        ("F a & F b", "ab", False, ("a", "b"), None),
+        ("F(a | b)", "a", True, (), "b"),
+        ("F(a | b)", "ab", False, ("a",), None),
+        ("F(a | (b & X F c))", "ab", False, ("a",), None),
+        ("F((a & X F b) | c)", "abc", False, ("c",), None),
+        ("F a", "b", True, (), "a"),
+    ],
+)
+def test_failed_objects(text, failed, feasible, blocked_by, target):
+    plan = planned(text, knowing(failed=failed))
+    assert (plan.feasible, plan.blocked_by, plan.target) == (feasible, blocked_by, target)
+    assert math.isinf(plan.cost) == (not feasible)
+
+
+def test_a_small_w_fail_does_not_make_long_plans_infeasible():
+    """Eq. 2's bound would call three attempts infeasible at w_fail = 2, or take the failed one."""
+    plan = planned("F d | F(a & F(b & F c))", knowing(failed="d"), config=PlannerVitl(w_fail=2.0))
+    assert plan.feasible
+    assert plan.steps == ("a", "b", "c")
+    assert dict(plan.options)["d"] == 2.0
+
+
+@pytest.mark.parametrize(("known_reached", "cost"), [(True, 1.01), (False, 2.0)])
+def test_what_was_reached_is_known_unless_eq_1_is_read_literally(known_reached, cost):
+    plan = planned("F(a & X F b)", knowing(reached="a"), known_reached=known_reached)
+    assert plan.cost == cost
+
+
+def test_twice_in_separate_visits_takes_a_step_of_nothing():
+    automaton = compiled("F(a & X(!a & F a))")
+    planner = make_planner(CONSTANT, automaton)
+    first = planner.plan(0, knowing(detected="a"))
+    assert (first.target, first.steps) == ("a", ("a", "", "a"))
+    assert first.cost == pytest.approx(0.02 + 1e-6, abs=1e-12)
+    second = planner.plan(automaton.step(0, "a"), knowing(reached="a"))
+    assert (second.target, second.steps) == (None, ("", "a"))
+    assert second.reason.startswith("a step with none of the objects comes first")
+
+
+@pytest.mark.parametrize(
+    ("knowledge", "reason"),
+    [
+        ({}, "chair has to be found: 2.00 to the end; couch first would cost the same"),
+        (
+            {"detected": ["couch"]},
+            "couch was seen: 1.01 to the end; chair would have to be found: 2.00",
+        ),
+        ({"failed": ["couch"]}, "chair has to be found: 2.00 to the end; couch failed"),
+        (
+            {"failed": ["tv"]},
+            "every way to the end needs an object that failed; the shortest needs tv",
+        ),
+        (
+            {"reached": ["chair"]},
+            "chair was reached before: 1.01 to the end; couch would have to be found: 2.00",
+        ),
+    ],
+)
+def test_reasons(knowledge, reason):
+    assert planned(CHOICE, knowing(**knowledge)).reason == reason
+
+
+def test_the_only_choice_is_called_so():
+    reason = planned("F(a & F b)").reason
+    assert reason == "a has to be found: 2.00 to the end; nothing else can come first"
+
+
+# --- distances ---
+
+METRES = PlannerVitl(weights="distance", explore_m=10.0, replan_margin_m=1.0)
+INF = math.inf
+
+
+def test_distances_order_the_visits():
+    """a is 1 m away, b 2 m behind it, c 1.5 m the other way: c, a, b is shortest."""
+    distance = np.array([[0, 2, 2.5], [2, 0, 4.5], [2.5, 4.5, 0], [1, 3, 1.5]], float)
+    plan = planned("F a & F b & F c", knowing("abc", distance_m=distance), config=METRES)
+    assert plan.steps == ("c", "a", "b")
+    assert plan.cost == 6.0
+
+
+@pytest.mark.parametrize(
+    ("robot_row", "detected", "cost"),
+    [
+        ([3.0, INF], "a", 13.0),  # a, then explore for b
+        ([3.0, INF], "", 20.0),  # refuted on the spot: its old distance does not count
+        ([INF, INF], "a", 20.0),  # seen, but no way is known
+        ([INF, 4.0], "ab", 10.0 + 4.0),  # b first, then explore for a's way
+        (None, "a", 20.0),
+    ],
+)
+def test_what_has_no_distance_weighs_explore_m(robot_row, detected, cost):
+    distance = None if robot_row is None else np.array([[0, INF], [INF, 0], robot_row])
+    plan = planned("F a & F b", knowing(detected, distance_m=distance), config=METRES)
+    assert plan.cost == cost
+
+
+def test_the_way_from_an_unknown_place_is_a_hypotenuse():
+    distance = np.array([[0, np.nan], [np.nan, 0], [np.nan, 7.5]])
+    plan = planned("F(a & F b)", knowing("b", distance_m=distance), config=METRES)
+    assert plan.cost == pytest.approx(10.0 + 12.5)
+
+
+def test_no_way_leads_back_to_what_was_just_reached_because_a_detour_seems_shorter():
+    """a has a second instance beside b: to there and on is no way to b by the first."""
+    distance = np.array([[0, 2.0], [2.0, 0], [0.9, 6.0]])
+    planner = make_planner(METRES, compiled("F (a & X b)"))
+    state = planner.automaton.step(0, "a")
+    plan = planner.plan(state, knowing("b", "a", distance_m=distance))
+    assert plan.steps == ("b",)
+    assert plan.cost == pytest.approx(2.9)
+
+
+@pytest.mark.parametrize(
+    ("current", "gain_m", "target"),
+    [("a", 0.5, "a"), ("a", 1.0, "a"), ("a", 1.1, "b"), (None, 0.5, "b"), ("c", 0.5, "b")],
+)
+def test_the_margin_keeps_the_current_target(current, gain_m, target):
+    distance = np.array([[0, 9], [9, 0], [5.0, 5.0 - gain_m]])
+    plan = planned("F(a | b)", knowing("ab", distance_m=distance), current, METRES)
+    assert plan.target == target
+    assert plan.cost == dict(plan.options)[target]
+    if target == "a":
+        assert plan.reason == (f"a is kept: b first would save {gain_m:.1f} m, not more than 1.0 m")
+
+
+def test_the_margin_never_keeps_a_failed_target_or_one_that_changes_nothing():
+    near = np.array([[0, 0.5], [0.5, 0], [0.0, 0.5]])
+    failed = knowing("b", failed="a", distance_m=near)
+    assert planned("F(a | b)", failed, "a", METRES).target == "b"
+    planner = make_planner(METRES, compiled("F(a & F b)"))
+    reached = planner.plan(planner.automaton.step(0, "a"), knowing("b", "a", distance_m=near), "a")
+    assert reached.target == "b"
+
+
+def test_constant_weights_switch_at_once():
+    close = PlannerVitl(w_det=0.99, replan_margin_m=5.0)
+    assert planned("F(a | b)", knowing("b"), "a", close).target == "b"
+
+
+def test_a_matrix_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"expected shape \(3, 2\), got \(2, 2\)"):
+        planned("F a & F b", knowing(distance_m=np.zeros((2, 2))), config=METRES)
+
+
+# --- against networkx ---
+
+
+@settings(deadline=None, max_examples=150)
+@given(data=st.data(), automaton=automata(), known_reached=st.booleans())
+def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
+    knowledge = data.draw(knowledge_of(automaton.letters))
+    planner = make_planner(PlannerVitl(w_det=0.25), automaton, known_reached=known_reached)
+    for state in range(automaton.n_states):
+        plan = planner.plan(state, knowledge)
+        cost, steps = shortest(
+            automaton, state, lambda _, x: eq_1(x, knowledge, 0.25, known_reached)
+        )
+        assert plan.cost == pytest.approx(cost, abs=1e-9)
+        assert len(plan.steps) == steps
+        check(automaton, state, plan, knowledge)
+
+
+@settings(deadline=None, max_examples=100)
+@given(data=st.data(), automaton=automata(max_letters=3), seed=st.integers(0, 1000))
+def test_distance_plans_are_shortest_paths(data, automaton, seed):
+    knowledge = data.draw(knowledge_of(automaton.letters))
+    k = len(automaton.letters)
+    rng = np.random.default_rng(seed)
+    metres = rng.integers(0, 40, (k + 1, k)) / 4.0
+    metres[rng.random((k + 1, k)) < 0.2] = np.inf
+    column = {x: i for i, x in enumerate(automaton.letters)}
+    known = knowledge.detected | knowledge.reached
+    placed = {x for x in known if np.isfinite(metres[k, column[x]])}
+
+    start = {x: metres[k, column[x]] for x in placed}
+    for _, a, b in itertools.product(placed, repeat=3):
+        start[b] = min(start[b], start[a] + metres[column[a], column[b]])
+
+    def weight(before, letter):
+        if letter == "" or letter in knowledge.failed:
+            return eq_1(letter, knowledge, 0.01, True)
+        if letter not in placed:
+            return 10.0
+        here, j = metres[k, column[letter]], column[letter]
+        if before is None:
+            return start[letter]
+        between = metres[column[before], j] if before in placed else math.inf
+        return between if math.isfinite(between) else math.hypot(10.0, here)
+
+    planner = make_planner(METRES, automaton)
+    told = Knowledge(knowledge.detected, knowledge.reached, knowledge.failed, metres)
+    for state in range(automaton.n_states):
+        plan = planner.plan(state, told)
+        cost, steps = shortest(automaton, state, weight)
+        assert plan.cost == pytest.approx(cost, abs=1e-9)
+        assert len(plan.steps) == steps
+        check(automaton, state, plan, knowledge)
+
+
+def check(automaton, state, plan, knowledge):
+    """What holds of any plan."""
+    assert plan.reason
+    assert "\n" not in plan.reason
+    if automaton.accepting[state]:
+        assert plan.steps == ()
+        return
+    costs = [cost for _, cost in plan.options]
+    assert costs == sorted(costs)
+    for letter, _ in plan.options:
+        after = automaton.step(state, letter)
+        assert after != state
+        assert not automaton.dead(after)
+    if not plan.feasible:
+        assert (plan.target, plan.steps, plan.cost) == (None, (), math.inf)
+        assert set(plan.blocked_by) <= knowledge.failed
+        assert bool(plan.blocked_by) == (not automaton.dead(state))
+        return
+    assert plan.target == (plan.steps[0] or None)
+    assert plan.options[0] == (plan.steps[0], plan.cost)
+    for letter in plan.steps:
+        assert letter not in knowledge.failed
+        assert not automaton.accepting[state]
+        state = automaton.step(state, letter)
+        assert not automaton.dead(state)
+    assert automaton.accepting[state]
+
+
+@settings(deadline=None, max_examples=100)
+@given(automaton=automata(), seed=st.integers(0, 10_000))
+@pytest.mark.parametrize("config", [PlannerVitl(), PlannerExpected(p_obs=0.4)])
+def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton, seed):
+    """Every plan is followed for one step, with other objects seen now and then."""
+    assume(not automaton.dead(0))
+    rng = np.random.default_rng(seed)
+    planner = make_planner(config, automaton)
+    state, detected, reached, current = 0, set(), set(), None
+    for _ in range(2000):
+        plan = planner.plan(state, knowing(detected, reached), current)
+        assert plan.feasible
+        if not plan.steps:
+            break
+        letter = plan.steps[0]
+        if letter in (*detected, *reached, "") or rng.random() < 0.4:
+            state, current = automaton.step(state, letter), None
+            assert not automaton.dead(state)
+            if letter:
+                detected.discard(letter)
+                reached.add(letter)
+        else:
+            unknown = set(automaton.letters) - detected - reached - {letter}
+            detected |= set(rng.permutation(sorted(unknown))[:1].tolist())
+            current = letter
+    assert automaton.accepting[state]
+
+
+# --- kernels ---
+
+
+def test_work_is_done_from_acceptance_outwards():
+    automaton = compiled("F(a & F(b & F c))")
+    left = automaton.steps_left[working_order(automaton)]
+    assert left.tolist() == [1, 2, 3]
+
+
+def test_a_long_chain_is_no_trouble():
+    automaton = compiled("X " * 500 + "a")
+    assert planned("X " * 500 + "a").steps == ("",) * 500 + ("a",)
+    assert automaton.n_states > 500
+
+
+def test_names_outside_the_formula_do_not_matter():
+    knowledge = knowing(["spoon"], ["fork"], ["knife"])
+    assert planned("F a", knowledge) == planned("F a", NOTHING_KNOWN)
+
+
+def test_warm_up_runs():
+    planners.warm_up()

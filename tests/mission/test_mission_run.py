@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.config import Mission, PlannerVitl
+from edge.geometry import SE2
+from edge.mission.brief import prepare
+from edge.mission.run import MissionRun
+
+S = 1_000_000_000
+CHOICE = "F ((chair | sofa) & F tv) & (!bed W tv)"
+
+
+def begun(formula: str = CHOICE, **settings) -> MissionRun:
+    config = Mission(**settings)
+    mission = MissionRun(prepare(config, formula=formula), config)
+    mission.start(0)
+    mission.observe(SE2(0, 0, 0), 0)
+    return mission
+
+
+def kinds(mission: MissionRun) -> list[str]:
+    return [step.kind for step in mission.steps]
+
+
+def test_a_new_mission_has_a_target_and_has_done_nothing():
+    mission = begun()
+    assert (mission.target, mission.word, mission.reached) == ("chair", (), ())
+    assert kinds(mission) == ["start", "target"]
+    assert not mission.done
+    assert mission.status("searching").phase == "searching"
+
+
+def test_a_seen_branch_is_switched_to_at_once():
+    """ViTL IV-A2: exploring for the chair, the robot sees the couch."""
+    mission = begun()
+    mission.see({"sofa": 1}, S)
+    assert mission.target == "sofa"
+    mission.see({}, 2 * S)
+    assert mission.target == "sofa", "of equals, the one that is pursued"
+    assert mission.knowledge.detected == frozenset()
+    assert kinds(mission)[2:] == ["seen", "target"]
+
+
+def test_reaching_the_targets_in_order_fulfils_it():
+    mission = begun()
+    mission.see({"sofa": 1}, S)
+    mission.arrive("seen in 5 images", 2 * S)
+    assert (mission.target, mission.word) == ("tv", ("sofa",))
+    mission.arrive("seen in 6 images", 3 * S)
+    assert mission.status("searching").phase == "reached"
+    assert mission.reason == "sofa, then tv"
+    assert kinds(mission)[-2:] == ["reached", "end"]
+
+
+def test_what_must_not_be_reached_now_is_known_and_never_planned():
+    mission = begun()
+    mission.see({"bed": 3}, S)
+    assert mission.forbidden == ("bed",)
+    assert mission.target == "chair"
+    mission.arrive("", 2 * S)
+    assert mission.forbidden == ("bed",)
+
+
+def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
+    mission = begun()
+    mission.give_up("found no chair", S)
+    assert (mission.target, mission.failed) == ("sofa", {"chair"})
+    mission.give_up("found no sofa", 2 * S)
+    status = mission.status("searching")
+    assert status.phase == "failed"
+    assert "found no" in status.reason
+
+
+def test_what_failed_is_taken_up_again_only_when_another_one_is_seen():
+    mission = begun()
+    mission.see({"chair": 4}, S)
+    mission.give_up("no way to it", 2 * S)
+    assert mission.target == "sofa"
+    mission.see({"chair": 4}, 3 * S)
+    assert (mission.target, mission.failed) == ("sofa", {"chair"})
+    mission.see({"chair": 9}, 4 * S)
+    assert (mission.target, mission.failed) == ("chair", frozenset())
+
+
+def test_what_failed_before_a_restart_needs_a_newer_instance_too():
+    mission = begun("F (chair | sofa)")
+    config = Mission()
+    second = MissionRun(mission.brief, config)
+    second.restore((), (), {"chair"}, 1.0, 1.0, False)
+    second.start(0)
+    second.overlook(7)
+    second.see({"chair": 7}, S)
+    assert second.failed == {"chair"}
+    second.give_up("no way to it", 2 * S)
+    assert second.reason == "chair failed before the restart; no way to it"
+    third = MissionRun(mission.brief, config)
+    third.restore((), (), {"chair"}, 1.0, 1.0, False)
+    third.start(0)
+    third.overlook(7)
+    third.see({"chair": 8}, S)
+    assert third.target == "chair"
+
+
+def test_a_target_that_was_seen_and_not_reached_in_time_is_not_said_to_be_missing():
+    mission = begun("F chair", search_limit_s=5)
+    mission.see({"chair": 1}, 0)
+    mission.observe(SE2(0, 0, 0), 6 * S)
+    mission.check_limits(6 * S)
+    assert mission.reason == "did not get to chair within 5 s"
+
+
+def test_a_step_without_anything_reached_is_taken_where_the_formula_asks_for_it():
+    mission = begun("F (chair & F (!chair & F chair))")
+    mission.arrive("", S)
+    assert mission.word == ("chair", "")
+    assert mission.target == "chair"
+    mission.arrive("", 2 * S)
+    assert mission.done
+
+
+def test_a_second_visit_is_set_out_for_anew():
+    mission = begun("F (chair & X F chair)")
+    before = mission.turns
+    mission.arrive("", S)
+    assert (mission.target, mission.turns) == ("chair", before + 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "steps", "reason"),
+    [
+        ({"time_limit_s": 10}, [(0, 0.0), (11, 0.1)], "time limit of 10 s"),
+        ({"path_limit_m": 3}, [(i, 0.4 * i) for i in range(9)], "path limit of 3 m"),
+        (
+            {"search_limit_s": 5},
+            [(i, 0.0) for i in range(20)],
+            "no chair within 5 s; no sofa within 5 s",
+        ),
+    ],
+)
+def test_limits_end_a_mission_with_the_reason(settings, steps, reason):
+    mission = begun("F (chair | sofa)", **settings)
+    for t, x in steps:
+        mission.observe(SE2(x, 0, 0), t * S)
+        mission.check_limits(t * S)
+    status = mission.status("searching")
+    assert status.phase == "failed"
+    assert reason in status.reason
+
+
+def test_time_passes_without_a_pose_but_not_while_paused():
+    mission = begun(time_limit_s=10)
+    mission.observe(None, 4 * S)
+    mission.pause(True)
+    mission.observe(None, 100 * S)
+    mission.check_limits(100 * S)
+    assert mission.status("searching").phase == "paused"
+    mission.pause(False)
+    mission.observe(None, 105 * S)
+    mission.check_limits(105 * S)
+    assert mission.elapsed_s == pytest.approx(9)
+    assert not mission.done
+
+
+def test_a_pose_jump_is_not_driving():
+    mission = begun()
+    for x in (0.5, 40.0, 40.5):
+        mission.observe(SE2(x, 0, 0), 0)
+    assert mission.path_m == pytest.approx(1.0)
+
+
+def test_the_end_is_final():
+    mission = begun("F chair")
+    mission.arrive("confirmed", S)
+    mission.fail("again", 2 * S)
+    mission.see({"chair": 2}, 2 * S)
+    assert (mission.status("searching").phase, mission.reason) == ("reached", "confirmed")
+
+
+def test_it_goes_on_where_another_run_of_it_stopped():
+    first = begun()
+    first.see({"sofa": 1}, S)
+    first.arrive("", 2 * S)
+    config = Mission()
+    second = MissionRun(prepare(config, formula=CHOICE), config)
+    second.restore(first.word, first.reached, first.failed, 12.0, 3.0, False)
+    second.start(0)
+    assert (second.state, second.target, second.elapsed_s) == (first.state, "tv", 12.0)
+
+
+def test_with_distances_the_nearer_branch_wins_by_the_margin():
+    planner = PlannerVitl(weights="distance", replan_margin_m=1.0)
+    mission = begun("F (chair | sofa)", planner=planner)
+    mission.see({"chair": 1, "sofa": 2}, S)
+    assert mission.target == "chair"
+
+    def survey(chair_m: float, sofa_m: float) -> str:
+        between = np.array([[0, 4.0], [4.0, 0]])
+        mission.survey(np.vstack([between, [chair_m, sofa_m]]), 2 * S)
+        return mission.target
+
+    assert survey(5.0, 4.5) == "chair"
+    assert survey(5.0, 3.5) == "sofa"
+    assert survey(3.2, 3.5) == "sofa"
+    assert survey(1.0, 3.5) == "chair"
