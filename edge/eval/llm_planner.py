@@ -134,7 +134,13 @@ def run_llm(
         choose = llm_chooser(task, ask)
         draws = draws_of(settings.seed, task.id, p_obs, e)
         problem = Problem.of(lifted.automaton, lifted.others)
-        episode = run_episode(problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws)
+        try:
+            episode = run_episode(
+                problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws
+            )
+        except ChatError:
+            stop.set()  # at once: the pool's next episode would ask the failed server again
+            raise
         return None if stop.is_set() else episode
 
     failure: ChatError | None = None
