@@ -19,6 +19,7 @@ THREE = (
 )
 
 
+@pytest.mark.slow
 def test_three_targets_with_a_choice_and_a_prohibition(edge, tmp_path):
     demo = edge("demo", "--mission", THREE, **LOCKSTEP)
     assert demo.wait() == 0, demo.output
