@@ -151,7 +151,7 @@ def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list
     return match
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 12))
 def test_the_nearest_pairs_are_joined_first(seed, n_old, n_new):
     rng = np.random.default_rng(seed)
@@ -165,7 +165,7 @@ def test_the_nearest_pairs_are_joined_first(seed, n_old, n_new):
     assert got == nearest_pairs_first(old, new, 0.5)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(
         st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), max_size=20), min_size=1, max_size=6

@@ -11,6 +11,7 @@ import pytest
 from edge import bus, config, doctor, resources
 from edge.config import parse
 from edge.parsers import make_parser
+from edge.ports import free_port
 
 SIM = parse({})
 ONNX = parse({"perception": {"detector": {"kind": "onnx", "model": "made-up"}}})
@@ -134,8 +135,7 @@ def test_no_message_over_zenoh(monkeypatch):
 
 
 def test_an_endpoint_that_is_taken():
-    port = doctor._free_port()
-    settings = parse({"zenoh": {"endpoint": f"tcp/127.0.0.1:{port}"}})
+    settings = parse({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}})
     assert levels(doctor.check_endpoint, settings) == ["ok"]
     with bus.open_session(settings.zenoh, "listen"):
         assert levels(doctor.check_endpoint, settings) == ["warn"]

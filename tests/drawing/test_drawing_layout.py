@@ -46,7 +46,7 @@ def test_one_node():
 
 
 @given(graphs())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_nothing_covers_anything(graph):
     sizes, links = graph
     layout = layered(sizes, links)
@@ -58,7 +58,7 @@ def test_nothing_covers_anything(graph):
 
 
 @given(graphs())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_routes_go_from_source_to_target_and_are_level_inside_columns(graph):
     sizes, links = graph
     layout = layered(sizes, links)

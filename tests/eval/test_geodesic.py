@@ -30,7 +30,7 @@ def dijkstra(free: np.ndarray, starts: list[tuple[int, int]]) -> np.ndarray:
     return best
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), walls=st.floats(0, 0.6))
 def test_sweeping_agrees_with_dijkstra(seed, walls):
     rng = np.random.default_rng(seed)

@@ -73,7 +73,7 @@ def check_targets(grid: RollingMap, expected: np.ndarray, label: np.ndarray) -> 
         assert (apart >= c.frontier_spacing_m - 1e-3).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1))
 @example(seed=73)  # a cut cluster that shrank
 def test_the_frontier_set_is_right_after_random_updates_and_rolls(seed):

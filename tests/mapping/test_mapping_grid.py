@@ -211,7 +211,7 @@ def test_a_cloud_may_be_empty_or_all_inf():
     assert (result.n_points, result.n_dropped) == (0, 5)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_degenerate_depth_never_breaks_the_layers(seed):
     """Random images full of holes from random poses: every layer stays what `raw` says."""

@@ -32,7 +32,7 @@ def random_scan(seed: int, n: int):
     return scan, args
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 400))
 def test_point_kernels_agree_with_their_twins(seed, n):
     scan, args = random_scan(seed, n)

@@ -40,7 +40,7 @@ def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
     return grid, SE2(x, y, 0.0)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1), per_tick=st.sampled_from([100, 700, 12000]))
 def test_the_field_agrees_with_dijkstra(seed, per_tick):
     grid, pose = explored(seed, per_tick)

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_mission_ltl import formulas
 
@@ -80,7 +80,6 @@ def test_state_counts(text, states):
     assert compile_formula(parse(text)).n_states == states
 
 
-@settings(deadline=None)
 @given(formulas())
 def test_agrees_with_the_definition_on_all_short_words(f):
     automaton = compile_formula(f)
@@ -88,13 +87,11 @@ def test_agrees_with_the_definition_on_all_short_words(f):
         assert automaton.accepts(word) == holds(f, word)
 
 
-@settings(deadline=None)
 @given(formulas())
 def test_parts_give_the_same_automaton(f):
     assert same(in_parts(f), compile_formula(f))
 
 
-@settings(deadline=None)
 @given(formulas())
 def test_minimal(f):
     """Myhill–Nerode: any two states are told apart by a word, every state can be reached."""
@@ -110,7 +107,6 @@ def test_minimal(f):
     assert reached.all()
 
 
-@settings(deadline=None)
 @given(formulas(max_leaves=12))
 def test_states_are_numbered_breadth_first(f):
     order = [0]
@@ -179,7 +175,6 @@ def test_steps_left(text, left):
     assert compile_formula(parse(text)).steps_left[0] == left
 
 
-@settings(deadline=None)
 @given(formulas())
 def test_steps_left_is_the_fewest_objects(f):
     """Against a search over words with up to four objects and idle steps between them."""
@@ -202,7 +197,6 @@ def idle(automaton, states: set[int]) -> set[int]:
         states = wider
 
 
-@settings(deadline=None)
 @given(st.integers(1, 12), st.integers(1, 3), st.randoms(use_true_random=False))
 def test_both_refinements_agree(n, k, random):
     delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)

@@ -71,7 +71,7 @@ def texts(svg: str) -> list[str]:
 
 
 @given(automata())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_titles_say_all_that_the_automaton_does(automaton):
     """Rebuilt from the drawing's words alone, every step of a state with hope is right."""
     scene = make_scene(automaton)

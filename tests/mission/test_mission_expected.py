@@ -107,7 +107,7 @@ def test_certain_exploration_gives_the_shortest_word(text):
     assert plan.steps == vitl.steps
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     data=st.data(),
     automaton=automata(max_states=5, max_letters=3),

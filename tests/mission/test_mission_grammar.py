@@ -276,7 +276,7 @@ WORDS = st.sampled_from(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.one_of(st.text(max_size=200), st.lists(WORDS, max_size=40).map(" ".join)))
 def test_any_text_is_read_or_refused(text: str) -> None:
     """Never anything but a formula that can be written, or a refusal of one line."""
@@ -288,7 +288,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
         assert parse(to_text(formula)) == formula
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.sampled_from(sorted(TABLE)), st.sampled_from(["", " bed", " a", ",", ", then"]))
 def test_repetition_is_no_trap(phrase: tuple[str, ...], between: str) -> None:
     """The same words over and over, as many as are allowed, are answered all the same."""

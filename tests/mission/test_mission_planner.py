@@ -261,7 +261,7 @@ def test_a_matrix_of_another_shape_is_refused():
 # --- against networkx ---
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(data=st.data(), automaton=automata(), known_reached=st.booleans())
 def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
     knowledge = data.draw(knowledge_of(automaton.letters))
@@ -276,7 +276,7 @@ def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
         check(automaton, state, plan, knowledge)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(data=st.data(), automaton=automata(max_letters=3), seed=st.integers(0, 1000))
 def test_distance_plans_are_shortest_paths(data, automaton, seed):
     knowledge = data.draw(knowledge_of(automaton.letters))
@@ -341,7 +341,7 @@ def check(automaton, state, plan, knowledge):
     assert automaton.accepting[state]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(automaton=automata(), seed=st.integers(0, 10_000))
 @pytest.mark.parametrize("config", [PlannerVitl(), PlannerExpected(p_obs=0.4)])
 def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton, seed):

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from test_mission_automaton import CASE_1, CASE_2, CASE_2_WEAK, same, targets
 from test_mission_ltl import formulas
 
@@ -87,7 +87,6 @@ def test_same_automaton(text):
 
 
 @needs_spot
-@settings(deadline=None)
 @given(formulas(max_leaves=6))
 def test_same_automaton_of_any_formula(f):
     ours, spots = compile_formula(f), compile_with("spot", f)

@@ -129,7 +129,7 @@ def test_reaches_the_goal_through_a_doorway(start_yaw, goal):
     assert driven < 1.25 * direct
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_reaches_any_free_cell_among_random_boxes(seed):
     rng = np.random.default_rng(seed)

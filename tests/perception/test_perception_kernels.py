@@ -72,7 +72,7 @@ def test_no_anchor_gives_no_box():
 
 
 @given(seed=seeds, n=st.integers(1, 60), targets=st.integers(1, 3), rest=st.integers(0, 3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, n)
@@ -99,7 +99,7 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
 
 
 @given(seed=seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, 40)
@@ -125,7 +125,7 @@ def test_boxes_come_back_to_the_image_and_are_clipped():
 
 
 @given(seed=seeds, n=st.integers(0, 5))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_object_boxes_agree_with_their_twin(seed, n):
     random = np.random.default_rng(seed)
     ids = random.integers(0, n + 2, (12, 17)).astype(np.uint16)
@@ -142,7 +142,7 @@ def test_object_boxes_agree_with_their_twin(seed, n):
 
 
 @given(seed=seeds, n=st.integers(0, 200))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_cloud_raster_agrees_with_its_twin(seed, n):
     random = np.random.default_rng(seed)
     cloud = random.uniform(-4, 8, (n, 3)).astype(np.float32)
@@ -157,7 +157,7 @@ def test_cloud_raster_agrees_with_its_twin(seed, n):
 
 
 @given(seed=seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_sample_depth_agrees_with_its_twin(seed):
     random = np.random.default_rng(seed)
     depth = random.uniform(0, 9, (40, 60)).astype(np.float32)
@@ -182,7 +182,7 @@ def surfaces_of(z):
 
 
 @given(seed=seeds, n=st.integers(0, 576), spread=st.floats(0.05, 4))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_surfaces_agree_with_their_twin(seed, n, spread):
     random = np.random.default_rng(seed)
     middles = random.uniform(0.2, 8, 3)
@@ -195,7 +195,7 @@ def test_surfaces_agree_with_their_twin(seed, n, spread):
 
 
 @given(seed=seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_going_on_agrees_with_its_twin(seed):
     random = np.random.default_rng(seed)
     n = random.integers(0, 20, 4).astype(np.int32)
@@ -223,7 +223,7 @@ def test_one_view_of_the_wrong_thing_moves_nothing():
 
 
 @given(seed=seeds, n_old=st.integers(0, 64), n_new=st.integers(1, 32))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_merge_points_agrees_with_its_twin(seed, n_old, n_new):
     random = np.random.default_rng(seed)
     old = random.uniform(-3, 3, (n_old, 3)).astype(np.float32)

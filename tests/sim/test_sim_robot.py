@@ -64,7 +64,7 @@ def test_it_drives_an_arc():
         max_size=25,
     )
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_limits_hold_and_nothing_is_passed_through(commands):
     body = drive()
     for v_cmd, w_cmd, dt_s in commands:

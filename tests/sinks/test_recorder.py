@@ -65,7 +65,7 @@ def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
 
 
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     trail = Trail(capacity)
     for k in range(n):

@@ -78,7 +78,7 @@ def _problems(draw):
     return weights, *ends
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(_problems())
 def test_cost_is_within_a_thousandth_of_dijkstra(problem):
     weights, start, goal = problem

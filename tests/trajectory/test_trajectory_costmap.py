@@ -28,7 +28,7 @@ def twin(cells, resolution_m, clearance_m, near_m, near_cost, unknown_cost):
     return out
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, 0.02]),
