@@ -239,6 +239,8 @@ class PlannerVitl(Section):
 
     With `weights: distance` a known object weighs the metres to it, an unknown one
     `explore_m`, and the plan is also made anew when it gets better by `replan_margin_m`.
+    `w_fail` is what a failed object counts in the costs that status shows: whatever it is, no plan
+    needs one while another can do without.
     """
 
     kind: Literal["vitl"] = "vitl"

@@ -14,7 +14,7 @@ import numpy as np
 
 from edge import stages
 from edge.candidates import FRONTIER, INSTANCE, CandidatePool
-from edge.config import Config
+from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mapping.grid import RollingMap
@@ -52,8 +52,12 @@ class Service:
         keeper: has the mission's state written, and what it read taken up again.
 
     Attributes:
-        epoch: counts the frames that the map was in.
+        mission: the one under way, or the last one.
+        goal: where the robot is sent; None: nowhere.
+        orders: what of that was told to the controller.
+        pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
+        epoch: counts the frames that the map was in.
     """
 
     def __init__(
@@ -80,7 +84,8 @@ class Service:
         self.goal: Goal | None = None
         self.epoch = 0
         self.stamp_ns = 0
-        by_distance = getattr(config.mission.planner, "weights", "") == "distance"
+        planner = config.mission.planner
+        by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self._worker = worker
         self._sinks = sinks
@@ -182,8 +187,8 @@ class Service:
         mission, pose = self.mission, observation.pose
         if not mission.started:
             mission.start(now_ns)
-            if self.keeper is not None:
-                self.keeper.restore_places(self, observation)
+        if self.keeper is not None:
+            self.keeper.restore_places(self, observation)
         mission.observe(pose, now_ns)
         if self.policy.uses_instances:
             mission.see(newest_ids(self.tracker, mission.brief.targets), now_ns)
@@ -337,10 +342,14 @@ class Service:
         """Put another mission in the place of the present one; map and instances stay.
 
         Raises:
-            PromptError: the detector cannot look for one of its targets; nothing has changed.
+            PlannerError: its automaton is too large for the configured planner.
+            PromptError: the detector cannot look for one of its targets.
+
+        Nothing has changed when it raises.
         """
+        mission = MissionRun(brief, self.config.mission, self._step_taken)
         self._worker.detector.set_prompts(brief.targets)
-        self.mission = MissionRun(brief, self.config.mission, self._step_taken)
+        self.mission = mission
         self.tracker.forget_reached()
         self.pool.set_channels(len(brief.targets))
         self._seen, self._turns = None, -1
@@ -365,7 +374,8 @@ class Service:
         blind = self.pose is not None and now_ns - self._looked_ns > self._blind_ns
         if blind and pose is not None:
             self.pose = pose
-        self.mission.observe(self.pose, now_ns)
+        looking = self.pose is not None and not blind
+        self.mission.observe(self.pose, now_ns, looking)
         self.mission.check_limits(now_ns)
         if self.pose is not None and (self.mission.done or self.mission.paused or blind):
             self._stand(self.pose, now_ns)
@@ -389,6 +399,9 @@ class Service:
         self.grid = RollingMap(self.config.mapping)
         self.tracker.clear()
         self.pool.clear()
+        self.mission.forget_distances()
+        if self._surveyor is not None:
+            self._surveyor.forget()
         self._drop_goal()
         self.orders.withdraw(at_once=True)
         self.selector.start_over()

@@ -106,6 +106,38 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     assert loop.service.mission is before
 
 
+def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_on():
+    loop = ClosedLoop(config("F bed", mission={"planner": {"kind": "expected"}})).run(3)
+    before, prompts = loop.service.mission, loop.service._worker.detector.prompts
+    large = " & ".join(f"F object{i}" for i in range(12))
+    brief = prepare(config("F bed").mission, formula=large)
+    asked = order(loop, "new", brief)
+    assert "'expected' cannot take on a formula with 12 objects" in asked.errors[0]
+    assert loop.service.mission is before
+    assert loop.service._worker.detector.prompts == prompts
+
+
+def test_no_target_is_given_up_before_anything_was_seen():
+    loop = ClosedLoop(config("F bed", mission={"search_limit_s": 5.0}))
+    for second in range(20):
+        loop.service.idle(START_NS + second * 10**9, None)
+    assert not loop.service.mission.done
+    loop.step()
+    assert loop.service.mission.started
+    assert loop.service.mission.target == "bed"
+
+
+def test_a_pose_jump_ends_what_was_known_of_distances():
+    mission = {"planner": {"kind": "vitl", "weights": "distance"}}
+    loop = ClosedLoop(config(CHOICE, mission=mission))
+    while loop.service.mission.knowledge.distance_m is None:
+        loop.step()
+    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    assert loop.service.mission.knowledge.distance_m is None
+    assert loop.service._surveyor.poll() is None
+    loop.service.close()
+
+
 def test_pause_has_the_robot_stand_and_resume_go_on():
     loop = ClosedLoop(config("F bed")).run(6)
     assert order(loop, "pause").answers[0]["phase"] == "paused"

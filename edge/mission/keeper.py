@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from edge.mission.saved import Saved, restore_instance, save_instances
 from edge.mission.translate import Translation
 
 if TYPE_CHECKING:
+    from edge.mission.run import MissionRun
     from edge.service import Service
     from edge.types import Observation
 
@@ -45,7 +47,7 @@ class Keeper:
         self.saved = _to_go_on_with(loaded.saved, asked)
         self._places = self.saved
         self._writer = CheckpointWriter(path)
-        self._kept: tuple[int, int] | None = None
+        self._kept: tuple[MissionRun, int] | None = None
 
     def brief(self) -> Brief | None:
         """The saved mission again, from its formula: nothing is translated twice.
@@ -94,19 +96,19 @@ class Keeper:
     def note(self, service: Service, now_ns: int) -> None:
         """Hand the state to the writer if it is time. Never blocks."""
         mission = service.mission
-        at = (id(mission), mission.changes)
-        if at == self._kept and not self._writer.due(now_ns):
+        kept, self._kept = self._kept, (mission, mission.changes)
+        unchanged = kept is not None and kept[0] is mission and kept[1] == mission.changes
+        if unchanged and not self._writer.due(now_ns):
             return
-        self._kept = at
         # Only references are taken here: instances replace their arrays and never write into them.
         instances = [copy(i) for i in service.tracker.all]
         status, pose, brief = service.status, service.pose, mission.brief
         word, reached, failed = mission.word, mission.reached, mission.failed
         detected, paused = mission.detected, mission.paused
-        stamp_ns, epoch = service.stamp_ns, service.epoch
+        stamp_ns, epoch, pending = service.stamp_ns, service.epoch, self._places
 
         def made() -> Saved:
-            return Saved(
+            saved = Saved(
                 instruction=status.instruction,
                 formula=str(brief.automaton.formula),
                 backend=brief.translation.backend,
@@ -125,6 +127,16 @@ class Keeper:
                 stamp_ns=stamp_ns,
                 odometry_epoch=epoch,
                 instances=save_instances(instances),
+            )
+            if pending is None:
+                return saved
+            # Nothing was observed since the restart: the places are still those of before.
+            return replace(
+                saved,
+                pose=pending.pose,
+                stamp_ns=pending.stamp_ns,
+                odometry_epoch=pending.odometry_epoch,
+                instances=pending.instances,
             )
 
         self._writer.post(made, now_ns)

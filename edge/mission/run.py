@@ -34,6 +34,7 @@ class MissionRun:
         target: what to pursue now; at the end, what was pursued last.
         word: the letters taken so far.
         detected, failed: the sets D and B, as labels; `reached`: R in order of reaching.
+        started: whether the first steps were taken.
         paused: time and path do not count, nothing is pursued.
         turns: counts how often a target was set out for.
         changes: counts everything that a checkpoint should hold.
@@ -53,6 +54,7 @@ class MissionRun:
         self.detected: frozenset[str] = frozenset()
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
+        self.started = False
         self.paused = False
         self.turns = 0
         self.changes = 0
@@ -79,10 +81,6 @@ class MissionRun:
     def steps(self) -> tuple[Step, ...]:
         """What happened, oldest first; of a very long mission, the last `MAX_STEPS`."""
         return tuple(self._steps)
-
-    @property
-    def started(self) -> bool:
-        return bool(self._steps)
 
     @property
     def done(self) -> bool:
@@ -119,6 +117,9 @@ class MissionRun:
 
     def start(self, now_ns: int) -> None:
         """Write the first steps of the story: what was understood, and where to go first."""
+        self.started = True
+        if self.done:
+            return
         brief = self.brief
         self._note(
             now_ns, "start", "", f"mission: {brief.translation.english} [{brief.automaton.formula}]"
@@ -127,11 +128,12 @@ class MissionRun:
             self._note(now_ns, "warning", "", warning)
         self._replan(now_ns, anew=True)
 
-    def observe(self, pose: SE2 | None, now_ns: int) -> None:
+    def observe(self, pose: SE2 | None, now_ns: int, looking: bool = True) -> None:
         """Count time, from the first call on, and path; a jump of the pose is not driving.
 
         Args:
             pose: None while it is not known; time passes all the same.
+            looking: whether sensors see anything; else no target is being searched for.
         """
         passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
@@ -144,7 +146,8 @@ class MissionRun:
             return
         self.elapsed_s += passed_s
         self.path_m += step_m if step_m < 1.0 else 0.0
-        self._pursued_s[self.target] = self._pursued_s.get(self.target, 0.0) + passed_s
+        if looking:
+            self._pursued_s[self.target] = self._pursued_s.get(self.target, 0.0) + passed_s
 
     def check_limits(self, now_ns: int) -> None:
         """Fail at the time or path limit; a target sought for too long counts as failed."""
@@ -187,6 +190,10 @@ class MissionRun:
         if not self.done:
             self._distance_m = distance_m
             self._replan(now_ns)
+
+    def forget_distances(self) -> None:
+        """The frame that they were measured in is gone; new ones come with the next survey."""
+        self._distance_m = None
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         """The active target was reached: the one thing that moves the automaton."""

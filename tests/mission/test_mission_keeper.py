@@ -8,6 +8,8 @@ import pytest
 from closed_loop import ClosedLoop
 
 from edge.config import Config, parse
+from edge.mission.brief import prepare
+from edge.mission.checkpoint import load
 from edge.mission.keeper import Keeper
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
@@ -56,6 +58,47 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     second.close()
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.distance_m("television") <= 1.0
+
+
+def test_a_restart_that_saw_nothing_loses_no_place(path):
+    loop = ClosedLoop(config("F (television | bed)"))
+    first = restart(loop, path)
+    while "television" not in loop.service.mission.detected:
+        loop.step()
+    loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
+    loop.step()
+    first.close()
+    before = load(path).saved
+    blind = restart(loop, path)
+    loop.service.idle(loop.drive.motion.stamp_ns, None)
+    blind.close()
+    after = load(path).saved
+    assert before.instances
+    assert (after.instances, after.pose, after.stamp_ns) == (
+        before.instances, before.pose, before.stamp_ns,
+    )  # fmt: skip
+    third = restart(loop, path)
+    loop.step()
+    third.close()
+    assert loop.service.tracker.of("television")
+    assert loop.service.mission.failed == {"television"}
+
+
+def test_places_come_back_under_an_order_that_came_before_the_first_image(path):
+    loop = ClosedLoop(config("F television & F bed"))
+    first = restart(loop, path)
+    while "television" not in loop.service.mission.detected:
+        loop.step()
+    first.close()
+    second = restart(loop, path)
+    loop.service.idle(loop.drive.motion.stamp_ns, None)
+    brief = prepare(loop.config.mission, formula="F television")
+    loop.service.begin(brief, loop.drive.motion.stamp_ns)
+    loop.step()
+    second.close()
+    hits = {i.id: i.hits for i in loop.service.tracker.all}
+    assert second.saved.instances
+    assert all(hits.get(i.id, 0) >= i.hits for i in second.saved.instances)
 
 
 def test_what_had_failed_is_not_taken_up_again_for_the_same_instance(path):

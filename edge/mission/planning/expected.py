@@ -20,8 +20,9 @@ from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan
 from edge.mission.planning.vitl import W_NOTHING, VitlPlanner, working_order
 
 MAX_LETTERS = 12
-MAX_VALUES = 1 << 22
-"""Entries of a table of values: 32 MiB."""
+MAX_VALUES = 1 << 18
+"""Entries of a table of values: 2 MiB. The largest, nine objects in any order, takes about 10 ms
+to solve, which a tick can bear: it comes when a mission begins and when an object fails."""
 _TABLES = 2
 _LEAST_SHARE = 0.1
 """A prior never takes p_obs down to less than this share of it."""
