@@ -14,6 +14,7 @@ from edge.mission.automaton import Automaton, compile_with
 from edge.mission.language.english import describe
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.ltl import Formula
+from edge.mission.planner import make_planner
 from edge.mission.translate import Translation, make_translator
 
 
@@ -53,7 +54,8 @@ def prepare(config: Mission, instruction: str | None = None, formula: str | None
 
     Raises:
         UserError: the instruction was not understood, the formula is malformed, too large, a
-            contradiction (the parts that conflict are named), or asks for nothing.
+            contradiction (the parts that conflict are named), asks for nothing, or is too large for
+            the configured planner.
     """
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
@@ -72,7 +74,7 @@ def prepare(config: Mission, instruction: str | None = None, formula: str | None
 
 
 def brief_of(config: Mission, translation: Translation) -> Brief:
-    """Compile and check what was translated; see `prepare`."""
+    """Compile and check what was translated, and that the planner can take it on; see `prepare`."""
     formula = _unified(translation.formula)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
@@ -94,7 +96,9 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
             f"({translation.english})"
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
-    return Brief(translation, _narrowed(automaton, targets), diagnosis, targets)
+    automaton = _narrowed(automaton, targets)
+    make_planner(config.planner, automaton)  # refuses what it cannot take on
+    return Brief(translation, automaton, diagnosis, targets)
 
 
 def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
