@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,10 +178,11 @@ def _replace(path: Path, content: bytes) -> None:
 def _probe(path: Path) -> None:
     """CheckpointError unless a file can be written at `path`."""
     _no_other_thing(path)
-    beside = path.with_name(f".{path.name}.tmp")
     try:
-        beside.write_bytes(b"")
-        beside.unlink()
+        # Not the name that `_replace` takes: a running service may be writing there.
+        file, probe = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        os.close(file)
+        os.unlink(probe)
     except OSError as error:
         raise _unusable(path, error) from None
 

@@ -295,6 +295,8 @@ for life in range(30):
         while True:
             n += 1
             save(path, replace(state, stamp_ns=n, instances=state.instances[:1] * (1 + n % 200)))
+    while life == 0 and load(path).saved.stamp_ns == state.stamp_ns:
+        assert os.waitpid(child, os.WNOHANG) == (0, 0), "the writer ended by itself"
     time.sleep(chance.uniform(0.0, 0.06))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
@@ -410,6 +412,14 @@ def test_a_place_that_cannot_be_written_is_an_error_at_the_start(tmp_path, name)
     with pytest.raises(CheckpointError, match=r"mission\.checkpoint: .*name a file in") as caught:
         CheckpointWriter(tmp_path / name)
     assert "\n" not in str(caught.value)
+
+
+def test_another_process_may_check_the_place_while_a_service_writes_there(tmp_path):
+    half = tmp_path / ".mission.json.tmp"
+    half.write_bytes(encode(BEGUN)[:100])
+    assert CheckpointWriter(tmp_path / "mission.json").close(30)
+    assert half.read_bytes() == encode(BEGUN)[:100]
+    assert others(tmp_path, half) == []
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
