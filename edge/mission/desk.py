@@ -14,7 +14,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
@@ -153,10 +153,11 @@ class MissionDesk:
     def _serve(self) -> None:
         try:
             while not self._closing.wait(_RECEIVE_S):
-                while (query := self._queryable.try_recv()) is not None:
-                    self._receive(_Asker(query, self._answered.put))
+                for asker in self._arrived():
+                    self._receive(asker)
                 self._give_up(time.monotonic())
                 self._send()
+            self._open.update(self._arrived())
             self._queryable.undeclare()
         except zenoh.ZError as error:
             log.warning("no more orders are taken, the session is closed: %s", _reason(error))
@@ -168,6 +169,10 @@ class MissionDesk:
                 while True:
                     self._new.get_nowait()
             self._new.put(None)
+
+    def _arrived(self) -> Iterator[_Asker]:
+        while (query := self._queryable.try_recv()) is not None:
+            yield _Asker(query, self._answered.put)
 
     def _receive(self, asker: _Asker) -> None:
         self._open.add(asker)

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 import zenoh
@@ -123,8 +124,10 @@ def session() -> Iterator[zenoh.Session]:
 def open_desk(session) -> Iterator[Callable[..., MissionDesk]]:
     desks = []
 
-    def open_desk(prepare: Callable = lambda *texts: texts, **options: float) -> MissionDesk:
-        desks.append(MissionDesk(session, PREFIX, prepare, **options))
+    def open_desk(
+        prepare: Callable = lambda *texts: texts, patience_s: float = PATIENCE_S
+    ) -> MissionDesk:
+        desks.append(MissionDesk(session, PREFIX, prepare, patience_s))
         return desks[-1]
 
     yield open_desk
@@ -279,10 +282,12 @@ def test_a_loop_that_does_not_run_is_told_of(session, open_desk):
     assert desk.poll() is None
 
 
-def test_a_loop_that_takes_an_order_and_says_nothing_is_told_of(session, open_desk):
+def test_a_loop_that_takes_an_order_and_says_nothing_is_told_of(session, open_desk, monkeypatch):
     desk = open_desk()
     asking = Asking(session, do="pause")
     request = taken(desk)
+    late = SimpleNamespace(monotonic=lambda: time.monotonic() + PATIENCE_S)
+    monkeypatch.setattr("edge.mission.desk.time", late)
     assert "taken, but not answered" in asking.refusal
     request.answer({"phase": "late"})
     asking = Asking(session, do="status")
@@ -363,17 +368,29 @@ def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(sessio
         begun.set()
         go.wait(PATIENCE_S)
 
-    desk = open_desk(prepare, patience_s=PATIENCE_S)
+    desk = open_desk(prepare)
     open_orders = [Asking(session, do="new", formula="F a")]
     assert begun.wait(PATIENCE_S)
     open_orders += [Asking(session, do=do) for do in ("status", "pause")]
-    request = taken(desk)
+    requests = [taken(desk) for _ in range(2)]
     desk.close(0.2)
     assert all("the service is stopping" in asking.refusal for asking in open_orders)
-    request.answer({"phase": "late"})
+    for request in requests:
+        request.answer({"phase": "late"})
     go.set()
     assert "no service answers at edge/mission/request" in Asking(session, do="status").refusal
     desk.close()
+
+
+def test_orders_that_arrive_as_the_desk_closes_are_told_so(session, open_desk, monkeypatch):
+    monkeypatch.setattr("edge.mission.desk._RECEIVE_S", PATIENCE_S)  # it looks only when it closes
+    desk = open_desk()
+    payloads = (b'{"do": "status"}', b'{"do": "new", "formula": "F a"}', b"nonsense")
+    asked = [session.get(KEY, payload=payload, timeout=PATIENCE_S) for payload in payloads]
+    desk.close()
+    answers = [json.loads(reply.err.payload.to_bytes()) for replies in asked for reply in replies]
+    assert answers == [{"error": "the service is stopping"}] * 3
+    assert desk.poll() is None
 
 
 def test_a_desk_can_be_opened_where_one_was_closed(session, open_desk):
