@@ -70,7 +70,7 @@ def run_bench(
         UserError: no tick, or no detection, came about.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
-    from edge.commands import free_port
+    from edge.ports import free_port
     from edge.recording import player
     from edge.runner import loop, open_service
 

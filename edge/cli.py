@@ -72,32 +72,33 @@ def _watch_parent(parent: int, stop: threading.Event) -> None:
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The configuration that a command names, with the mission of its options put in."""
+    """The configuration that a command names, with `--target` or `--mission` put in.
+
+    A formula is no part of it: the configured translator is still there for later orders.
+    """
     from edge.config import load
 
-    given = {name: getattr(args, name, None) for name in ("target", "mission", "formula")}
     environ = dict(os.environ)
-    if given["target"]:
-        environ["EDGE__MISSION__TARGET"] = json.dumps(given["target"])
+    if (target := getattr(args, "target", None)) is not None:
+        environ["EDGE__MISSION__TARGET"] = json.dumps(target)
         environ["EDGE__MISSION__INSTRUCTION"] = "null"
-    elif text := given["mission"] or given["formula"]:
-        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(text)
-    if given["formula"]:
-        environ["EDGE__MISSION__TRANSLATOR"] = "{kind: ltl}"
+    elif (instruction := getattr(args, "mission", None)) is not None:
+        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
     return load(args.config, environ)
 
 
 def _run(args: argparse.Namespace) -> int:
     from edge.commands import run_service
 
-    asked = args.target or args.mission or args.formula
-    return run_service(load_config(args), stop_on_signals(), args.once, args.report, asked)
+    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    return run_service(config, stop, args.once, args.report, asked, args.formula)
 
 
 def _demo(args: argparse.Namespace) -> int:
     from edge.commands import run_demo
 
-    return run_demo(load_config(args), stop_on_signals(), args.report)
+    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    return run_demo(config, stop, args.report, asked, args.formula)
 
 
 def _sim(args: argparse.Namespace) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -17,6 +16,7 @@ from typing import NamedTuple
 from edge.config import Config
 from edge.errors import UserError
 from edge.latency import LatencyReport
+from edge.ports import free_port
 from edge.runner import loop, open_service
 from edge.sinks.console import ConsoleSink, RecorderSink
 from edge.sinks.recorder import RunRecord
@@ -37,18 +37,23 @@ class Outcome(NamedTuple):
 
 
 def run_service(
-    config: Config, stop: threading.Event, once: bool, report: str | None, asked: str | None
+    config: Config,
+    stop: threading.Event,
+    once: bool,
+    report: str | None,
+    asked: str | None = None,
+    formula: str | None = None,
 ) -> int:
     """Run the service; 0 when it ended well or was stopped, 1 when the mission failed.
 
     Args:
-        asked: the mission as given on the command line; see `open_service`.
+        asked, formula: the mission as given on the command line; see `open_service`.
 
     Raises:
         UserError: no report can be written there (said before the run).
     """
     _prepare(report)
-    return _conclude(_serve(config, stop, once, asked), report)
+    return _conclude(_serve(config, stop, once, asked, formula), report)
 
 
 def _prepare(report: str | None) -> None:
@@ -58,11 +63,13 @@ def _prepare(report: str | None) -> None:
         prepare(report)
 
 
-def _serve(config: Config, stop: threading.Event, once: bool, asked: str | None = None) -> Outcome:
+def _serve(
+    config: Config, stop: threading.Event, once: bool, asked: str | None, formula: str | None
+) -> Outcome:
     recorder = RecorderSink(config)
-    with open_service(config, [ConsoleSink(), recorder], asked) as running:
-        asked = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", asked, config.zenoh.endpoint)
+    with open_service(config, [ConsoleSink(), recorder], asked, formula) as running:
+        instruction = running.service.mission.brief.translation.instruction
+        log.info("ready: %s, on %s", instruction, config.zenoh.endpoint)
         status = loop(running, stop, once)
         record = recorder.record(running.service, running.source.counters)
         return Outcome(status, running.service.latency.report(), record)
@@ -90,8 +97,18 @@ def summary(status: MissionStatus) -> str:
     )
 
 
-def run_demo(config: Config, stop: threading.Event, report: str) -> int:
-    """Simulated robot, reference controller and service on this machine; ends with the mission."""
+def run_demo(
+    config: Config,
+    stop: threading.Event,
+    report: str,
+    asked: str | None = None,
+    formula: str | None = None,
+) -> int:
+    """Simulated robot, reference controller and service on this machine; ends with the mission.
+
+    Args:
+        asked, formula: see `run_service`.
+    """
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = config.model_copy(
         update={"zenoh": config.zenoh.model_copy(update={"endpoint": endpoint})}
@@ -100,7 +117,7 @@ def run_demo(config: Config, stop: threading.Event, report: str) -> int:
     outcome = None
     try:
         with children(config, stop, ("sim", "--no-motion"), ("motion",)):
-            outcome = _serve(config, stop, True)
+            outcome = _serve(config, stop, True, asked, formula)
     finally:  # a child's failure must not cost the report
         code = 0 if outcome is None else _conclude(outcome, report)
     return code
@@ -112,13 +129,6 @@ def run_simulator(config: Config, stop: threading.Event, motion: bool) -> int:
 
     with children(config, stop, *([("motion",)] if motion else [])):
         return run_sim(config, stop)
-
-
-def free_port() -> int:
-    """A TCP port of this machine that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import json
 import os
 import platform
 import shutil
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -217,9 +216,10 @@ def loopback_ms(limit_s: float) -> float | None:
 
     from edge import bus
     from edge.config import Zenoh
+    from edge.ports import free_port
 
     before = time.perf_counter()
-    settings = Zenoh(endpoint=f"tcp/127.0.0.1:{_free_port()}")
+    settings = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
     key = f"edge-doctor/{os.getpid()}"
     with (
         bus.open_session(settings, "listen") as hears,
@@ -232,12 +232,6 @@ def loopback_ms(limit_s: float) -> float | None:
                 return 1e3 * (time.perf_counter() - before)
             time.sleep(0.01)
     return None
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def check_endpoint(config: Config) -> Iterator[Finding]:

@@ -58,13 +58,16 @@ class Running:
 
 
 @contextmanager
-def open_service(config: Config, sinks: list[Sink], asked: str | None = None) -> Iterator[Running]:
+def open_service(
+    config: Config, sinks: list[Sink], asked: str | None = None, formula: str | None = None
+) -> Iterator[Running]:
     """Prepare the mission, load the detector, compile kernels, open Zenoh; all closed at exit.
 
     Args:
         sinks: take the results besides the Zenoh sink.
-        asked: the mission as it was asked for on the command line; None lets a checkpoint's
-            unfinished one go on, whatever the configuration says.
+        asked: the configuration's mission, where the command line named it.
+        formula: the mission, in place of the configuration's. With neither, a checkpoint's
+            unfinished mission goes on, whatever the configuration says.
 
     Raises:
         UserError: the mission is not understood or cannot be done.
@@ -75,11 +78,12 @@ def open_service(config: Config, sinks: list[Sink], asked: str | None = None) ->
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
-            keeper = Keeper(config, Path(mission.checkpoint).expanduser(), asked)
+            named = asked if formula is None else formula
+            keeper = Keeper(config, Path(mission.checkpoint).expanduser(), named)
             stack.callback(keeper.close)
             brief = keeper.brief()
         if brief is None:
-            brief = prepare(mission)
+            brief = prepare(mission, formula=formula)
         detector = make_detector(config.perception, brief.targets)
         worker = (
             InlineWorker(detector, config.loop.detect_every)

@@ -6,12 +6,14 @@ import json
 import socket
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
 from edge import cli
 from edge.cli import main
+from edge.errors import Stopped
 
 HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
 COMMANDS = (
@@ -160,6 +162,41 @@ def test_the_target_of_the_command_line_wins(monkeypatch):
     monkeypatch.setenv("EDGE__MISSION__TARGET", '"bed"')
     args = cli.make_parser("", {}).parse_args(["run", "demo", "--target", "sofa: red"])
     assert cli.load_config(args).mission.target == "sofa: red"
+
+
+@pytest.mark.parametrize("option", ["--target", "--mission", "--formula"])
+def test_an_empty_mission_is_not_taken_for_none(option, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert fails(capsys, "demo", "demo", option, "")
+
+
+@pytest.mark.parametrize("command", ["run", "demo"])
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), (None, None, "chair", None)),
+        (("--target", "bed"), ("bed", None, "bed", None)),
+        (("--mission", "go to the bed"), ("go to the bed", None, "chair", "go to the bed")),
+        (("--formula", "F bed"), (None, "F bed", "chair", None)),
+    ],
+)
+def test_the_service_is_told_the_mission_that_was_asked_for(
+    command, words, expected, tmp_path, monkeypatch
+):
+    """A formula leaves the configuration as it is: later orders are read by its translator."""
+    opened = []
+
+    def open_service(config, sinks, asked=None, formula=None):
+        assert config.mission.translator.kind == "grammar"
+        opened.append((asked, formula, config.mission.target, config.mission.instruction))
+        raise Stopped
+
+    monkeypatch.setattr("edge.commands.open_service", open_service)
+    monkeypatch.setattr("edge.commands.children", lambda *_: nullcontext())
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps({"mission": {"target": "chair"}}))
+    assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
+    assert opened == [expected]
 
 
 def test_output_that_nobody_reads_on_is_no_error():

@@ -1,11 +1,29 @@
-"""What the loop relies on from start-up."""
+"""What the loop relies on from start-up, and which mission a service begins with."""
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+import pytest
+
+from edge.config import Config, parse
+from edge.mission.checkpoint import save
+from edge.mission.order import ask
+from edge.mission.saved import Saved
+from edge.ports import free_port
+from edge.runner import loop, open_service
+
+UNFINISHED = Saved(
+    "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
+    False, 1.0, 0.5, None, 0, 0, (),
+)  # fmt: skip
+PATIENCE_S = 60.0  # only a failing test waits this long
 
 COMPILED_IN_THE_LOOP = """
 import json, sys
@@ -49,3 +67,47 @@ def test_nothing_is_compiled_once_the_loop_runs():
     assert phase == "reached"
     assert kernels > 20
     assert late == []
+
+
+@pytest.fixture(autouse=True)
+def as_before():
+    """Opening a service sets these for the whole process."""
+    switch_s = sys.getswitchinterval()
+    yield
+    sys.setswitchinterval(switch_s)
+    gc.unfreeze()
+
+
+def config(**mission: object) -> Config:
+    return parse({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}, "mission": mission})
+
+
+@pytest.mark.parametrize(
+    ("asked", "formula", "expected"),
+    [
+        (None, None, "go to the bed"),
+        ("go to the sofa", None, "go to the sofa"),
+        (None, "F sofa", "F sofa"),
+    ],
+)
+def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
+    tmp_path, asked, formula, expected
+):
+    save(tmp_path / "mission.json", UNFINISHED)
+    settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
+    with open_service(settings, [], asked, formula) as running:
+        assert running.service.mission.brief.translation.instruction == expected
+
+
+def test_after_a_formula_orders_are_read_by_the_configured_translator():
+    settings, stop = config(target="bed"), threading.Event()
+    request = {"do": "new", "instruction": "go to the sofa"}
+    with (
+        ThreadPoolExecutor(1) as pool,
+        open_service(settings, [], formula="F chair") as running,
+    ):
+        assert running.service.mission.brief.targets == ("chair",)
+        answer = pool.submit(ask, running.session, settings.zenoh.prefix, request, PATIENCE_S)
+        answer.add_done_callback(lambda _: stop.set())
+        loop(running, stop)
+        assert answer.result()["formula"] == "F sofa"

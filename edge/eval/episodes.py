@@ -115,7 +115,8 @@ def run_episode(
     stop: threading.Event | None = None,
 ) -> Outcome:
     """One episode in this process and two children, until its end or until `stop` is set."""
-    from edge.commands import children, free_port
+    from edge.commands import children
+    from edge.ports import free_port
     from edge.runner import loop, open_service
     from edge.sim.worlds import load_world
     from edge.sinks.console import RecorderSink
