@@ -23,7 +23,7 @@ from edge.errors import UserError
 from edge.mission.logic.formula import UNARY, Formula, postorder
 from edge.mission.logic.limits import CompileError, Limits
 from edge.mission.logic.minimise import minimal
-from edge.mission.ltl import holds
+from edge.mission.logic.semantics import holds
 
 _ALIVE = "alive"
 _WANTED = {
