@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
+from types import SimpleNamespace
 
 import pytest
 from chat_server import completion, saying, send, serving
@@ -14,6 +15,8 @@ from hypothesis import strategies as st
 from edge import names
 from edge.config import TranslatorLlm
 from edge.errors import UserError
+from edge.mission.language import llm
+from edge.mission.language.chat import ChatError
 from edge.mission.language.formula_grammar import (
     MOST_NAMES,
     MOST_NESTING,
@@ -106,23 +109,40 @@ def test_an_instruction_without_objects_asks_nobody(instruction):
 
 def test_a_server_that_fails_is_not_asked_again():
     with serving(lambda handler: send(handler, b"", 500)) as server:
-        with pytest.raises(TranslationError, match=f"{server.url}: answered HTTP 500"):
+        with pytest.raises(ChatError, match=f"^{server.url}: answered HTTP 500"):
             translate(server.url)
         assert len(server.requests) == 1
 
 
-def test_both_attempts_share_one_time_limit():
+def test_both_attempts_share_one_time_limit(monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(llm, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
     def behave(handler):
-        if len(server.requests) == 1:
-            send(handler, completion("nonsense ("))
-        else:
-            handler.stopping.wait(20.0)
+        now_s[0] += 31.0
+        send(handler, completion("nonsense ("))
+
+    with serving(behave) as server:
+        with pytest.raises(ChatError, match="no whole answer within 30 s; raise time_limit_s"):
+            translate(server.url, time_limit_s=30.0)
+        assert len(server.requests) == 1  # nothing is left for the second
+
+
+def test_the_second_attempt_names_the_limit_that_is_configured(monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(llm, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    def behave(handler):
+        if now_s[0]:
+            handler.stopping.wait()
+        now_s[0] += 3599.9
+        send(handler, completion("nonsense ("))
 
     with (
         serving(behave) as server,
-        pytest.raises(TranslationError, match=r"no whole answer within 0\.\d+ s"),
+        pytest.raises(ChatError, match="no whole answer within 3600 s"),
     ):
-        translate(server.url, time_limit_s=1.0)
+        translate(server.url, time_limit_s=3600.0)
 
 
 @pytest.mark.parametrize("constrain", ["none", "gbnf", "guided_grammar"])

@@ -49,17 +49,23 @@ class _Exchange:
 
     A socket's own time limit holds for each read, so a server that sends one byte a second would
     outlast it, and looking up a host name knows no limit at all. Hence whoever waits for
-    `outcome` limits the total, and gives up by closing the socket.
+    `outcome` limits the total, and gives up by shutting the socket down.
+
+    Attributes:
+        sock: once it is connected. The connection lets go of its own as soon as a header says
+            that the server will close it, while the answer is still being read.
     """
 
     connection: http.client.HTTPConnection
     outcome: queue.SimpleQueue = field(default_factory=queue.SimpleQueue)
+    sock: socket.socket | None = None
     given_up: bool = False
 
     def run(self, target: str, body: bytes, headers: dict[str, str], max_bytes: int) -> None:
         try:
-            self.connection.connect()
-            if not self.given_up:
+            self.connection.connect()  # an address and the handshake have the socket's limit in all
+            self.sock = self.connection.sock
+            if not self.given_up:  # looked at after `sock` is set: `give_up` does the reverse
                 self.connection.request("POST", target, body, headers)
                 self.outcome.put(_receive(self.connection.getresponse(), max_bytes))
         except Exception as error:  # whatever it is, it is raised anew where the answer is awaited
@@ -69,9 +75,9 @@ class _Exchange:
 
     def give_up(self) -> None:
         self.given_up = True
-        if self.connection.sock is not None:
-            with suppress(OSError):  # it may just have been closed
-                self.connection.sock.shutdown(socket.SHUT_RDWR)
+        if self.sock is not None:
+            with suppress(OSError):  # it may have been closed by now
+                self.sock.shutdown(socket.SHUT_RDWR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,24 +119,24 @@ class ChatClient:
             )
 
     def ask(
-        self, messages: list[dict[str, str]], time_limit_s: float | None = None, **options: Any
+        self, messages: list[dict[str, str]], left_s: float | None = None, **options: Any
     ) -> str:
         """The model's answer to a conversation.
 
         Args:
             messages: `{"role": "system" | "user" | "assistant", "content": text}` each.
-            time_limit_s: takes the place of the client's own limit.
+            left_s: of the client's time limit, where earlier questions took some; None: all.
             options: further fields of the request, as `temperature`.
 
         Raises:
             ChatError: no usable answer within the limits; `CutOffError` when the answer was
                 ended by the limit of tokens.
         """
-        limit_s = self.time_limit_s if time_limit_s is None else time_limit_s
-        if limit_s <= 0:
-            raise self._error(_reason(TimeoutError(), limit_s))
+        left_s = self.time_limit_s if left_s is None else left_s
+        if left_s <= 0:
+            raise self._error(_reason(TimeoutError(), self.time_limit_s))
         request = {"model": self.model, "messages": messages, "stream": False, **options}
-        reply = self._exchange(json.dumps(request).encode(), limit_s)
+        reply = self._exchange(json.dumps(request).encode(), left_s)
         if 300 <= reply.status < 400:
             where = self._quote(reply.headers.get("Location", "nowhere"))
             raise self._error(f"answered HTTP {reply.status}, see {where}; configure another URL")
@@ -141,14 +147,14 @@ class ChatClient:
             raise self._error(f"the answer has more than {limit_kb:g} KB; check what runs there")
         return self._content(reply)
 
-    def _exchange(self, body: bytes, limit_s: float) -> _Reply:
-        parts, end_s = self._parts, time.monotonic() + limit_s
+    def _exchange(self, body: bytes, left_s: float) -> _Reply:
+        parts, end_s = self._parts, time.monotonic() + left_s
         if parts.scheme == "https":
             connection = http.client.HTTPSConnection(
-                parts.hostname, parts.port, timeout=limit_s, context=ssl.create_default_context()
+                parts.hostname, parts.port, timeout=left_s, context=ssl.create_default_context()
             )
         else:
-            connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=limit_s)
+            connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=left_s)
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
         if self._api_key:
             headers["Authorization"] = f"Bearer {self._api_key}"
@@ -163,7 +169,7 @@ class ChatClient:
             outcome = TimeoutError()
         if isinstance(outcome, _Reply):
             return outcome
-        raise self._error(_reason(outcome, limit_s)) from None
+        raise self._error(_reason(outcome, self.time_limit_s)) from None
 
     def _content(self, reply: _Reply) -> str:
         shown = self._quote(reply.body)
@@ -246,9 +252,7 @@ def _reason(error: BaseException, limit_s: float) -> str:
     """What went wrong, and what to do."""
     match error:
         case TimeoutError():
-            return (
-                f"no whole answer within {limit_s:.3g} s; raise time_limit_s or use a faster model"
-            )
+            return f"no whole answer within {limit_s:g} s; raise time_limit_s or use a faster model"
         case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
             return "the host is not known; check the URL"
         case ssl.SSLCertVerificationError():

@@ -15,7 +15,7 @@ from typing import Any
 from edge import names
 from edge.config import TranslatorLlm
 from edge.errors import UserError
-from edge.mission.language.chat import ChatError, CutOffError, client_of
+from edge.mission.language.chat import CutOffError, client_of
 from edge.mission.language.english import describe
 from edge.mission.language.formula_grammar import gbnf
 from edge.mission.language.grounding import objects_in
@@ -73,8 +73,9 @@ class LlmTranslator:
         """The instruction's formula, its propositions canonical names that the instruction names.
 
         Raises:
-            TranslationError: the instruction names no object, the server gave no answer within
-                `time_limit_s` (for both attempts together), or no answer was a usable formula.
+            TranslationError: the instruction names no object, or no answer was a usable formula.
+            ChatError: the server failed, or gave no answer within `time_limit_s` (for both
+                attempts together).
         """
         begin_s, url = time.monotonic(), self._client.url
         objects = objects_in(instruction)
@@ -85,14 +86,12 @@ class LlmTranslator:
         for attempts in (1, 2):
             left_s = self._config.time_limit_s - (time.monotonic() - begin_s)
             try:
-                answer = self._client.ask(messages, time_limit_s=left_s, **options)
+                answer = self._client.ask(messages, left_s=left_s, **options)
                 formula = read(answer, objects)
             except CutOffError as error:
                 answer, fault = error.answer, "the formula does not come to an end"
             except (FormulaError, _UnusableError) as error:
                 fault = str(error)
-            except ChatError as error:
-                raise TranslationError(f"no translation: {error}") from None
             else:
                 _report_left_out(formula, objects)
                 seconds = time.monotonic() - begin_s
