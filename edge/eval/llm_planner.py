@@ -108,7 +108,7 @@ def run_llm(
     client: ChatClient,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
-) -> tuple[Results, ChatError | None]:
+) -> tuple[Results, BaseException | None]:
     """Run the LLM-planner on some of the tasks, with the luck that the other planners had.
 
     Args:
@@ -117,7 +117,8 @@ def run_llm(
         progress: called with the number of episodes done so far.
 
     Returns:
-        Results for all tasks, most of them not run, and what ended it early: a server's failure
+        Results for all tasks, most of them not run, and what ended it early. Nothing is raised,
+        not even Ctrl-C: the caller reports what is done before it raises that. A server's failure
         is not the planner's, so the episodes it hits count as not run.
     """
     settings = settings._replace(planners=(NAME,))
@@ -143,7 +144,7 @@ def run_llm(
             raise
         return None if stop.is_set() else episode
 
-    failure: ChatError | None = None
+    failure: BaseException | None = None
     pool = ThreadPoolExecutor(jobs)
     try:
         futures = {
@@ -154,18 +155,16 @@ def run_llm(
         }
         for done, future in enumerate(as_completed(futures), start=1):
             row, j, e = futures[future]
-            try:
-                episode = future.result()
-            except ChatError as error:
-                failure = error
-                break
+            episode = future.result()
             if episode is not None:
                 at = (0, j, row, e)
                 results.outcome[at], results.explorations[at], results.steps[at] = episode
             progress(done)
+    except BaseException as error:
+        failure = error
     finally:
         stop.set()
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)  # a question under way may take a minute
     return results, failure
 
 

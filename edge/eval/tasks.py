@@ -55,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         UserError: bad options or tasks; nothing can be written to `--out`; the language model's
-            server failed (the other results are printed before).
+            server failed. What ends the language model's runs, Ctrl-C too, is raised after the
+            results until then have been printed and written.
     """
     from edge.eval import task_file, task_report
     from edge.eval.task_runs import Settings

@@ -25,11 +25,10 @@ from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.progress_bar import ProgressBar
 from edge.eval.task_templates import generate
 from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
-from edge.mission.translate import Translator, make_translator
+from edge.mission.translate import TranslationError, Translator, make_translator
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
-_GIVE_UP_AFTER = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +93,17 @@ def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
 
 
 def score(case: Case, translator: Translator) -> Score:
-    """One case, translated and compared."""
+    """One case, translated and compared.
+
+    Raises:
+        UserError: the translator failed, as a server does that is down, or the languages are
+            beyond the compiler's limits; neither says anything about the translation.
+    """
     try:
         formula = translator.translate(case.sentence).formula
-        witness = difference(formula, case.formula, case.endless)
-    except UserError as error:
+    except (TranslationError, FormulaError) as error:
         return Score(case, "refused", str(error))
+    witness = difference(formula, case.formula, case.endless)
     if witness is None:
         return Score(case, "right", to_text(formula))
     weak = with_weak_untils(case.formula)
@@ -165,7 +169,12 @@ def failure_lines(scores: Iterable[Score]) -> Iterator[str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`edge eval translate`: tables on the screen, failures and counts into files."""
+    """`edge eval translate`: tables on the screen, failures and counts into files.
+
+    Raises:
+        UserError: bad options; a file cannot be read or written; the scoring was stopped (what
+            was done until then is printed and written before).
+    """
     translator = make_translator(_config(args))
     sets = {"ViTL tasks": (benchmark_cases(_TASKS, args.seed), Counter[str]())}
     if args.lang2ltl is None:
@@ -174,37 +183,51 @@ def run(args: argparse.Namespace) -> int:
         sets["Lang2LTL"] = lang2ltl_cases(args.lang2ltl)
     result: dict[str, Any] = {"backend": args.backend, "seed": args.seed}
     failed: list[str] = []
+    stopped_by: BaseException | None = None
     for title, (cases, left_out) in sets.items():
         began = time.perf_counter()
-        scores = _scored(title, _sample(cases, args.limit), translator)
+        scores, stopped_by = _scored(title, _sample(cases, args.limit), translator)
         seconds = time.perf_counter() - began
         result[title] = {**summary(scores, left_out), "seconds": round(seconds, 2)}
-        print(table(title, scores, left_out))
         lines = list(failure_lines(scores))
         failed += lines
-        for line in lines[:_SHOWN_FAILURES]:
-            print(f"  {line}")
-        if len(lines) > _SHOWN_FAILURES:
-            print(f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)")
-        print()
+        print(table(title, scores, left_out), *_shown(lines), sep="\n", end="\n\n")
+        if stopped_by is not None:
+            break
     _write(args.failures, "".join(f"{line}\n" for line in failed))
     _write(args.out, json.dumps(result, indent=2) + "\n")
+    if stopped_by is not None:
+        raise stopped_by
     return 0
 
 
-def _scored(title: str, cases: Sequence[Case], translator: Translator) -> list[Score]:
-    """All scores; gives up when the first ones are all refused.
+def _scored(
+    title: str, cases: Sequence[Case], translator: Translator
+) -> tuple[list[Score], BaseException | None]:
+    """The scores, and what stopped it early.
 
-    That is how a server looks that is down; it must not take hours to say so.
+    A server that fails is not asked again: at a time limit a case it would take hours to say so.
     """
     scores: list[Score] = []
-    with ProgressBar(f"of {title}", len(cases)) as bar:
-        for case in cases:
-            scores.append(score(case, translator))
-            bar.update(len(scores))
-            if len(scores) == _GIVE_UP_AFTER and {s.outcome for s in scores} == {"refused"}:
-                raise UserError(f"the first {_GIVE_UP_AFTER} were all refused: {scores[-1].got}")
-    return scores
+    try:
+        with ProgressBar(f"of {title}", len(cases)) as bar:
+            for case in cases:
+                scores.append(score(case, translator))
+                bar.update(len(scores))
+    except UserError as error:
+        done = f"{len(scores)} of {len(cases)}"
+        return scores, UserError(f"{title}: stopped after {done}: {error}")
+    except KeyboardInterrupt as error:
+        return scores, error
+    return scores, None
+
+
+def _shown(lines: Sequence[str]) -> Iterator[str]:
+    """The first of the failures, for the screen."""
+    for line in lines[:_SHOWN_FAILURES]:
+        yield f"  {line}"
+    if len(lines) > _SHOWN_FAILURES:
+        yield f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)"
 
 
 def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:

@@ -190,3 +190,16 @@ def test_a_failing_server_ends_the_runs_and_counts_against_nobody():
     assert str(failure) == "http://x: no answer"
     assert (results.outcome == NOT_RUN).all()
     assert len(questions) == 3
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
+def test_whatever_ends_the_runs_leaves_the_results_until_then(error):
+    def progress(done):
+        if done == 2:
+            raise error
+
+    tasks = generate(6)
+    results, failure = run_llm(tasks, range(6), SETTINGS, Model(perfect(tasks)), progress=progress)
+    assert failure is error
+    assert (results.outcome == COMPLETE).sum() == 2
+    assert (results.outcome == NOT_RUN).sum() == 4

@@ -102,6 +102,24 @@ def test_server_that_is_down_costs_only_the_language_models_runs(tmp_path, capsy
     assert (tmp_path / "results.json").exists()
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
+def test_whatever_ends_the_language_models_runs_costs_only_those(
+    tmp_path, capsys, monkeypatch, error
+):
+    class Client:
+        def ask(self, messages, **options):
+            raise error
+
+    monkeypatch.setattr(command, "_client", lambda args: Client())
+    argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl", "--llm", "http://x"]
+    with pytest.raises(type(error)):
+        command.run(parsed(*argv, "--out", str(tmp_path)))
+    text = capsys.readouterr().out
+    assert "vitl: 100.00 % complete" in text
+    assert "llm: not run" in text
+    assert (tmp_path / "results.json").exists()
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
 def test_interrupt_ends_it_with_its_processes(tmp_path):
     script = tmp_path / "script.py"

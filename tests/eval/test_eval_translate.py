@@ -14,6 +14,8 @@ from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.eval import translate
 from edge.eval.languages import difference, satisfiable, with_weak_untils
+from edge.mission.automaton import NOTHING, CompileError, compile_formula
+from edge.mission.language.chat import ChatError
 from edge.mission.ltl import Formula, ap, conj, disj, holds, neg, parse
 from edge.mission.translate import Translation, make_translator
 from edge.parsers import make_parser
@@ -68,10 +70,11 @@ def _combine(children: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]
 
 
 FORMULAS = st.recursive(LEAVES, _combine, max_leaves=5)
+WORDS = st.lists(st.sampled_from(["a", "b", "c", NOTHING]), max_size=5)
 
 
 @settings(max_examples=150, deadline=None)
-@given(FORMULAS, FORMULAS, st.lists(st.sampled_from(["a", "b", "c", ""]), max_size=5))
+@given(FORMULAS, FORMULAS, WORDS)
 def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: list[str]) -> None:
     witness = difference(f, g)
     if witness is None:
@@ -81,14 +84,17 @@ def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: lis
 
 
 @settings(max_examples=150, deadline=None)
-@given(FORMULAS, st.lists(st.sampled_from(["a", "b", "c", ""]), max_size=4))
-def test_a_silent_end_is_many_steps_of_nothing(f: Formula, word: list[str]) -> None:
-    """w fulfils f with a silent end when w and many NOTHINGs do; nested X need as many."""
-    padded = disj(f, f)  # the same language under another tree
-    assert difference(f, padded, silent_end=True) is None
-    eternal = conj(f, parse("F a"))
-    if satisfiable(eternal, silent_end=True):
-        assert satisfiable(eternal)
+@given(FORMULAS, FORMULAS, WORDS)
+def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: list[str]) -> None:
+    """As many as there are states: then nothing changes any more."""
+    silence = [NOTHING] * (compile_formula(f).n_states + compile_formula(g).n_states)
+    witness = difference(f, g, silent_end=True)
+    if witness is None:
+        assert holds(f, word + silence) == holds(g, word + silence)
+    else:
+        assert holds(f, [*witness, *silence]) != holds(g, [*witness, *silence])
+    if holds(f, word + silence):
+        assert satisfiable(f, silent_end=True)
 
 
 SILENT = [("G F a", False), ("G F a & G F b", False), ("F a", True), ("G(a -> X G !b)", True)]
@@ -149,15 +155,52 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
     assert "ViTL tasks" in capsys.readouterr().out
 
 
-class _Down:
+class _Failing:
+    """Fails at the third case with `error`."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.asked: list[str] = []
+        self._error = error
+        self._inner = make_translator(TranslatorGrammar())
+
     def translate(self, instruction: str) -> Translation:
-        raise UserError("no answer from the server")
+        self.asked.append(instruction)
+        if len(self.asked) == 3:
+            raise self._error
+        return self._inner.translate(instruction)
 
 
-def test_gives_up_on_a_translator_that_is_down(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(translate, "make_translator", lambda config: _Down())
-    with pytest.raises(UserError, match="first 5 were all refused: no answer"):
-        _run("--backend", "llm", "--limit", "50")
+@pytest.mark.parametrize(
+    ("error", "raised", "words"),
+    [
+        (ChatError("http://x: down"), UserError, "ViTL tasks: stopped after 2 of 9: http://x: d"),
+        (KeyboardInterrupt(), KeyboardInterrupt, None),
+    ],
+)
+def test_what_stops_the_scoring_is_no_refusal_and_costs_nothing_that_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    error: BaseException, raised: type[BaseException], words: str | None,
+) -> None:  # fmt: skip
+    translator = _Failing(error)
+    monkeypatch.setattr(translate, "make_translator", lambda config: translator)
+    table, out = tmp_path / "t.csv", tmp_path / "o.json"
+    table.write_text(TABLE)
+    with pytest.raises(raised, match=words):
+        _run("--backend", "llm", "--limit", "9", "--out", str(out), "--lang2ltl", str(table))
+    assert len(translator.asked) == 3  # the other set is not begun
+    counts = json.loads(out.read_text())["ViTL tasks"]
+    assert (counts["cases"], counts["right"], counts["refused"]) == (2, 2, 0)
+    assert "ViTL tasks" in capsys.readouterr().out
+
+
+def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_large(*_: object) -> None:
+        raise CompileError("more than 10 states")
+
+    monkeypatch.setattr(translate, "difference", too_large)
+    case = translate.benchmark_cases(1)[0]
+    with pytest.raises(CompileError):
+        translate.score(case, make_translator(TranslatorGrammar()))
 
 
 def test_run_says_what_it_skips(capsys: pytest.CaptureFixture[str]) -> None:
