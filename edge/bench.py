@@ -13,9 +13,9 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from subprocess import Popen
 
 from edge import resources, stages
 from edge.config import Config, load
@@ -27,6 +27,7 @@ log = logging.getLogger("edge.bench")
 RECORDING_S = 60.0
 _VERSION = 1
 _TELL_S = 10.0
+_PLAYER_S = 60.0  # how long the first observation may take
 
 Message = tuple[Topic, int, bytes]
 
@@ -57,7 +58,7 @@ def run_bench(
     stop: threading.Event,
     started_s: float = 0.0,
 ) -> dict[str, object]:
-    """Run the service for `seconds` on a recording.
+    """Run the service on a recording, for `seconds` from the first observation on.
 
     Args:
         started_s: what starting the interpreter has taken, to be counted as getting ready.
@@ -85,8 +86,8 @@ def run_bench(
     with open_service(config, []) as running:
         ready_s = time.perf_counter() - began
         log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
-        with player(config, recording, loop=True), _stop_after(seconds, stop):
-            loop(running, stop)
+        with player(config, recording, loop=True) as process:
+            loop(running, stop, each=_stopwatch(running.source.counters, process, seconds, stop))
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
@@ -109,15 +110,23 @@ def run_bench(
     }
 
 
-@contextmanager
-def _stop_after(seconds: float, stop: threading.Event) -> Iterator[None]:
-    timer = threading.Timer(seconds, stop.set)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+def _stopwatch(
+    counters: Mapping[str, int], player: Popen[bytes], seconds: float, stop: threading.Event
+) -> Callable[[], None]:
+    """To be called after every tick: sets `stop` `seconds` after the first observation.
+
+    It is set as well when the player ends before anything was seen, or takes too long to start.
+    """
+    end_s, seen = time.monotonic() + _PLAYER_S, False
+
+    def look() -> None:
+        nonlocal end_s, seen
+        if not seen and counters["observations"]:
+            end_s, seen = time.monotonic() + seconds, True
+        if time.monotonic() >= end_s or (not seen and player.poll() is not None):
+            stop.set()
+
+    return look
 
 
 def resident_mb() -> float:

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 import time
 
 import pytest
 import zenoh
+from patience import PATIENCE_S
 
 from edge import bus, topics
 from edge.config import Zenoh
 from edge.errors import Stopped
+from edge.ports import free_port
 
 
 @pytest.fixture
 def free_endpoint() -> str:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{s.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def value(config: zenoh.Config, key: str):
@@ -54,7 +53,7 @@ def test_who_connects_waits_until_somebody_comes(free_endpoint):
     time.sleep(1.0)
     assert thread.is_alive()
     with bus.open_session(settings, "listen"):
-        thread.join(30)
+        thread.join(PATIENCE_S)
         assert opened
         opened[0].close()
 

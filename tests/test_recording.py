@@ -90,10 +90,12 @@ def test_files_that_cannot_be_used(tmp_path):
 
 
 class Tape:
-    """Stands for a session: keeps what is put."""
+    """Stands for a session: keeps what is put; `full` is set with the message of that number."""
 
-    def __init__(self) -> None:
+    def __init__(self, length: int = 1000) -> None:
         self.puts: list[tuple[str, bytes]] = []
+        self.full = threading.Event()
+        self._length = length
 
     def declare_publisher(self, key, **_qos):
         tape = self
@@ -101,6 +103,8 @@ class Tape:
         class Publisher:
             def put(self, payload):
                 tape.puts.append((key, payload))
+                if len(tape.puts) == tape._length:
+                    tape.full.set()
 
             def undeclare(self):
                 pass
@@ -134,12 +138,9 @@ def test_playing_as_it_was(tmp_path):
 def test_a_loop_plays_until_it_is_stopped(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
-    tape, stop = Tape(), threading.Event()
-    timer = threading.Timer(0.3, stop.set)
-    timer.start()
-    played = recording.play(tape, "edge", path, rate=100.0, loop=True, stop=stop)
-    timer.join()
-    assert played.messages > 4
+    tape = Tape(9)
+    played = recording.play(tape, "edge", path, rate=100.0, loop=True, stop=tape.full)
+    assert played.messages == len(tape.puts) == 9
     stamps = [messages.peek_stamp_ns(payload) for key, payload in tape.puts if "odom" in key]
     assert all(np.diff(stamps) > 0)
 

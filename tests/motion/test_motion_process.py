@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,18 +11,19 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import zenoh
+from patience import PATIENCE_S
 
 from edge import topics
 from edge.bus import open_session
 from edge.config import Config, Motion, Sim, Zenoh
 from edge.geometry import SE2
 from edge.motion import process
+from edge.ports import free_port
 from edge.wire import messages
 
 GOAL = SE2(2.0, 1.0, 0.5)
 CELLS = np.zeros((60, 80), np.int8)
 STEP_S = 0.1
-PATIENCE_S = 20.0
 
 
 class Robot:
@@ -52,18 +52,21 @@ class Robot:
     def tick(self) -> None:
         self.put(topics.TICK, json.dumps({"stamp": self.stamp_ns}).encode())
 
-    def map_and_goal(self) -> None:
+    def map(self) -> None:
         grid = messages.encode_occupancy_grid(self.stamp_ns, CELLS, (0.0, 0.0), 0.05)
         self.put(topics.MAP, grid)
+
+    def map_and_goal(self) -> None:
+        self.map()
         self.put(topics.GOAL, messages.encode_pose_stamped(77, GOAL))
 
-    def command(self, again: Callable[[], None], stamp_ns: int | None = None) -> tuple:
-        """The next command (with a stamp); what may have been lost is sent `again`."""
+    def command(self, again: Callable[[], None], stamp_ns: int = 0) -> tuple:
+        """The next command (of a stamp or a later one); what may be lost is sent `again`."""
         deadline_s, next_s = time.monotonic() + PATIENCE_S, time.monotonic() + 0.5
         while time.monotonic() < deadline_s:
             while (sample := self.commands.try_recv()) is not None:
                 command = messages.decode_twist_stamped(sample.payload.to_bytes())
-                if stamp_ns in (None, command[0]):
+                if command[0] >= stamp_ns:
                     return command
             if time.monotonic() > next_s:
                 again()
@@ -89,11 +92,8 @@ class Robot:
 
 
 def _config(lockstep: bool) -> Config:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     return Config(
-        zenoh=Zenoh(endpoint=endpoint, shared_memory=False),
+        zenoh=Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}", shared_memory=False),
         sim=Sim(lockstep=lockstep),
         motion=Motion(rate_hz=50.0),
     )
@@ -110,7 +110,7 @@ def robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
         yield robot
     finally:
         stop.set()
-        thread.join(10.0)
+        thread.join(PATIENCE_S)
         robot.session.close()
     assert not thread.is_alive()
 
@@ -159,14 +159,14 @@ def test_lockstep_answers_a_repeated_stamp_with_the_same_command(robot: Robot):
 @lockstep
 def test_lockstep_waits_for_the_tick(robot: Robot):
     _ask(robot)
-    while robot.commands.try_recv() is not None:
-        pass
     robot.stamp_ns += 10**8
     robot.odometry()
     time.sleep(0.2)
-    assert robot.commands.try_recv() is None
+    while (sample := robot.commands.try_recv()) is not None:  # the stamp before, once more
+        stamp_ns = messages.decode_twist_stamped(sample.payload.to_bytes())[0]
+        assert stamp_ns < robot.stamp_ns
     robot.tick()
-    assert robot.command(robot.tick)[0] == robot.stamp_ns
+    assert robot.command(robot.tick, robot.stamp_ns)[0] == robot.stamp_ns
 
 
 @lockstep
@@ -179,57 +179,52 @@ def test_garbage_on_every_topic_is_survived(robot: Robot):
     assert _ask(robot) == (0.0, 0.0)
 
 
-@real_time
-def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
+def wait_for(robot: Robot, moving: bool) -> None:
+    """Send odometry, and maps to a robot that is to move, until it does (or does not)."""
+
     def send() -> None:
         robot.stamp_ns += 10**7
         robot.odometry()
+        if moving:
+            robot.map()
 
-    send()
-    robot.command(send)
-    robot.map_and_goal()
-    moving = (0, 0.0, 0.0)
-    while moving[1] == 0.0:
-        send()
-        moving = robot.command(send)
-    # Silence: the newest command is a stop, again and again.
     deadline_s = time.monotonic() + PATIENCE_S
-    while moving[1:] != (0.0, 0.0) and time.monotonic() < deadline_s:
-        moving = robot.command(lambda: None)
-    assert moving == (robot.stamp_ns, 0.0, 0.0)
-    assert robot.command(lambda: None) == moving
-    # And it goes on when the odometry is back.
-    send()
-    back = robot.command(send, robot.stamp_ns)
-    while back[1] == 0.0:
+    while time.monotonic() < deadline_s:
         send()
-        back = robot.command(send)
+        if (robot.command(send, robot.stamp_ns)[1] > 0.0) == moving:
+            return
+    raise AssertionError(f"never {'moving' if moving else 'still'}")
+
+
+def connect(robot: Robot) -> None:
+    """Waits for the controller, and gives it a goal."""
+    robot.odometry()
+    robot.command(robot.odometry)
+    robot.map_and_goal()
+
+
+@real_time
+def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
+    connect(robot)
+    wait_for(robot, moving=True)
+    # Silence: the newest command is a stop, again and again.
+    stops = 0
+    while stops < 3:
+        command = robot.command(lambda: None, robot.stamp_ns)
+        stops = stops + 1 if command == (robot.stamp_ns, 0.0, 0.0) else 0
+    # And it goes on when the odometry is back.
+    wait_for(robot, moving=True)
 
 
 @real_time
 def test_real_time_stops_when_maps_cease_and_goes_on_when_they_are_back(robot: Robot, caplog):
-    def send() -> None:
-        robot.stamp_ns += 10**7
-        robot.odometry()
-
-    def wait_for(moving: bool) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline_s:
-            send()
-            if (robot.command(send, robot.stamp_ns)[1] > 0.0) == moving:
-                return
-        raise AssertionError(f"never {'moving' if moving else 'still'}")
-
-    send()
-    robot.command(send)
-    robot.map_and_goal()
-    wait_for(moving=True)
+    connect(robot)
+    wait_for(robot, moving=True)
     # The odometry goes on, the maps do not.
-    wait_for(moving=False)
-    assert [r for r in caplog.records if "no map" in r.getMessage()]
-    grid = messages.encode_occupancy_grid(robot.stamp_ns, CELLS, (0.0, 0.0), 0.05)
-    robot.put(topics.MAP, grid)
-    wait_for(moving=True)
+    while "no map" not in caplog.text:
+        wait_for(robot, moving=False)
+    wait_for(robot, moving=False)
+    wait_for(robot, moving=True)
 
 
 @pytest.mark.parametrize(
