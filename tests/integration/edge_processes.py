@@ -13,8 +13,11 @@ from pathlib import Path
 
 import psutil
 
-PATIENCE_S = 300.0  # only a failing test waits this long
-STOP_S = 15.0
+# Only a failing test waits this long: for something to be said, for a mission to end, and for a
+# process that is told to end, which first writes its report.
+PATIENCE_S = 240.0
+MISSION_S = 600.0
+STOP_S = 60.0
 
 
 class Edge:
@@ -63,7 +66,7 @@ class Edge:
         self.process.send_signal(number)
         return self.wait(STOP_S)
 
-    def wait(self, timeout_s: float = PATIENCE_S) -> int:
+    def wait(self, timeout_s: float = MISSION_S) -> int:
         """The exit code, once it has ended by itself."""
         try:
             code = self.process.wait(timeout_s)

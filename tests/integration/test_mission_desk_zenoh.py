@@ -8,7 +8,6 @@ import random
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from edge_processes import write_config
+from patience import PATIENCE_S, eventually
 
 from edge.bus import open_session
 from edge.config import Zenoh
@@ -23,7 +23,6 @@ from edge.mission.order import OrderError, add_arguments, ask
 
 PEER = Path(__file__).with_name("mission_desk_peer.py")
 PREFIX, KEY = "edge", "edge/mission/request"
-PATIENCE_S = 60.0  # only a failing test waits this long
 
 
 @pytest.fixture
@@ -75,14 +74,6 @@ def release(service: subprocess.Popen, n: int = 1) -> None:
     """Let it understand `n` missions that are slow to understand."""
     service.stdin.write("\n" * n)
     service.stdin.flush()
-
-
-def eventually(what: Callable[[], object]) -> None:
-    """Waits until it is so; fails after a while."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < deadline_s, "it did not happen"
-        time.sleep(0.01)
 
 
 def status(session: zenoh.Session) -> dict:
