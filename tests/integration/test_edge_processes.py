@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-from edge_processes import write_config
+from edge_processes import STOP_S, write_config
 
 from edge import topics
 from edge.bus import open_session
@@ -93,7 +93,7 @@ def test_a_killed_demo_takes_its_children_along(edge):
     children = demo.children()
     assert len(children) >= 2
     demo.process.kill()
-    gone, alive = psutil.wait_procs(children, timeout=30)
+    gone, alive = psutil.wait_procs(children, timeout=STOP_S)
     assert not alive
     assert len(gone) == len(children)
 
