@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
@@ -43,7 +44,7 @@ class Fake:
 
     def detect(self, observation):
         self.started.release()
-        assert self.gate.acquire(timeout=10)
+        assert self.gate.acquire(timeout=PATIENCE_S)
         if observation.seq in self.bad:
             raise RuntimeError(f"no luck with {observation.seq}")
         one = np.ones(self.boxes, np.float32)
@@ -81,7 +82,7 @@ def test_nothing_submitted_nothing_found():
 def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
     worker = DetectorWorker(fake := Fake())
     worker.submit(frames[0])
-    assert fake.started.acquire(timeout=10)
+    assert fake.started.acquire(timeout=PATIENCE_S)
     for frame in frames[1:4]:
         worker.submit(frame)
     assert [f.slot.holds for f in frames] == [1, 0, 0, 1, 0]
@@ -145,8 +146,8 @@ def test_close_lets_everything_go(frames, boxes):
     fake.gate.release()
     wait_for(worker, worker.idle)
     worker.submit(frames[1])
-    assert fake.started.acquire(timeout=10)
-    assert fake.started.acquire(timeout=10)
+    assert fake.started.acquire(timeout=PATIENCE_S)
+    assert fake.started.acquire(timeout=PATIENCE_S)
     worker.submit(frames[2])
     fake.gate.release()
     worker.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from patience import PATIENCE_S
 
 from edge.sinks.mailbox import Mailbox
 
@@ -18,7 +19,7 @@ class Gate:
 
     def __call__(self, name: str, item: object) -> None:
         self.entered.set()
-        assert self.open.wait(10)
+        assert self.open.wait(PATIENCE_S)
         self.got.append((name, item))
 
 
@@ -33,13 +34,13 @@ def stuck(gate: Gate, **options) -> Mailbox:
     """A mailbox whose thread hangs in the delivery of a first item."""
     box = Mailbox("test", gate, **options)
     box.post("first", 0)
-    assert gate.entered.wait(10)
+    assert gate.entered.wait(PATIENCE_S)
     return box
 
 
 def test_nothing_posted_nothing_delivered():
     got = []
-    assert Mailbox("test", lambda *item: got.append(item)).close()
+    assert Mailbox("test", lambda *item: got.append(item)).close(PATIENCE_S)
     assert got == []
 
 
@@ -52,7 +53,7 @@ def test_the_newest_of_a_name_wins_and_queued_items_all_leave_in_order(gate):
     box.queue("tick", 2)
     assert box.replaced == 1
     gate.open.set()
-    assert box.close(10)
+    assert box.close(PATIENCE_S)
     expected = [("map", 2), ("tick", 1), ("status", 1), ("tick", 2)]
     assert gate.got == [("first", 0), *expected]
 
@@ -63,7 +64,7 @@ def test_the_queue_is_bounded_and_the_newest_stay(gate):
         box.queue("tick", i)
     assert box.overflowed == 2
     gate.open.set()
-    assert box.close(10)
+    assert box.close(PATIENCE_S)
     assert gate.got == [("first", 0), ("tick", 2), ("tick", 3), ("tick", 4)]
 
 
@@ -83,7 +84,7 @@ def test_a_delivery_that_raises_is_counted_and_the_next_goes_on(caplog):
     box = Mailbox("test", deliver)
     for item in ("bad", "good", "bad"):
         box.queue("x", item)
-    assert box.close(10)
+    assert box.close(PATIENCE_S)
     assert (got, box.failed) == (["good"], 2)
     assert caplog.text.count("cannot be sent") == 1
 
@@ -91,5 +92,5 @@ def test_a_delivery_that_raises_is_counted_and_the_next_goes_on(caplog):
 def test_idle_is_called_while_nothing_comes():
     called = threading.Event()
     box = Mailbox("test", lambda *_: None, called.set, period_s=0.001)
-    assert called.wait(10)
-    assert box.close(10)
+    assert called.wait(PATIENCE_S)
+    assert box.close(PATIENCE_S)
