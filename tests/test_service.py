@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,6 +13,7 @@ from edge.bus import open_session
 from edge.config import Config, parse
 from edge.geometry import SE2
 from edge.perception.inline import InlineWorker
+from edge.ports import free_port
 from edge.sinks.console import ConsoleSink, RecorderSink
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Detections, Goal, GoalStatus
@@ -287,12 +287,6 @@ def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
     assert len(loop.notes.goals) == before + 1
 
 
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 @pytest.fixture
 def watched(monkeypatch) -> Iterator[ClosedLoop]:
     """A closed loop with the sinks of a real run, over real time and a real session.
@@ -304,7 +298,7 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
     seldom = {"map_hz": 0.001, "status_hz": 0.001}
     settings = config(
         loop={"lockstep": False}, report=seldom, mission={"target": "television"},
-        zenoh={"endpoint": free_endpoint(), "shared_memory": False},
+        zenoh={"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
         perception={"detector": {"kind": "sim", "score_noise": 0.0, "miss_rate": 0.0}},
     )  # fmt: skip
     with open_session(settings.zenoh, "listen") as session:

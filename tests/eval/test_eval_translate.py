@@ -73,7 +73,7 @@ FORMULAS = st.recursive(LEAVES, _combine, max_leaves=5)
 WORDS = st.lists(st.sampled_from(["a", "b", "c", NOTHING]), max_size=5)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(FORMULAS, FORMULAS, WORDS)
 def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: list[str]) -> None:
     witness = difference(f, g)
@@ -83,7 +83,7 @@ def test_difference_agrees_with_the_definition(f: Formula, g: Formula, word: lis
         assert holds(f, witness) != holds(g, witness)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(FORMULAS, FORMULAS, WORDS)
 def test_a_silent_end_is_many_steps_of_nothing(f: Formula, g: Formula, word: list[str]) -> None:
     """As many as there are states: then nothing changes any more."""

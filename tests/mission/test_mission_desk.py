@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,16 +14,17 @@ import pytest
 import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import PATIENCE_S, eventually
 
 from edge.bus import open_session
 from edge.config import Zenoh
 from edge.errors import UserError
 from edge.mission.desk import MAX_BYTES, MAX_CHARS, VERBS, MissionDesk, Order, Request, parse_order
 from edge.mission.order import OrderError, ask
+from edge.ports import free_port
 
 PREFIX = "edge"
 KEY = "edge/mission/request"
-PATIENCE_S = 30.0  # only a failing test waits this long
 
 
 @pytest.mark.parametrize(
@@ -113,10 +113,7 @@ def test_a_deep_nest_is_a_value_error(depth):
 
 @pytest.fixture
 def session() -> Iterator[zenoh.Session]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with open_session(Zenoh(endpoint=endpoint), "listen") as session:
+    with open_session(Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}"), "listen") as session:
         yield session
 
 
@@ -133,15 +130,6 @@ def open_desk(session) -> Iterator[Callable[..., MissionDesk]]:
     yield open_desk
     for desk in desks:
         desk.close()
-
-
-def eventually(what: Callable[[], object]) -> object:
-    """The first truthy answer; fails after a while."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (answer := what()):
-        assert time.monotonic() < deadline_s, "it did not happen"
-        time.sleep(0.002)
-    return answer
 
 
 def taken(desk: MissionDesk) -> Request:
