@@ -330,8 +330,8 @@ path = Path(sys.argv[1])
 state = load(path).saved
 writer = CheckpointWriter(path)
 def post(stamp_ns):
-    writer.post(lambda state=state, at=stamp_ns: replace(state, stamp_ns=at), stamp_ns)
     done = writer.written + writer.failed + 1
+    writer.post(lambda state=state, at=stamp_ns: replace(state, stamp_ns=at), stamp_ns)
     while writer.written + writer.failed < done:
         time.sleep(0.001)
     print(writer.written, writer.failed, bool(writer.problem), load(path).saved.stamp_ns)
