@@ -30,6 +30,18 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     return keeper
 
 
+def television_given_up(path: Path) -> ClosedLoop:
+    """A checkpoint of a mission whose television was seen and given up; its bed was not seen."""
+    loop = ClosedLoop(config("F (television | bed)"))
+    keeper = restart(loop, path)
+    while "television" not in loop.service.mission.detected:
+        loop.step()
+    loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
+    loop.step()
+    keeper.close()
+    return loop
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "mission.json"
@@ -61,13 +73,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
 
 
 def test_a_restart_that_saw_nothing_loses_no_place(path):
-    loop = ClosedLoop(config("F (television | bed)"))
-    first = restart(loop, path)
-    while "television" not in loop.service.mission.detected:
-        loop.step()
-    loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
-    loop.step()
-    first.close()
+    loop = television_given_up(path)
     before = load(path).saved
     blind = restart(loop, path)
     loop.service.idle(loop.drive.motion.stamp_ns, None)
@@ -102,13 +108,7 @@ def test_places_come_back_under_an_order_that_came_before_the_first_image(path):
 
 
 def test_what_had_failed_is_not_taken_up_again_for_the_same_instance(path):
-    loop = ClosedLoop(config("F (television | bed)"))
-    first = restart(loop, path)
-    while "television" not in loop.service.mission.detected:
-        loop.step()
-    loop.service.mission.give_up("no way to it", loop.drive.motion.stamp_ns)
-    loop.step()
-    first.close()
+    loop = television_given_up(path)
     second = restart(loop, path)
     for _ in range(3):
         loop.step()
