@@ -26,15 +26,19 @@ def to_planes(rgb, scale, top, left, out):
 
 
 @njit(nogil=True, cache=True)
-def iou(a, b):
-    """Intersection over union of two boxes (x0, y0, x1, y1); 0 where either is empty."""
-    w = min(a[2], b[2]) - max(a[0], b[0])
-    h = min(a[3], b[3]) - max(a[1], b[1])
+def iou(boxes, i, j):
+    """Intersection over union of two rows (x0, y0, x1, y1) of `boxes`; 0 where either is empty.
+
+    By index: a view of a row costs more than all of the arithmetic.
+    """
+    ax0, ay0, ax1, ay1 = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
+    bx0, by0, bx1, by1 = boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3]
+    w = min(ax1, bx1) - max(ax0, bx0)
+    h = min(ay1, by1) - max(ay0, by0)
     if w <= 0.0 or h <= 0.0:
         return 0.0
     inter = w * h
-    union = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - inter
-    return inter / union
+    return inter / ((ax1 - ax0) * (ay1 - ay0) + (bx1 - bx0) * (by1 - by0) - inter)
 
 
 @njit(nogil=True, cache=True)
@@ -91,7 +95,7 @@ def suppress(boxes, anchor, label, score, m, iou_max, keep):
         alone = True
         for k in range(n):
             j = keep[k]
-            if label[j] == label[i] and iou(boxes[anchor[i]], boxes[anchor[j]]) > iou_max:
+            if label[j] == label[i] and iou(boxes, anchor[i], anchor[j]) > iou_max:
                 alone = False
                 break
         if alone:
@@ -112,16 +116,17 @@ def strongest_rivals(boxes, scores, competes, tau, top, anchor, label, keep, n, 
         keep: (k,) int32, the first `n` are indices of candidates.
         out: (k,) float32.
     """
+    scored = np.flatnonzero(top)  # most anchors see nothing
     for k in range(n):
-        i = anchor[keep[k]]
-        rivals = competes[label[keep[k]]]
-        out[k] = 0.0
-        for j in range(len(boxes)):
-            if top[j] <= out[k] or (j != i and iou(boxes[i], boxes[j]) <= iou_max):
+        i, target = anchor[keep[k]], label[keep[k]]
+        best = np.float32(0.0)
+        for j in scored:
+            if top[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
                 continue
-            for c in range(len(rivals)):
-                if rivals[c] and scores[j, c] >= tau and scores[j, c] > out[k]:
-                    out[k] = scores[j, c]
+            for c in range(scores.shape[1]):
+                if competes[target, c] and scores[j, c] >= tau and scores[j, c] > best:
+                    best = scores[j, c]
+        out[k] = best
 
 
 @njit(nogil=True, cache=True)

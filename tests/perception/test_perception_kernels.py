@@ -61,7 +61,7 @@ def test_to_planes_agrees_with_its_twin(shape, top, left):
     ],
 )
 def test_iou(a, b, expected):
-    assert kernels.iou(np.array(a, np.float32), np.array(b, np.float32)) == pytest.approx(expected)
+    assert kernels.iou(np.array([a, b], np.float32), 0, 1) == pytest.approx(expected)
 
 
 def test_no_anchor_gives_no_box():
