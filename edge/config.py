@@ -7,7 +7,6 @@ Everything is checked here, once; the loop checks nothing.
 
 from __future__ import annotations
 
-import difflib
 import os
 from typing import Annotated, Any, Literal, Union
 
@@ -15,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge import resources
+from edge.config_faults import explain
 from edge.errors import UserError
 
 ENV_PREFIX = "EDGE__"
@@ -148,6 +148,8 @@ class DetectorOnnx(Section):
     nms_iou: Fraction = 0.5
     max_detections: Annotated[int, Field(ge=1, le=1000)] = 64
     tau_vl: Fraction = 0.05
+    device_id: Annotated[int, Field(ge=0)] = 0
+    engine_cache: str | None = None
 
 
 class DetectorSim(Section):
@@ -163,7 +165,74 @@ class DetectorSim(Section):
     seed: int = 0
 
 
+class ModelProcess(Section):
+    """How a model in a process of its own is looked after (`isolation: process`).
+
+    A frame that takes longer than `timeout_s` counts as a hang. A worker that ended is started
+    again after `backoff_s`, twice as long each time up to `backoff_max_s`, and at most
+    `restarts` times within `window_s`: beyond that the detector is `degraded`.
+    """
+
+    timeout_s: Positive = 0.8
+    start_timeout_s: Positive = 60.0
+    backoff_s: Positive = 0.2
+    backoff_max_s: Positive = 5.0
+    restarts: Annotated[int, Field(ge=0)] = 8
+    window_s: Positive = 60.0
+
+
+class Swap(Section):
+    """What a model must do to take another's place in the running service.
+
+    It is tried on the last `images` images: finite, at most `budget_ms` at the median, and, where
+    both are of one family, `min_recall` of the boxes above `tau_det` that the old one finds. The
+    old one is kept until the new one has run clean on `probation` images.
+    """
+
+    images: Annotated[int, Field(ge=1, le=32)] = 4
+    budget_ms: Positive = 33.0
+    min_recall: Fraction = 0.5
+    probation: Annotated[int, Field(ge=1)] = 60
+    load_timeout_s: Positive = 600.0
+
+
+class ChoiceNone(Section):
+    """No model is asked which way to go."""
+
+    kind: Literal["none"] = "none"
+
+
+class ChoiceOpenai(Section):
+    """ViTL eq. 4 and 5 by a server that speaks OpenAI's protocol, with images and logprobs."""
+
+    kind: Literal["openai"] = "openai"
+    url: str
+    model: str
+    api_key_env: str = "OPENAI_API_KEY"
+    time_limit_s: Positive = 5.0
+    max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
+
+
+class ChoiceText(Section):
+    """The same by a language model without eyes, told what was detected and where."""
+
+    kind: Literal["text"] = "text"
+    url: str
+    model: str
+    api_key_env: str = "OPENAI_API_KEY"
+    time_limit_s: Positive = 5.0
+
+
 class Perception(Section):
+    """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run."""
+
+    isolation: Literal["thread", "process"] = "thread"
+    process: ModelProcess = ModelProcess()
+    swap: Swap = Swap()
+    similarity: str | None = None
+    choice: Annotated[Union[ChoiceNone, ChoiceOpenai, ChoiceText], Field(discriminator="kind")] = (
+        ChoiceNone()
+    )
     detector: Annotated[Union[DetectorOnnx, DetectorSim], Field(discriminator="kind")] = (
         DetectorSim()
     )
@@ -401,7 +470,7 @@ def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
     try:
         return Config.model_validate({**data, "path": path})
     except ValidationError as error:
-        raise ConfigError("\n".join(_explain(fault, path) for fault in error.errors())) from None
+        raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
 
 
 def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:
@@ -418,55 +487,3 @@ def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) 
             node[leaf] = yaml.safe_load(environ[key])
         except yaml.YAMLError:
             raise ConfigError(f"environment {key}: not a YAML value: {environ[key]!r}") from None
-
-
-def _explain(fault: Any, path: str) -> str:
-    """One line for one fault of pydantic's list."""
-    *sections, leaf = fault["loc"] or ("",)
-    shown, models = _walk(sections)
-    key = ".".join([*shown, str(leaf)])
-    kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
-    if kind == "union_tag_invalid":
-        choices = context["expected_tags"].replace("'", "")
-        return f"{path}: {key}.kind: unknown {context['tag']!r} (choices: {choices})"
-    if kind == "union_tag_not_found":
-        kinds = [m.model_fields["kind"].default for m in _walk(list(fault["loc"]))[1]]
-        return f"{path}: {key}.kind: missing (choices: {', '.join(kinds)})"
-    if kind in ("model_type", "model_attributes_type"):
-        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
-    if kind == "missing":
-        return f"{path}: {key}: missing"
-    if kind == "literal_error":
-        choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{path}: {key}: unknown {given!r} (choices: {choices})"
-    if kind == "extra_forbidden":
-        names = sorted({name for model in models for name in model.model_fields} - {"path"})
-        close = difflib.get_close_matches(str(leaf), names, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"choices: {', '.join(names)}"
-        return f"{path}: {key}: unknown key ({hint})"
-    message = fault["msg"].removeprefix("Value error, ")
-    got = "" if isinstance(given, dict) else f", got {given!r:.80}"
-    return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
-
-
-def _walk(sections: list[Any]) -> tuple[list[str], list[Any]]:
-    """The sections as the user wrote them, and the models of the last.
-
-    pydantic puts a union's kind behind its key (`policy`, `hvl`); no file has it there.
-    """
-    shown: list[str] = []
-    models: list[Any] = [Config]
-    for part in map(str, sections):
-        if len(models) > 1:
-            models = [m for m in models if m.model_fields["kind"].default == part]
-            continue
-        shown.append(part)
-        fields = models[0].model_fields if models else {}
-        models = _models_in(fields[part].annotation) if part in fields else []
-    return shown, models
-
-
-def _models_in(annotation: Any) -> list[Any]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]

@@ -51,7 +51,11 @@ def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[s
             for i in service.tracker.of(label)
         ],
         "checkpoint": None if service.keeper is None else service.keeper.status(),
-        "detector": {"model": worker.detector.name, **asdict(worker.stats)},
+        "detector": {
+            "model": worker.detector.name,
+            **worker.detector.health()._asdict(),
+            **asdict(worker.stats),
+        },
     }
 
 

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from edge import config
 from edge.types import Detections, Observation
+
+
+class Health(NamedTuple):
+    """How a detector is.
+
+    Attributes:
+        state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
+            `degraded` (it ended too often, nothing is detected).
+        detail: one line for a person, empty when there is nothing to say.
+    """
+
+    state: Literal["ok", "building engine", "restarting", "degraded"] = "ok"
+    detail: str = ""
 
 
 class Detector(Protocol):
@@ -36,6 +49,10 @@ class Detector(Protocol):
         Raises:
             ValueError: the observation's image is missing, empty or not (h, w, 3) uint8.
         """
+        ...
+
+    def health(self) -> Health:
+        """How it is now; may be called from another thread, never blocks."""
         ...
 
     def close(self) -> None: ...

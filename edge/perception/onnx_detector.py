@@ -15,7 +15,7 @@ import numpy as np
 from edge import config, names
 from edge.perception import kernels
 from edge.perception.cards import Card, ModelError, load_card, verify_model
-from edge.perception.detector import check_rgb
+from edge.perception.detector import Health, check_rgb
 from edge.perception.text import PromptError, TextEmbeddings
 from edge.types import Detections, Observation
 
@@ -218,6 +218,10 @@ class OnnxDetector:
             model=self.name,
             latency_ns=time.perf_counter_ns() - start_ns,
         )
+
+    def health(self) -> Health:
+        """See `Detector.health`."""
+        return Health()
 
     def close(self) -> None:
         """Let the session go; no detect afterwards."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from edge import config, names
 from edge.perception import kernels
+from edge.perception.detector import Health
 from edge.perception.text import PromptError
 from edge.types import Detections, Observation
 
@@ -84,6 +85,10 @@ class SimDetector:
             model=self.name,
             latency_ns=time.perf_counter_ns() - start_ns,
         )
+
+    def health(self) -> Health:
+        """See `Detector.health`."""
+        return Health()
 
     def close(self) -> None:
         """Nothing to let go."""

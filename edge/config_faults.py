@@ -1,0 +1,66 @@
+"""What is wrong with a configuration, in the words of the file that the user wrote."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from pydantic import BaseModel
+
+
+def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
+    """One line for one fault of pydantic's list.
+
+    Args:
+        fault: as in `ValidationError.errors()`.
+        path: of the file that was read.
+        root: the model that was validated.
+    """
+    *sections, leaf = fault["loc"] or ("",)
+    shown, models = _walk(sections, root)
+    key = ".".join([*shown, str(leaf)])
+    kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
+    if kind == "union_tag_invalid":
+        choices = context["expected_tags"].replace("'", "")
+        return f"{path}: {key}.kind: unknown {context['tag']!r} (choices: {choices})"
+    if kind == "union_tag_not_found":
+        kinds = [m.model_fields["kind"].default for m in _walk(list(fault["loc"]), root)[1]]
+        return f"{path}: {key}.kind: missing (choices: {', '.join(kinds)})"
+    if kind in ("model_type", "model_attributes_type"):
+        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
+    if kind == "missing":
+        return f"{path}: {key}: missing"
+    if kind == "literal_error":
+        choices = context["expected"].replace("'", "").replace(" or ", ", ")
+        return f"{path}: {key}: unknown {given!r} (choices: {choices})"
+    if kind == "extra_forbidden":
+        names = sorted({name for model in models for name in model.model_fields} - {"path"})
+        close = difflib.get_close_matches(str(leaf), names, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"choices: {', '.join(names)}"
+        return f"{path}: {key}: unknown key ({hint})"
+    message = fault["msg"].removeprefix("Value error, ")
+    got = "" if isinstance(given, dict) else f", got {given!r:.80}"
+    return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
+
+
+def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:
+    """The sections as the user wrote them, and the models of the last.
+
+    pydantic puts a union's kind behind its key (`policy`, `hvl`); no file has it there.
+    """
+    shown: list[str] = []
+    models: list[Any] = [root]
+    for part in map(str, sections):
+        if len(models) > 1:
+            models = [m for m in models if m.model_fields["kind"].default == part]
+            continue
+        shown.append(part)
+        fields = models[0].model_fields if models else {}
+        models = _models_in(fields[part].annotation) if part in fields else []
+    return shown, models
+
+
+def _models_in(annotation: Any) -> list[Any]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]
