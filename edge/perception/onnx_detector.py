@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,8 +13,9 @@ import numpy as np
 
 from edge import config, names
 from edge.perception import kernels
-from edge.perception.cards import Card, ModelError, load_card, verify_model
+from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, check_rgb
+from edge.perception.runtime import open_session
 from edge.perception.text import PromptError, TextEmbeddings
 from edge.types import Detections, Observation
 
@@ -25,47 +25,7 @@ INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 
 
-def open_session(path: Path, providers: Sequence[str], threads: int) -> Any:
-    """An onnxruntime session that runs on exactly the providers named.
-
-    Raises:
-        ModelError: onnxruntime or a provider is not there, or the file is no model.
-    """
-    try:
-        import onnxruntime as ort
-    except ImportError:
-        raise ModelError(
-            "onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])"
-        ) from None
-    available = ort.get_available_providers()
-    for provider in providers:
-        if provider not in available:
-            raise ModelError(
-                f"perception.detector.providers: {provider!r} is not available here "
-                f"(available: {', '.join(available)})"
-            )
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
-    options.log_severity_level = 3
-    try:
-        session = ort.InferenceSession(str(path), options, providers=list(providers))
-    except Exception as error:  # onnxruntime raises many types of its own
-        reason = str(error).splitlines()[0][:200]
-        raise ModelError(f"{path}: onnxruntime cannot load it: {reason}") from None
-    # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
-    if missing := [p for p in providers if p not in session.get_providers()]:
-        raise ModelError(
-            f"{path}: {', '.join(missing)} did not start; onnxruntime would run on "
-            f"{', '.join(session.get_providers())} instead: check the driver, or change "
-            "perception.detector.providers"
-        )
-    return session
-
-
-def check_interface(session: Any, card: Card) -> None:
+def check_interface(session: Any, card: DetectCard) -> None:
     """Raise ModelError unless the model's inputs and outputs are what a detector's must be."""
     h, w = card.input.height, card.input.width
     wanted = {"images": [1, 3, h, w], "txt_feats": [1, None, card.text_dim]}
@@ -129,7 +89,7 @@ class OnnxDetector:
             PromptError: see `TextEmbeddings.embed`.
         """
         self.config = detector
-        self.card = load_card(detector.model)
+        self.card = load_detector_card(detector.model)
         self.name = self.card.name
         self.invalid_boxes = 0
         self._text = TextEmbeddings(detector.vocabulary)
