@@ -124,17 +124,10 @@ def _mission(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _models(commands) -> None:  # type: ignore[no-untyped-def]
-    models = commands.add_parser("models", help="list, check and export models")
-    actions = models.add_subparsers(dest="action", required=True, metavar="list|check|export")
-    actions.add_parser("list", help="every model card, and whether its file is there")
-    check = actions.add_parser("check", help="hash, interface and one inference")
-    check.add_argument("name", nargs="?", help="a card's name; all whose file is there by default")
-    export = actions.add_parser("export", help="make a model file from weights (extra `export`)")
-    export.add_argument("name", help="a card's name")
-    export.add_argument("--weights", type=Path, required=True, help="the .pt file")
-    export.add_argument("--calibration", type=Path, help="folder of images (int8 models)")
-    export.add_argument("--vocabulary", type=Path, help="text embeddings (.npz)")
-    models.set_defaults(handler=lazy("edge.perception.store", "run"))
+    # It takes `count`, `lazy` and `positive` from here.
+    from edge.store.arguments import add_arguments
+
+    add_arguments(commands.add_parser("models", help="list, fetch, make, check and change models"))
 
 
 def _record(commands) -> None:  # type: ignore[no-untyped-def]

@@ -17,8 +17,9 @@ from edge.errors import Stopped
 
 HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
 COMMANDS = (
-    "", "run", "demo", "sim", "motion", "config", "models", "models list", "models check",
-    "models export", "record", "bench", "eval", "eval episodes", "doctor",
+    "", "run", "demo", "sim", "motion", "config", "models", "models list", "models pull",
+    "models export", "models quantize", "models check", "models bench", "models use", "record",
+    "bench", "eval", "eval episodes", "doctor",
 )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from edge import resources
-from edge.perception import cards, store
+from edge.perception import cards, model_file
+from edge.store import listing
 
 CARD = {
     "name": "tiny",
@@ -53,7 +54,7 @@ def put_model(content=DATA, sidecar_of=DATA):
 
 def test_no_cards(place):
     assert cards.all_cards() == []
-    assert store.list_models() == "no model cards"
+    assert listing.as_table() == "no model cards"
     with pytest.raises(cards.ModelError, match=r"'tiny': no such card \(choices: none\)"):
         cards.load_card("tiny")
 
@@ -102,6 +103,68 @@ def test_what_is_no_card_is_named(place, tmp_path, text):
         cards.load_card("tiny")
 
 
+FILE = {k: CARD[k] for k in ("family", "file", "sha256", "sources", "license", "precision")} | {
+    "name": "tiny", "derived_from": None, "parity": None,
+}  # fmt: skip
+PIXELS = {"color": "rgb", "scale": 1 / 255, "mean": [0.5] * 3, "std": [0.5] * 3}
+OF_TASK = {
+    "detect": CARD,
+    "text": FILE | {"task": "text", "dim": 64, "tokenizer": {"kind": "attributes"}},
+    "image": FILE | {"task": "image", "dim": 64, "preprocess": PIXELS, "input": CARD["input"]},
+    "similarity": {
+        "name": "tiny", "family": "f", "task": "similarity", "license": "MIT", "detector": "other",
+    },
+}  # fmt: skip
+LOADERS = {
+    "detect": cards.load_detector_card,
+    "text": cards.load_text_card,
+    "image": cards.load_image_card,
+    "similarity": cards.load_similarity_card,
+}
+
+
+@pytest.mark.parametrize("task", OF_TASK)
+def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, task):
+    (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump(OF_TASK[task]))
+    assert LOADERS[task]("tiny") == cards.load_card("tiny")
+    for other in set(LOADERS) - {task}:
+        with pytest.raises(cards.ModelError, match=f"of task '{task}', not '{other}'"):
+            LOADERS[other]("tiny")
+
+
+@pytest.mark.parametrize(
+    ("task", "changes", "message"),
+    [
+        ("detect", {"task": "drive"}, "task: unknown 'drive' (choices: detect, text, image, "),
+        ("text", {"tokenizer": {}}, "tokenizer.kind: missing"),
+        ("text", {"tokenizer": {"kind": "bpe"}}, "tokenizer.kind: unknown 'bpe' (choices: clip, "),
+        ("text", {"tokenizer": {"kind": "clip", "file": "../t.json"}}, "tokenizer.file: "),
+        ("image", {"input": {"height": 224}}, "input.width: missing"),
+        ("image", {"measured": {"here": [1]}}, "measured.here: "),
+        ("similarity", {"detector": None}, "name image_encoder and text_encoder, or detector"),
+        ("similarity", {"text_encoder": "t"}, "name image_encoder and text_encoder, or detector"),
+    ],
+)
+def test_a_bad_card_of_any_task_names_file_and_key(place, tmp_path, task, changes, message):
+    (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump(OF_TASK[task] | changes))
+    with pytest.raises(cards.ModelError) as error:
+        cards.load_card("tiny")
+    assert message in str(error.value)
+    assert all(line.startswith(str(tmp_path)) for line in str(error.value).splitlines())
+
+
+def test_a_model_shipped_beside_its_card_comes_before_the_cache(place, tmp_path):
+    place()
+    card = put_model()
+    shipped = tmp_path / "cards" / "tiny.onnx"
+    assert card.path == resources.models_dir() / "tiny.onnx"
+    shipped.write_bytes(DATA)
+    assert card.path == shipped
+    assert card.sidecar.parent == shipped.parent
+    with pytest.raises(cards.ModelError, match="reinstall"):
+        cards.verify_model(card)
+
+
 def test_a_missing_model_says_how_to_make_it(place):
     place()
     with pytest.raises(cards.ModelError, match=r"tiny\.onnx: .* `edge models export tiny"):
@@ -141,8 +204,10 @@ def test_the_hash_is_remembered_until_the_file_changes(place, monkeypatch):
     card = put_model()
     assert cards.verify_model(card) == card.path
     counted = []
-    hash_file = cards.sha256_of
-    monkeypatch.setattr(cards, "sha256_of", lambda path: counted.append(path) or hash_file(path))
+    hash_file = model_file.sha256_of
+    monkeypatch.setattr(
+        model_file, "sha256_of", lambda path: counted.append(path) or hash_file(path)
+    )
     cards.verify_model(card)
     assert counted == []
     card.path.write_bytes(DATA[::-1])
@@ -165,15 +230,15 @@ def test_list_shows_what_is_there(place):
         "score_error": 0.1,
     }  # fmt: skip
     place(parity=parity)
-    assert "missing" in store.list_models()
+    assert "missing" in listing.as_table()
     put_model()
-    table = store.list_models()
+    table = listing.as_table()
     assert "recall 0.970" in table
     assert "missing" not in table
     place()
-    assert "recall" not in store.list_models()
+    assert "recall" not in listing.as_table()
     cards.load_card("tiny").sidecar.write_text(json.dumps({"sha256": "0", "parity": parity}))
-    assert "recall 0.970" in store.list_models()  # what the export measured
+    assert "recall 0.970" in listing.as_table()  # what the export measured
 
 
 def test_the_cards_of_this_repository_are_valid():

@@ -11,10 +11,10 @@ import yaml
 from test_perception_cards import CARD
 
 from edge import config, resources
-from edge.perception import store
-from edge.perception.cards import ModelError
+from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import make_detector
 from edge.perception.text import PromptError
+from edge.store.check import check_model, check_models
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
@@ -226,15 +226,15 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
     digest = hashlib.sha256(b"not onnx").hexdigest()
     (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump({**CARD, "sha256": digest}))
     with pytest.raises(ModelError, match=r"tiny\.onnx: onnxruntime cannot load it"):
-        store.check_model(store.load_card("tiny"))
+        check_model(load_detector_card("tiny"))
 
 
 def test_the_check_command_passes_a_sound_model_and_names_a_broken_one(tiny, capsys):
     tiny()
-    assert store.check_models(None) == 0
+    assert check_models(None) == 0
     assert "tiny: ok" in capsys.readouterr().out
     boxes = BOXES.copy()
     boxes[0, 0] = np.inf
     tiny(model={"boxes": boxes})
-    assert store.check_models(None) == 1
+    assert check_models(None) == 1
     assert "not finite" in capsys.readouterr().err

@@ -5,8 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from edge.perception import store
 from edge.perception.text import PromptError, TextEmbeddings, find_vocabulary
+from edge.store.export import keep_vocabulary
 
 
 def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
@@ -14,8 +14,8 @@ def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeyp
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     source = tmp_path / "words.npz"
     source.write_bytes(b"vocabulary")
-    kept = store.keep_vocabulary(source)
-    assert find_vocabulary(None) == kept == store.keep_vocabulary(kept)
+    kept = keep_vocabulary(source)
+    assert find_vocabulary(None) == kept == keep_vocabulary(kept)
     assert kept.read_bytes() == b"vocabulary"
     assert [p.name for p in kept.parent.iterdir()] == [kept.name]
 

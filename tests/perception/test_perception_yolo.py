@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception import store
 from edge.perception.cards import ModelError, load_card, verify_model
 from edge.perception.detector import make_detector
 from edge.perception.text import PromptError, find_vocabulary
+from edge.store.check import check_model
 
 MODELS = ("yolo-world-s-256x320-fp32", "yolo-world-s-256x320-int8-cpu")
 PROMPTS = ("chair", "bed", "refrigerator", "toilet", "trash can")
@@ -74,4 +74,4 @@ def test_a_background_is_the_rival_of_its_place(detector, shared_dir, make_obser
 
 
 def test_the_check_command_is_content(detector):
-    assert "ok" in store.check_model(load_card(detector.name))
+    assert "ok" in check_model(load_card(detector.name))

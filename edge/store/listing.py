@@ -1,0 +1,70 @@
+"""`edge models list`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from edge.perception.cards import Card, all_cards, made_parity
+
+_HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge models list`."""
+    print(as_json() if args.json else as_table())
+    return 0
+
+
+def as_json() -> str:
+    """Every card with where its file is (null: it is not here, or the card has none)."""
+    rows = []
+    for card in all_cards():
+        path = _path(card)
+        rows.append({**card.model_dump(), "path": None if path is None else str(path)})
+    return json.dumps(rows, indent=2)
+
+
+def as_table() -> str:
+    """A table of all cards, ready to print."""
+    rows = [_HEADINGS, *(_row(card) for card in all_cards())]
+    if len(rows) == 1:
+        return "no model cards"
+    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEADINGS))]
+    lines = ("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _path(card: Card):  # type: ignore[no-untyped-def]
+    path = getattr(card, "path", None)
+    return path if path is not None and path.is_file() else None
+
+
+def _row(card: Card) -> tuple[str, ...]:
+    size = getattr(card, "input", None)
+    shape = f"{size.height}x{size.width}" if size else "-"
+    precision = getattr(card, "precision", "-")
+    return (card.name, card.task, shape, precision, card.license, _file(card), _parity(card))
+
+
+def _file(card: Card) -> str:
+    if not hasattr(card, "path"):
+        return "-"
+    path = _path(card)
+    return "missing" if path is None else _megabytes(path.stat().st_size)
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.0f} MB" if size >= 10e6 else f"{size / 1e6:.1f} MB"
+
+
+def _parity(card: Card) -> str:
+    """The recall of the reference's boxes and so on: as the card says, else as made here."""
+    p = card.parity or (made_parity(card) if hasattr(card, "path") else None)
+    if p is None:
+        return "-"
+    error = "" if p.score_error is None else f", score error {p.score_error:.2f}"
+    return (
+        f"recall {p.recall:.3f}, precision {p.precision:.3f}{error} "
+        f"of {p.reference} ({p.images} images)"
+    )
