@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 import numpy as np
 
 from edge import names
+from edge.chat import ChatClient, ChatError, CutOffError
 from edge.eval.executor import (
     DONE,
     INVALID,
@@ -24,7 +25,6 @@ from edge.eval.lifted import lift, world_of
 from edge.eval.task_report import LLM
 from edge.eval.task_runs import Results, Settings, empty_results
 from edge.eval.task_templates import SPOKEN, Task
-from edge.mission.language.chat import ChatClient, ChatError, CutOffError
 
 NAME = LLM
 

@@ -156,8 +156,8 @@ def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """The language model's client; None when none is asked for."""
     if not args.llm:
         return None
+    from edge.chat import client_of
     from edge.config import TranslatorLlm
-    from edge.mission.language.chat import client_of
 
     return client_of(TranslatorLlm(url=args.llm, model=args.model))
 

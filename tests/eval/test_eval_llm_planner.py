@@ -7,6 +7,7 @@ import threading
 
 import pytest
 
+from edge.chat import ChatError, CutOffError
 from edge.eval.executor import (
     COMPLETE,
     DONE,
@@ -22,7 +23,6 @@ from edge.eval.llm_planner import MAX_QUESTIONS, llm_chooser, merged, parse_answ
 from edge.eval.task_planners import PLANNERS
 from edge.eval.task_runs import NOT_RUN, Settings, run_tasks
 from edge.eval.task_templates import SPOKEN, Task, generate
-from edge.mission.language.chat import ChatError, CutOffError
 from edge.mission.ltl import parse, propositions
 
 FORMULA = parse("F (bed & F houseplant) & G !sofa")

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.chat import ChatError
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.eval import translate
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.mission.automaton import NOTHING, CompileError, compile_formula
-from edge.mission.language.chat import ChatError
 from edge.mission.ltl import Formula, ap, conj, disj, holds, neg, parse
 from edge.mission.translate import Translation, make_translator
 from edge.parsers import make_parser

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
 from edge.eval.task_templates import generate
 from edge.mission.automaton import compile_formula
-from edge.mission.language.chat import ChatClient, ChatError, CutOffError
 from edge.mission.language.grounding import objects_in
 from edge.mission.language.llm import constraint, conversation, make, read
 from edge.mission.ltl import parse

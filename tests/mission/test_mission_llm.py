@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import names
+from edge.chat import ChatError
 from edge.config import TranslatorLlm
 from edge.errors import UserError
 from edge.mission.language import llm
-from edge.mission.language.chat import ChatError
 from edge.mission.language.formula_grammar import (
     MOST_NAMES,
     MOST_NESTING,

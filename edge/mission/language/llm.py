@@ -13,9 +13,9 @@ import time
 from typing import Any
 
 from edge import names
+from edge.chat import CutOffError, client_of
 from edge.config import TranslatorLlm
 from edge.errors import UserError
-from edge.mission.language.chat import CutOffError, client_of
 from edge.mission.language.english import describe
 from edge.mission.language.formula_grammar import gbnf
 from edge.mission.language.grounding import objects_in

@@ -25,6 +25,9 @@ from edge.errors import UserError
 
 READ_BYTES = 65536
 SHOWN_CHARACTERS = 200
+MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
+ROUNDING = 1e-3  # how far above 0 a log-probability may be
+LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
 
 
 class ChatError(UserError):
@@ -43,7 +46,11 @@ class CutOffError(ChatError):
         self.answer = answer
 
 
-@dataclass(slots=True)
+class _GivenUpError(Exception):
+    """The client was closed meanwhile."""
+
+
+@dataclass(slots=True, eq=False)
 class _Exchange:
     """One request, which a thread of its own carries out.
 
@@ -113,18 +120,21 @@ class ChatClient:
         self.url = parts._replace(query="", fragment="").geturl()  # a query may hold a secret
         self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
         self._parts, self._api_key = parts, (api_key or "").strip()
+        self._lock, self._closed = threading.Lock(), False
+        self._under_way: set[_Exchange] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
                 f"{self.url}: the API key has characters that no header can carry; set it anew"
             )
 
     def ask(
-        self, messages: list[dict[str, str]], left_s: float | None = None, **options: Any
+        self, messages: list[dict[str, Any]], left_s: float | None = None, **options: Any
     ) -> str:
         """The model's answer to a conversation.
 
         Args:
-            messages: `{"role": "system" | "user" | "assistant", "content": text}` each.
+            messages: `{"role": "system" | "user" | "assistant", "content": …}` each; the content
+                is a text, or a list of parts: texts, and images as `image_url`.
             left_s: of the client's time limit, where earlier questions took some; None: all.
             options: further fields of the request, as `temperature`.
 
@@ -132,6 +142,41 @@ class ChatClient:
             ChatError: no usable answer within the limits; `CutOffError` when the answer was
                 ended by the limit of tokens.
         """
+        return self._content(self._reply(messages, left_s, options))
+
+    def next_tokens(
+        self, messages: list[dict[str, Any]], left_s: float | None = None, **options: Any
+    ) -> list[tuple[str, float]]:
+        """The tokens that the answer most likely begins with, and their log-probabilities.
+
+        One token is asked for. The temperature is 1, so that whether a server takes logits before
+        or after it divides by that, they are the model's own. Nothing asks the server to keep what
+        it computed for the messages: vLLM and llama.cpp do so by themselves, and hosted servers
+        refuse requests with fields that they do not know.
+
+        Args:
+            messages, left_s, options: see `ask`.
+
+        Returns:
+            At most about `MOST_TOKENS` pairs; the log-probabilities are at most 0, not NaN.
+
+        Raises:
+            ChatError: no usable answer within the limits, or one without log-probabilities.
+        """
+        wanted = {"max_tokens": 1, "temperature": 1, "logprobs": True, "top_logprobs": MOST_TOKENS}
+        return self._likeliest(self._reply(messages, left_s, {**wanted, **options}))
+
+    def close(self) -> None:
+        """Give up at once what is being asked; nothing can be asked afterwards."""
+        with self._lock:
+            self._closed, exchanges = True, tuple(self._under_way)
+        for exchange in exchanges:
+            exchange.outcome.put(_GivenUpError())
+            exchange.give_up()
+
+    def _reply(
+        self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]
+    ) -> _Reply:
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
             raise self._error(_reason(TimeoutError(), self.time_limit_s))
@@ -145,7 +190,7 @@ class ChatClient:
         if len(reply.body) > self.max_answer_bytes:
             limit_kb = self.max_answer_bytes / 1024
             raise self._error(f"the answer has more than {limit_kb:g} KB; check what runs there")
-        return self._content(reply)
+        return reply
 
     def _exchange(self, body: bytes, left_s: float) -> _Reply:
         parts, end_s = self._parts, time.monotonic() + left_s
@@ -160,6 +205,10 @@ class ChatClient:
             headers["Authorization"] = f"Bearer {self._api_key}"
         target = f"{parts.path.rstrip('/')}/chat/completions" + (parts.query and f"?{parts.query}")
         exchange = _Exchange(connection)
+        with self._lock:
+            if self._closed:
+                raise self._error(_reason(_GivenUpError(), self.time_limit_s))
+            self._under_way.add(exchange)
         arguments = (target, body, headers, self.max_answer_bytes)
         threading.Thread(target=exchange.run, args=arguments, name="chat", daemon=True).start()
         try:
@@ -167,19 +216,15 @@ class ChatClient:
         except queue.Empty:
             exchange.give_up()
             outcome = TimeoutError()
+        finally:
+            with self._lock:
+                self._under_way.discard(exchange)
         if isinstance(outcome, _Reply):
             return outcome
         raise self._error(_reason(outcome, self.time_limit_s)) from None
 
     def _content(self, reply: _Reply) -> str:
-        shown = self._quote(reply.body)
-        try:
-            answer = json.loads(reply.body)
-        except (ValueError, RecursionError):
-            kind = self._quote(reply.headers.get("Content-Type", "of no type"))
-            raise self._error(
-                f"the answer is not JSON ({kind}): {shown!r}; is it a chat server?"
-            ) from None
+        answer, shown = self._json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
             content, ended_by = choice["message"]["content"], choice.get("finish_reason")
@@ -196,6 +241,35 @@ class ChatClient:
         if not content or not content.strip():
             raise self._error("the answer is empty; try another model")
         return content
+
+    def _likeliest(self, reply: _Reply) -> list[tuple[str, float]]:
+        answer = self._json(reply)
+        try:
+            found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
+            pairs = [(entry["token"], entry["logprob"]) for entry in found]
+        except (TypeError, KeyError, IndexError):
+            pairs = []
+        if not pairs:
+            raise self._error(
+                "the answer has no logprobs (choices[0].logprobs.content[0].top_logprobs); "
+                "use a server and a model that give them"
+            )
+        for token, logprob in pairs:
+            number = isinstance(logprob, (int, float)) and not isinstance(logprob, bool)
+            if not (isinstance(token, str) and number and logprob <= ROUNDING):  # false for NaN
+                shown = self._quote(f"{token!r:.40}: {logprob!r:.40}")
+                raise self._error(f"the answer has a logprob that is none, {shown}; check it")
+        return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
+
+    def _json(self, reply: _Reply) -> Any:
+        try:
+            return json.loads(reply.body)
+        except (ValueError, RecursionError):
+            shown = self._quote(reply.body)
+            kind = self._quote(reply.headers.get("Content-Type", "of no type"))
+            raise self._error(
+                f"the answer is not JSON ({kind}): {shown!r}; is it a chat server?"
+            ) from None
 
     def _explanation(self, body: bytes) -> str:
         """What the server says about an HTTP error, where it says something."""
@@ -251,6 +325,8 @@ def _receive(response: http.client.HTTPResponse, max_bytes: int) -> _Reply:
 def _reason(error: BaseException, limit_s: float) -> str:
     """What went wrong, and what to do."""
     match error:
+        case _GivenUpError():
+            return "no longer waited for"
         case TimeoutError():
             return f"no whole answer within {limit_s:g} s; raise time_limit_s or use a faster model"
         case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have

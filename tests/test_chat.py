@@ -9,14 +9,14 @@ import tracemalloc
 from http.server import BaseHTTPRequestHandler
 
 import pytest
-from chat_server import completion, saying, send, serving
+from chat_server import completion, likeliest, saying, send, serving
+from patience import PATIENCE_S, eventually
 
+from edge.chat import ChatClient, ChatError, CutOffError, client_of
 from edge.config import TranslatorLlm
-from edge.mission.language.chat import ChatClient, ChatError, CutOffError, client_of
 
 HELLO = [{"role": "user", "content": "hello"}]
 KEY = "sk-very-secret-0123456789"
-PATIENCE_S = 20.0  # only a failing test waits this long
 
 
 def drip(handler: BaseHTTPRequestHandler, data: bytes) -> None:
@@ -282,3 +282,71 @@ def test_a_key_that_no_header_can_carry(key):
     with pytest.raises(ChatError, match="no header can carry") as raised:
         ChatClient("http://host/v1", "m", key)
     assert key not in str(raised.value)
+
+
+def test_the_next_tokens_are_asked_for_and_read():
+    image = [{"type": "image_url", "image_url": {"url": "data:image/jpeg;base64,AAAA"}}]
+    with serving(body(likeliest({"A": -0.5, " B": -1, "no": 0, "C": -1e300}))) as server:
+        tokens = ChatClient(server.url, "m").next_tokens([{"role": "user", "content": image}])
+    assert tokens == [("A", -0.5), (" B", -1.0), ("no", 0.0), ("C", -1e4)]
+    assert server.requests[0][2] == {
+        "model": "m", "messages": [{"role": "user", "content": image}], "stream": False,
+        "max_tokens": 1, "temperature": 1, "logprobs": True, "top_logprobs": 20,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (b"", "not JSON"),
+        (b"{}", "no logprobs"),
+        (completion("A"), "no logprobs"),
+        (b'{"choices": [{"logprobs": null}]}', "no logprobs"),
+        (b'{"choices": [{"logprobs": {"content": []}}]}', "no logprobs"),
+        (likeliest({}), "no logprobs"),
+        (likeliest(None), "no logprobs"),
+        (likeliest({"A": -1.0})[:-5], "not JSON"),
+        (likeliest("AB"), "no logprobs"),
+        (likeliest([["A", -1.0]]), "no logprobs"),
+        (likeliest([{"token": "A"}]), "no logprobs"),
+        (likeliest([{"token": 1, "logprob": -1.0}]), "a logprob that is none, 1: -1.0"),
+        (likeliest({"A": float("nan")}), "a logprob that is none, 'A': nan"),
+        (likeliest({"A": -1.0, "B": "-2"}), "a logprob that is none, 'B': '-2'"),
+        (likeliest({"A": float("inf")}), "a logprob that is none"),
+        (likeliest({"A": 0.7}), "a logprob that is none, 'A': 0.7"),
+        (likeliest({"A": True}), "a logprob that is none"),
+        (likeliest({"A": None}), "a logprob that is none"),
+        (likeliest({"A": 10**400}), "a logprob that is none"),
+    ],
+)
+def test_an_answer_without_log_probabilities_is_one_clear_line(answer, expected):
+    with serving(body(answer)) as server, pytest.raises(ChatError) as raised:
+        ChatClient(server.url, "m").next_tokens(HELLO)
+    assert expected in str(raised.value)
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 400
+
+
+@pytest.mark.parametrize("connects", [True, False])
+def test_closing_the_client_gives_up_what_it_asks(connects):
+    """Neither an answer nor the connection to wait for it on may hold up whoever closes."""
+    said: list[Exception] = []
+
+    def ask(client: ChatClient) -> None:
+        try:
+            client.ask(HELLO)
+        except ChatError as error:
+            said.append(error)
+
+    with serving(silent) as server, socket.create_server(("127.0.0.1", 0), backlog=1) as deaf:
+        url = server.url if connects else f"https://127.0.0.1:{deaf.getsockname()[1]}"
+        client = ChatClient(url, "m", time_limit_s=PATIENCE_S)
+        asking = threading.Thread(target=ask, args=(client,), daemon=True)
+        asking.start()
+        eventually(lambda: client._under_way)
+        client.close()
+        eventually(lambda: said)
+        with pytest.raises(ChatError, match="no longer waited for"):
+            client.ask(HELLO)
+    asking.join(PATIENCE_S)
+    assert "no longer waited for" in str(said[0])

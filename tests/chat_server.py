@@ -43,6 +43,23 @@ def completion(content: Any, finish_reason: str = "stop") -> bytes:
     return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()
 
 
+def likeliest(logprobs: Any) -> bytes:
+    """The body of a chat completion of one token, with the log-probabilities of its rivals.
+
+    Args:
+        logprobs: by token; anything but a mapping is sent in the place of the list as it is.
+    """
+    listed = isinstance(logprobs, dict)
+    top = [{"token": t, "logprob": p} for t, p in logprobs.items()] if listed else logprobs
+    choice = {
+        "index": 0,
+        "message": {"role": "assistant", "content": "A"},
+        "finish_reason": "length",
+        "logprobs": {"content": [{"token": "A", "logprob": -1.0, "top_logprobs": top}]},
+    }
+    return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()
+
+
 def saying(*answers: str) -> Behaviour:
     """Answers one after the other; the last one for ever."""
     left = list(answers)
