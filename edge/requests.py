@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edge.desk import Request
 from edge.errors import UserError
 from edge.mission.brief import Brief
-from edge.mission.desk import Request
 from edge.status import answer_of
 
 if TYPE_CHECKING:
@@ -17,9 +17,9 @@ def handle(service: Service, request: Request, now_ns: int) -> None:
     """Do what is asked and answer how the mission stands, or refuse and change nothing."""
     mission = service.mission
     if request.do == "new":
-        assert isinstance(request.brief, Brief)
+        assert isinstance(request.prepared, Brief)
         try:
-            service.begin(request.brief, now_ns)
+            service.begin(request.prepared, now_ns)
         except UserError as error:
             request.refuse(str(error))
             return

@@ -1,43 +1,25 @@
-"""Where the running service takes orders: a new mission, pause, resume, cancel, status.
+"""Where the running service takes orders about its mission: new, pause, resume, cancel, status.
 
-A Zenoh queryable on `<prefix>/mission/request`: a JSON object comes in, a JSON object or an error
-`{"error": <one line>}` goes out. The desk has two threads. One receives, answers and keeps time;
-the other turns instructions into missions, which takes seconds where a language model is asked.
-The loop only looks into an inbox, so neither a slow model nor a slow asker holds up the robot.
+A desk (`edge.desk`) on `<prefix>/mission/request`. Turning an instruction into a mission takes
+seconds where a language model is asked: that is prepared on the desk's own thread.
 """
 
 from __future__ import annotations
 
-import json
-import logging
-import queue
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import zenoh
 
 from edge import topics
-from edge.errors import UserError
+from edge.desk import PATIENCE_S, Desk, check_text, read_order
 
-log = logging.getLogger("edge.mission.desk")
-
-MAX_BYTES = 65536
-MAX_CHARS = 10_000
-MAX_ERROR_CHARS = 1000
-PATIENCE_S = 2.0
-
-_WAITING_NEW = 2  # besides the one that is being worked on
-_WAITING = 32
-_RECEIVE_S = 0.02
 _TEXTS = ("instruction", "formula")
 
 Verb = Literal["new", "pause", "resume", "cancel", "status"]
 VERBS: tuple[Verb, ...] = ("new", "pause", "resume", "cancel", "status")
+_TAKEN = {verb: _TEXTS if verb == "new" else () for verb in VERBS}
 
 
 @dataclass(frozen=True)
@@ -49,61 +31,20 @@ class Order:
     formula: str | None = None
 
 
-@dataclass(frozen=True)
-class Request:
-    """An order for the loop.
-
-    Attributes:
-        brief: what `prepare` made of a `new` order, else None.
-        answer: sends the answer, a dict that JSON can carry (finite numbers only). Never blocks;
-            only the first call of `answer` or `refuse` counts, and only within `PATIENCE_S`.
-        refuse: sends an error instead.
-    """
-
-    do: Verb
-    brief: object | None
-    answer: Callable[[dict], None]
-    refuse: Callable[[str], None]
-
-
 def parse_order(payload: bytes) -> Order:
     """`{"do": "new", "instruction" | "formula": …}` or `{"do": pause | resume | cancel | status}`.
 
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    try:
-        data = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    if not isinstance(data, dict):
-        raise ValueError("not a JSON object")
-    do = data.pop("do", None)
-    if do not in VERBS:
-        raise ValueError(f"do: unknown {_shown(do)} (choices: {', '.join(VERBS)})")
-    taken = _TEXTS if do == "new" else ()
-    if unknown := sorted(data.keys() - set(taken)):
-        raise ValueError(f"{unknown[0]!r:.40}: not taken with do: {do}")
-    if do == "new" and len(data) != 1:
+    do, texts = read_order(payload, _TAKEN)
+    if do == "new" and len(texts) != 1:
         raise ValueError("do: new needs either an instruction or a formula")
-    for name, text in data.items():
-        if not isinstance(text, str) or not text.strip():
-            raise ValueError(f"{name}: expected text, got {_shown(text)}")
-        if len(text) > MAX_CHARS:
-            raise ValueError(f"{name}: {len(text)} characters, at most {MAX_CHARS} are taken")
-        if any("\ud800" <= c <= "\udfff" for c in text):
-            raise ValueError(f"{name}: not Unicode text")
-    return Order(do, **data)
+    return Order(do, **{name: check_text(name, text) for name, text in texts.items()})
 
 
-def _shown(value: object) -> str:
-    """For a message; what is nested is not shown, since it may be nested very deep."""
-    plain = value is None or isinstance(value, (str, int, float))
-    return f"{value!r:.40}" if plain else f"a {type(value).__name__}"
-
-
-class MissionDesk:
-    """Takes orders until it is closed.
+class MissionDesk(Desk):
+    """Takes orders about the mission; `Request.prepared` of a `new` one is what `prepare` made.
 
     Args:
         prepare: called as `prepare(instruction, formula)` on a thread of the desk, one at a time;
@@ -118,175 +59,8 @@ class MissionDesk:
         prepare: Callable[[str | None, str | None], object],
         patience_s: float = PATIENCE_S,
     ) -> None:
-        self._prepare, self._patience_s = prepare, patience_s
-        self._key = f"{prefix}/{topics.MISSION_REQUEST}"
-        self._lock = threading.Lock()
-        self._inbox: deque[_Asker] = deque()
-        self._open: set[_Asker] = set()
-        self._answered: queue.SimpleQueue[_Asker] = queue.SimpleQueue()
-        self._new: queue.Queue[_Asker | None] = queue.Queue(_WAITING_NEW)
-        self._closing = threading.Event()
-        # A ring lets the oldest go when it is full; a FIFO would block the session.
-        self._queryable = session.declare_queryable(self._key, zenoh.handlers.RingChannel(_WAITING))
-        self._threads = [
-            threading.Thread(target=target, name=f"desk-{name}", daemon=True)
-            for name, target in (("post", self._serve), ("prepare", self._work))
-        ]
-        for thread in self._threads:
-            thread.start()
+        def new(order: Order) -> object:
+            return prepare(order.instruction, order.formula)
 
-    def poll(self) -> Request | None:
-        """The next order, if there is one. For the loop: never blocks."""
-        if not self._inbox:
-            return None
-        with self._lock:
-            return self._inbox.popleft().request() if self._inbox else None
-
-    def close(self, timeout_s: float = 1.0) -> None:
-        """Refuse what is open and take nothing more; a translation that goes on is abandoned."""
-        self._closing.set()
-        for thread in self._threads:
-            thread.join(timeout_s)
-
-    # The first thread.
-
-    def _serve(self) -> None:
-        try:
-            while not self._closing.wait(_RECEIVE_S):
-                for asker in self._arrived():
-                    self._receive(asker)
-                self._give_up(time.monotonic())
-                self._send()
-            self._open.update(self._arrived())
-            self._queryable.undeclare()
-        except zenoh.ZError as error:
-            log.warning("no more orders are taken, the session is closed: %s", _reason(error))
-        finally:
-            for asker in tuple(self._open):
-                asker.refuse("the service is stopping")
-            self._send()
-            with suppress(queue.Empty):
-                while True:
-                    self._new.get_nowait()
-            self._new.put(None)
-
-    def _arrived(self) -> Iterator[_Asker]:
-        while (query := self._queryable.try_recv()) is not None:
-            yield _Asker(query, self._answered.put)
-
-    def _receive(self, asker: _Asker) -> None:
-        self._open.add(asker)
-        try:
-            asker.order = parse_order(asker.payload())
-        except ValueError as error:
-            asker.refuse(str(error))
-            return
-        if asker.order.do != "new":
-            self._hand_over(asker)
-            return
-        try:
-            self._new.put_nowait(asker)
-        except queue.Full:
-            asker.refuse("busy with other new missions; try again later")
-
-    def _give_up(self, now_s: float) -> None:
-        for asker in tuple(self._open):
-            if now_s < asker.until_s:
-                continue
-            with self._lock:
-                taken = asker not in self._inbox
-                if not taken:
-                    self._inbox.remove(asker)
-            asker.refuse(
-                f"taken, but not answered within {self._patience_s:g} s; ask for the status"
-                if taken
-                else f"the loop is not running: not taken within {self._patience_s:g} s"
-            )
-
-    def _send(self) -> None:
-        while not self._answered.empty():
-            asker = self._answered.get()
-            self._open.discard(asker)
-            asker.send(self._key)
-
-    # The second thread.
-
-    def _work(self) -> None:
-        while (asker := self._new.get()) is not None:
-            try:
-                asker.brief = self._prepare(asker.order.instruction, asker.order.formula)
-            except UserError as error:
-                asker.refuse(str(error))
-            except Exception as error:
-                log.exception("a mission could not be prepared")
-                asker.refuse(f"internal error: {type(error).__name__}: {error}")
-            else:
-                self._hand_over(asker)
-
-    def _hand_over(self, asker: _Asker) -> None:
-        asker.until_s = time.monotonic() + self._patience_s
-        with self._lock:
-            full = len(self._inbox) >= _WAITING
-            if not full:
-                self._inbox.append(asker)
-        if full:
-            asker.refuse("busy with other orders; try again later")
-
-
-class _Asker:
-    """One query, from its arrival to its one answer."""
-
-    def __init__(self, query: zenoh.Query, answered: Callable[[_Asker], None]) -> None:
-        self.order: Order | None = None
-        self.brief: object | None = None
-        self.until_s = float("inf")
-        self._query, self._answered = query, answered
-        self._first = threading.Lock()
-        self._reply: bytes = b""
-        self._is_error = False
-
-    def payload(self) -> bytes:
-        """ValueError when there is none, or too much of it."""
-        payload = self._query.payload
-        if payload is None or not len(payload):
-            raise ValueError("no payload: expected a JSON object")
-        if len(payload) > MAX_BYTES:
-            raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
-        return payload.to_bytes()
-
-    def request(self) -> Request:
-        return Request(self.order.do, self.brief, self.answer, self.refuse)
-
-    def answer(self, data: dict) -> None:
-        self._finish(data, is_error=False)
-
-    def refuse(self, reason: str) -> None:
-        line = " ".join(reason.split())
-        self._finish({"error": line[:MAX_ERROR_CHARS]}, is_error=True)
-
-    def _finish(self, data: dict, is_error: bool) -> None:
-        # Encoded here: the dict is the caller's, who may go on to change it.
-        try:
-            encoded = json.dumps(data, allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
-            log.error("an answer to an order is not JSON: %s", error)
-            encoded, is_error = b'{"error": "internal error: the answer is not JSON"}', True
-        if self._first.acquire(blocking=False):
-            self._reply, self._is_error = encoded, is_error
-            self._answered(self)
-
-    def send(self, key: str) -> None:
-        """Reply and let the query go, or its asker would wait on."""
-        try:
-            with self._query as query:
-                if self._is_error:
-                    query.reply_err(self._reply, encoding=zenoh.Encoding.APPLICATION_JSON)
-                else:
-                    query.reply(key, self._reply, encoding=zenoh.Encoding.APPLICATION_JSON)
-        except zenoh.ZError as error:
-            log.warning("an answer to an order was lost: %s", _reason(error))
-
-
-def _reason(error: zenoh.ZError) -> str:
-    """Without the place in Zenoh's source."""
-    return str(error).split(" at /")[0]
+        key = f"{prefix}/{topics.MISSION_REQUEST}"
+        super().__init__(session, key, parse_order, {"new": new}, patience_s)

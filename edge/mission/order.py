@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import threading
 from typing import TYPE_CHECKING
 
-from edge.errors import Stopped, UserError
+from edge import asking
 
 if TYPE_CHECKING:
     import zenoh
 
-CONNECT_S = 5.0
 ANSWER_S = 5.0
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
 
@@ -26,11 +24,6 @@ _VERBS = {
     "cancel": "end the mission that runs",
     "status": "how the mission stands",
 }
-_ZENOH_TIMEOUT = b"Timeout"  # what Zenoh itself puts in the place of an answer
-
-
-class OrderError(UserError):
-    """The order was refused, or nobody took it; one line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-def]
@@ -55,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge mission new | pause | resume | cancel | status`.
 
     Raises:
-        OrderError: no service is there, it does not answer, or it refuses.
+        OrderError: no service is there, it does not answer, or it refuses (`edge.asking`).
         ConfigError: the configuration cannot be read.
     """
     from edge.config import load
@@ -64,35 +57,17 @@ def run(args: argparse.Namespace) -> int:
     request = {"do": args.do}
     if args.do == "new":
         request["formula" if args.formula else "instruction"] = args.text
-    with _connect(settings, min(CONNECT_S, args.timeout)) as session:
+    with asking.connect(settings, args.timeout, "mission") as session:
         answer = ask(session, settings.prefix, request, args.timeout)
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
 
 
 def ask(session: zenoh.Session, prefix: str, request: dict, timeout_s: float) -> dict:
-    """Give an order to the service under `prefix`; its answer.
-
-    Raises:
-        OrderError: it refused (its own words), or none answered within `timeout_s`.
-    """
-    import zenoh
-
+    """Give an order to the service under `prefix`; its answer. See `edge.asking.ask` for errors."""
     from edge import topics
 
-    key = f"{prefix}/{topics.MISSION_REQUEST}"
-    replies = session.get(
-        key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
-        timeout=timeout_s,
-    )  # fmt: skip
-    for reply in replies:
-        if reply.ok is not None:
-            return _object(key, reply.ok.payload.to_bytes())
-        content = reply.err.payload.to_bytes()
-        if content == _ZENOH_TIMEOUT:
-            raise OrderError(f"mission: {key}: no answer within {timeout_s:g} s")
-        raise OrderError(f"mission: refused: {_object(key, content).get('error')}")
-    raise OrderError(f"mission: no service answers at {key}; start one with `edge run`")
+    return asking.ask(session, f"{prefix}/{topics.MISSION_REQUEST}", request, timeout_s, "mission")
 
 
 def as_text(answer: dict) -> str:
@@ -100,32 +75,6 @@ def as_text(answer: dict) -> str:
     rows = [(name, _phrase(tell(answer))) for name, tell in _ROWS.items()]
     width = max(map(len, _ROWS)) + 2
     return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"
-
-
-def _connect(settings, patience_s: float) -> zenoh.Session:  # type: ignore[no-untyped-def]
-    from edge.bus import open_session
-
-    enough = threading.Event()
-    timer = threading.Timer(patience_s, enough.set)
-    timer.daemon = True
-    timer.start()
-    try:
-        return open_session(settings, "connect", enough)
-    except Stopped:
-        where = settings.endpoint
-        raise OrderError(f"mission: no service at {where}; start one with `edge run`") from None
-    finally:
-        timer.cancel()
-
-
-def _object(key: str, content: bytes) -> dict:
-    try:
-        data = json.loads(content)
-    except (ValueError, RecursionError):
-        data = None
-    if not isinstance(data, dict):
-        raise OrderError(f"mission: {key}: not the answer of a service: {content[:60]!r}")
-    return data
 
 
 def _phrase(value: object) -> str:

@@ -8,9 +8,10 @@ import time
 
 from edge.bus import open_session
 from edge.config import Zenoh
+from edge.desk import Request
 from edge.errors import UserError
 from edge.mission import order
-from edge.mission.desk import MissionDesk, Request
+from edge.mission.desk import MissionDesk
 from edge.mission.ltl import parse, to_text
 
 PREFIX = "edge"
@@ -31,7 +32,7 @@ def prepare(instruction: str | None, formula: str | None) -> str:
 def act(request: Request, state: dict) -> None:
     """What a service does with an order."""
     if request.do == "new":
-        state.update(formula=request.brief, phase="exploring", paused=False)
+        state.update(formula=request.prepared, phase="exploring", paused=False)
     elif request.do == "resume" and not state["paused"]:
         return request.refuse("nothing is paused")
     elif request.do == "cancel":

@@ -17,9 +17,10 @@ import zenoh
 from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 
+from edge.asking import OrderError
 from edge.bus import open_session
 from edge.config import Zenoh
-from edge.mission.order import OrderError, add_arguments, ask
+from edge.mission.order import add_arguments, ask
 
 PEER = Path(__file__).with_name("mission_desk_peer.py")
 PREFIX, KEY = "edge", "edge/mission/request"

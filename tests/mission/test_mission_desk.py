@@ -16,11 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE_S, eventually
 
+from edge.asking import OrderError
 from edge.bus import open_session
 from edge.config import Zenoh
+from edge.desk import MAX_BYTES, MAX_CHARS, Request
 from edge.errors import UserError
-from edge.mission.desk import MAX_BYTES, MAX_CHARS, VERBS, MissionDesk, Order, Request, parse_order
-from edge.mission.order import OrderError, ask
+from edge.mission.desk import VERBS, MissionDesk, Order, parse_order
+from edge.mission.order import ask
 from edge.ports import free_port
 
 PREFIX = "edge"
@@ -176,7 +178,7 @@ def test_an_idle_desk_has_nothing_for_the_loop(open_desk):
 def test_an_order_is_answered_by_the_loop(session, open_desk, do):
     desk, asking = open_desk(), Asking(session, do=do)
     request = taken(desk)
-    assert (request.do, request.brief) == (do, None)
+    assert (request.do, request.prepared) == (do, None)
     request.answer({"phase": do, "é": [1, None]})
     assert asking.answer == {"phase": do, "é": [1, None]}
     assert desk.poll() is None
@@ -189,7 +191,7 @@ def test_an_order_is_answered_by_the_loop(session, open_desk, do):
 def test_a_new_mission_comes_to_the_loop_prepared(session, open_desk, given_text, brief):
     desk, asking = open_desk(), Asking(session, do="new", **given_text)
     request = taken(desk)
-    assert (request.do, request.brief) == ("new", brief)
+    assert (request.do, request.prepared) == ("new", brief)
     request.answer({"formula": "F a"})
     assert asking.answer == {"formula": "F a"}
 
@@ -253,8 +255,8 @@ def test_while_one_mission_is_prepared_other_orders_pass_and_few_wait(session, o
     briefs = []
     for _ in range(3):
         request = taken(desk)
-        briefs.append(request.brief)
-        request.answer({"brief": request.brief})
+        briefs.append(request.prepared)
+        request.answer({"brief": request.prepared})
     assert first.answer == {"brief": "first"}
     assert briefs[0] == "first"
     outcomes = [asking.outcome for asking in others]
@@ -275,7 +277,7 @@ def test_a_loop_that_takes_an_order_and_says_nothing_is_told_of(session, open_de
     asking = Asking(session, do="pause")
     request = taken(desk)
     late = SimpleNamespace(monotonic=lambda: time.monotonic() + PATIENCE_S)
-    monkeypatch.setattr("edge.mission.desk.time", late)
+    monkeypatch.setattr("edge.desk.time", late)
     assert "taken, but not answered" in asking.refusal
     request.answer({"phase": "late"})
     asking = Asking(session, do="status")
@@ -371,7 +373,7 @@ def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(sessio
 
 
 def test_orders_that_arrive_as_the_desk_closes_are_told_so(session, open_desk, monkeypatch):
-    monkeypatch.setattr("edge.mission.desk._RECEIVE_S", PATIENCE_S)  # it looks only when it closes
+    monkeypatch.setattr("edge.desk._RECEIVE_S", PATIENCE_S)  # it looks only when it closes
     desk = open_desk()
     payloads = (b'{"do": "status"}', b'{"do": "new", "formula": "F a"}', b"nonsense")
     asked = [session.get(KEY, payload=payload, timeout=PATIENCE_S) for payload in payloads]
