@@ -348,7 +348,7 @@ class Service:
         Nothing has changed when it raises.
         """
         mission = MissionRun(brief, self.config.mission, self._step_taken)
-        self._worker.detector.set_prompts(brief.targets)
+        self._worker.set_prompts(brief.targets)
         self.mission = mission
         self.tracker.forget_reached()
         self.pool.set_channels(len(brief.targets))

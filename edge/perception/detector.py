@@ -30,10 +30,12 @@ class Detector(Protocol):
     Attributes:
         name: the model's card, or what it is when it is no model.
         prompts: what is looked for, `Detections.class_id` counts in them.
+        invalid_boxes: boxes of the model that were not finite, since the start; dropped.
     """
 
     name: str
     prompts: tuple[str, ...]
+    invalid_boxes: int
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """Look for something else from the next image on; may be called from another thread.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from edge.perception.detector import Detector
-from edge.perception.worker import WorkerStats, log_failure
+from edge.perception.worker import WorkerBase, log_failure
 from edge.types import Detections, Observation
 
 
-class InlineWorker:
+class InlineWorker(WorkerBase):
     """Has the methods of `DetectorWorker`, but `submit` runs the model at once.
 
     Args:
@@ -15,8 +15,7 @@ class InlineWorker:
     """
 
     def __init__(self, detector: Detector, every: int = 1) -> None:
-        self.detector = detector
-        self.stats = WorkerStats()
+        super().__init__(detector)
         self._every = every
         self._result: Detections | None = None
 
@@ -27,16 +26,15 @@ class InlineWorker:
         if not turn:
             return
         self._drop()
-        try:
-            detections = self.detector.detect(observation)
-        except Exception as error:  # the loop must outlive whatever a model does
-            if self.stats.count_failure(error):
-                log_failure(self.detector, error)
+        outcome = self._detect(observation)
+        if isinstance(outcome, Exception):
+            if self.stats.count_failure(outcome):
+                log_failure(self.detector, outcome)
             return
         observation.hold()
-        self._result = detections
+        self._result = outcome
         self.stats.done += 1
-        self.stats.last_latency_ns = detections.latency_ns
+        self.stats.last_latency_ns = outcome.latency_ns
 
     def poll(self) -> Detections | None:
         """The detections of the last `submit`, once."""

@@ -31,6 +31,7 @@ class SimDetector:
     """
 
     name = "sim (ground-truth ids + noise, no neural network)"
+    invalid_boxes = 0
 
     def __init__(self, detector: config.DetectorSim, prompts: Sequence[str]) -> None:
         """

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from edge.perception.detector import Detector
+from edge.perception.text import PromptError
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -41,7 +43,73 @@ class WorkerStats:
         return self.failures[kind] == 1
 
 
-class DetectorWorker:
+Watch = Callable[[Detector, Observation, "Detections | Exception"], None]
+"""Called with every image that a detector was run on, held meanwhile, and with what came of it."""
+
+
+class WorkerBase:
+    """What both workers share: the detector at work, and how another takes its place.
+
+    Attributes:
+        detector: runs on the next image.
+        spare: the one before, kept until the present one has proved itself; None otherwise.
+        watch: told of every image, on the thread that detects; must not raise.
+    """
+
+    def __init__(self, detector: Detector) -> None:
+        self.detector = detector
+        self.spare: Detector | None = None
+        self.watch: Watch | None = None
+        self.stats = WorkerStats()
+        self._using: Detector | None = None
+        self._hand = threading.Lock()
+
+    def exchange(self, detector: Detector) -> Detector:
+        """Have another detector run on the next image; the one before, still open."""
+        with self._hand:
+            before, self.detector = self.detector, detector
+        return before
+
+    def uses(self, detector: Detector) -> bool:
+        """Whether it may be detecting now: such a one must not be closed yet."""
+        with self._hand:
+            return detector is self.detector or detector is self._using
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """Look for something else from the next image on; see `Detector.set_prompts`.
+
+        Raises:
+            PromptError: the detector, or the spare one, cannot; nothing has changed then.
+        """
+        before = self.detector.prompts
+        self.detector.set_prompts(prompts)
+        if self.spare is None:
+            return
+        try:
+            self.spare.set_prompts(prompts)
+        except PromptError as error:
+            self.detector.set_prompts(before)
+            raise PromptError(
+                f"{self.spare.name}, kept until {self.detector.name} has proved itself: {error}; "
+                "try again after that"
+            ) from None
+
+    def _detect(self, observation: Observation) -> Detections | Exception:
+        """What the detector finds, or the failure it ends with, after `watch` was told."""
+        with self._hand:
+            detector = self._using = self.detector
+        outcome: Detections | Exception
+        try:
+            outcome = detector.detect(observation)
+        except Exception as error:  # the loop must outlive whatever a model does
+            outcome = error
+        if (watch := self.watch) is not None:
+            watch(detector, observation, outcome)
+        self._using = None
+        return outcome
+
+
+class DetectorWorker(WorkerBase):
     """Runs a detector beside the loop.
 
     Observations are held (`Observation.hold`) while they wait and while they are detected in.
@@ -49,8 +117,7 @@ class DetectorWorker:
     """
 
     def __init__(self, detector: Detector) -> None:
-        self.detector = detector
-        self.stats = WorkerStats()
+        super().__init__(detector)
         self._wake = threading.Condition()
         self._pending: Observation | None = None
         self._result: Detections | None = None
@@ -99,17 +166,16 @@ class DetectorWorker:
 
     def _run(self) -> None:
         while (observation := self._next()) is not None:
-            try:
-                detections = self.detector.detect(observation)
-            except Exception as error:  # the loop must outlive whatever a model does
-                self._failed(error)
+            outcome = self._detect(observation)
+            if isinstance(outcome, Exception):
+                self._failed(outcome)
                 observation.release()
                 continue
             with self._wake:
-                unread, self._result = self._result, detections
+                unread, self._result = self._result, outcome
                 self.stats.done += 1
                 self.stats.unread += unread is not None
-                self.stats.last_latency_ns = detections.latency_ns
+                self.stats.last_latency_ns = outcome.latency_ns
             if unread is not None:
                 unread.observation.release()
 
