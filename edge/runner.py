@@ -16,16 +16,18 @@ from time import perf_counter_ns
 
 import zenoh
 
+from edge import models_desk, requests
 from edge.bus import open_session
 from edge.config import Config
+from edge.desk import Desk
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
 from edge.mission.keeper import Keeper
+from edge.models_desk import ModelsDesk
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.priority import real_time
-from edge.requests import handle
 from edge.service import DETECT, INGEST, Service
 from edge.sinks import Sink
 from edge.sinks.zenoh import ZenohSink
@@ -52,7 +54,8 @@ class Running:
     worker: DetectorWorker | InlineWorker
     source: Source
     inbox: GoalStatusInbox
-    desk: MissionDesk
+    desk: Desk
+    models: Desk
     sinks: list[Sink] = field(default_factory=list)
     epoch: int = 0
 
@@ -109,7 +112,9 @@ def open_service(
         inbox = GoalStatusInbox(session, config.zenoh.prefix)
         desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
         stack.callback(desk.close)
-        yield Running(config, session, service, worker, source, inbox, desk, every)
+        models = ModelsDesk(session, config.zenoh.prefix)
+        stack.callback(models.close)
+        yield Running(config, session, service, worker, source, inbox, desk, models, every)
 
 
 def loop(
@@ -203,9 +208,12 @@ def _hear(running: Running) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next order from outside, if there is one."""
+    """Take the next orders from outside, if there are any, and the next step of a swap."""
     if (request := running.desk.poll()) is not None:
-        handle(running.service, request, now_ns)
+        requests.handle(running.service, request, now_ns)
+    if (request := running.models.poll()) is not None:
+        models_desk.handle(running.service.swapper, request, now_ns)
+    running.service.swapper.step(now_ns)
 
 
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:

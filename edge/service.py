@@ -29,6 +29,7 @@ from edge.orders import Orders
 from edge.perception.inline import InlineWorker
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.swap import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.policies.select import GoalSelector
@@ -57,6 +58,7 @@ class Service:
         orders: what of that was told to the controller.
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
+        swapper: puts another model in the place of the worker's.
         epoch: counts the frames that the map was in.
     """
 
@@ -88,6 +90,7 @@ class Service:
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self._worker = worker
+        self.swapper = Swapper(config.perception, worker, self.event)
         self._sinks = sinks
         self._lifter = Lifter(config.perception)
         self._approach = Approach(config.mission)
@@ -417,6 +420,7 @@ class Service:
 
     def close(self) -> None:
         """No tick comes any more."""
+        self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
 

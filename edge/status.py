@@ -54,8 +54,10 @@ def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[s
         "detector": {
             "model": worker.detector.name,
             **worker.detector.health()._asdict(),
+            "invalid_boxes": worker.detector.invalid_boxes,
             **asdict(worker.stats),
         },
+        "swap": service.swapper.status(),
     }
 
 

@@ -49,6 +49,8 @@ GOAL_STATUS = Topic("goal_status", "json", "block", 0, "controller")
 
 # Not a topic but a queryable: orders to the mission, JSON in and out (see `edge.mission.desk`).
 MISSION_REQUEST = "mission/request"
+# And orders to the perception's model (see `edge.models_desk`).
+MODELS_REQUEST = "models/request"
 
 ALL: tuple[Topic, ...] = (
     RGB, DEPTH, CAMERA_INFO, OBJECT_IDS, OBJECT_LABELS, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH,

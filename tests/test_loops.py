@@ -50,8 +50,8 @@ def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> Ru
     closed = ClosedLoop(config)
     seen = [blank_observation(i, 10**9 + i * 10**8, SE2(0, 0, 0), closed) for i in range(frames)]
     inbox, desk = SimpleNamespace(poll=list), SimpleNamespace(poll=lambda: None)
-    service = closed.service
-    return Running(config, None, service, service._worker, Source(seen, jump_at), inbox, desk)
+    service, source = closed.service, Source(seen, jump_at)
+    return Running(config, None, service, service._worker, source, inbox, desk, desk)
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

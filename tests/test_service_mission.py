@@ -62,7 +62,7 @@ class Asked:
     """An order and what came back."""
 
     def __init__(self, do: str, brief=None) -> None:
-        self.do, self.brief = do, brief
+        self.do, self.prepared = do, brief
         self.answers: list[dict] = []
         self.errors: list[str] = []
 

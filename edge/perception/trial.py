@@ -1,0 +1,149 @@
+"""Whether a model may take another's place: tried on images that the running one was shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+import numpy as np
+
+from edge.config import Perception
+from edge.errors import UserError
+from edge.perception.detector import Detector
+from edge.types import Detections, Observation
+
+MATCH_IOU = 0.5
+MATCH_SCORE = 0.5  # a box that is found again with less than this share of its score is lost
+_WARM_UPS = 2
+_ROUNDS = 3
+
+_FORCE = "--force takes it all the same"
+
+
+class Unfit(UserError):
+    """Why a model may not take another's place; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A copy of an image, and what the running model found in it; None: it failed."""
+
+    observation: Observation
+    found: Detections | None
+
+
+def sample(observation: Observation, outcome: Detections | Exception) -> Sample:
+    """A sample that owns its image; nothing else of the observation is kept."""
+    copy = replace(
+        observation, rgb=observation.rgb.copy(), depth_m=None, cloud_m=None, object_ids=None,
+        slot=None,
+    )  # fmt: skip
+    failed = isinstance(outcome, Exception)
+    return Sample(copy, None if failed else replace(outcome, observation=copy))
+
+
+def judge(
+    detector: Detector,
+    samples: Sequence[Sample],
+    perception: Perception,
+    running: str,
+    related: bool,
+    force: bool = False,
+) -> str:
+    """Run the model on the samples, one of them a few times first to warm it up.
+
+    Args:
+        samples: at least one.
+        running: name of the model whose boxes they hold.
+        related: both are of one family, so the boxes must be found again.
+        force: time and boxes are told, not held against it.
+
+    Returns:
+        What was found, in one line.
+
+    Raises:
+        Unfit: it fails, returns what is not finite, takes too long, or finds too little.
+    """
+    for _ in range(_WARM_UPS):
+        run(detector, samples[0].observation)
+    runs = [[run(detector, s.observation) for s in samples] for _ in range(_ROUNDS)]
+    took_ms = median_ms([found.latency_ns for round_ in runs for found in round_])
+    pace = f"median {took_ms:.1f} ms on {len(samples)} images"
+    budget_ms = perception.swap.budget_ms
+    if took_ms > budget_ms and not force:
+        raise Unfit(f"too slow: {pace}, perception.swap.budget_ms is {budget_ms:g}; {_FORCE}")
+    old, found = boxes_found_again(samples, runs[0], perception.tau_det)
+    if old == 0:
+        return f"{pace}; {running} saw nothing there to compare with"
+    share = f"finds {found} of the {old} boxes of {running}"
+    if not related:
+        return f"{pace}; {share} (another family, not held against it)"
+    if found < perception.swap.min_recall * old and not force:
+        least = f"perception.swap.min_recall is {perception.swap.min_recall:g}"
+        raise Unfit(f"{share}, {least}; {_FORCE}")
+    return f"{pace}; {share}"
+
+
+def run(detector: Detector, observation: Observation) -> Detections:
+    """Detect in one image; Unfit when that fails or anything is not finite."""
+    before = detector.invalid_boxes
+    try:
+        found = detector.detect(observation)
+    except Exception as error:  # whatever a model does
+        raise Unfit(failure(error)) from None
+    if fault := not_finite(detector, before, found):
+        raise Unfit(fault)
+    return found
+
+
+def failure(error: Exception) -> str:
+    """What a model failed with, as a reason in one line."""
+    return f"it fails: {type(error).__name__}: {' '.join(str(error).split())[:300]}"
+
+
+def not_finite(detector: Detector, before: int, found: Detections) -> str:
+    """The reason against a model that returns NaN or infinity; empty for one that does not.
+
+    Args:
+        before: `invalid_boxes` before it detected.
+    """
+    if invalid := detector.invalid_boxes - before:
+        return f"it returns values that are not finite ({invalid} boxes of an image)"
+    if not (np.isfinite(found.xyxy_px).all() and np.isfinite(found.score).all()):
+        return "it returns boxes or scores that are not finite"
+    return ""
+
+
+def median_ms(times_ns: Sequence[int]) -> float:
+    return median(times_ns) * 1e-6
+
+
+def boxes_found_again(
+    samples: Sequence[Sample], runs: Sequence[Detections], tau: float
+) -> tuple[int, int]:
+    """(boxes of the running model, those that the other finds too) over all samples.
+
+    Counted are the boxes of at least `tau` that nothing else explains better; found again means
+    the same prompt, `MATCH_IOU`, and `MATCH_SCORE` of the score. Samples of other prompts than
+    the runs' do not count.
+    """
+    old = found = 0
+    for one, new in zip(samples, runs, strict=True):
+        was = one.found
+        if was is None or was.prompts != new.prompts:
+            continue
+        for i in np.flatnonzero(was.unrivalled() & (was.score >= tau)):
+            near = iou(was.xyxy_px[i], new.xyxy_px) >= MATCH_IOU
+            alike = near & (new.class_id == was.class_id[i])
+            found += bool((alike & (new.score >= MATCH_SCORE * was.score[i])).any())
+            old += 1
+    return old, found
+
+
+def iou(box: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(n,) intersection over union of a box (4,) xyxy with others (n, 4)."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    both = np.clip(high - low, 0, None).prod(axis=1)
+    either = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1) - both
+    return np.divide(both, either, out=np.zeros_like(both), where=either > 0)
