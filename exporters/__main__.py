@@ -1,4 +1,4 @@
-"""The whole chain for one model card: checkpoint → FP32 → INT8, with a parity check per step.
+"""The whole chain for one model card: checkpoint → FP32 → FP16 or INT8, parity checked per step.
 
     python -m exporters yolo-world-s-256x320-int8-cpu --weights FILE.pt --calibration DIR \\
         --vocabulary FILE.npz --cache DIR
@@ -12,11 +12,23 @@ import os
 import sys
 from pathlib import Path
 
+import onnx
+
 from exporters.cards import ExportCard, cards_folder, load_card, update_parity
 from exporters.files import ExportError, replace_atomically, sha256_of, write_json
+from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
-from exporters.parity import FP32_LIMITS, INT8_LIMITS, Limits, ParityReport, check_limits, measure
-from exporters.quantize import quantize, split_images
+from exporters.parity import (
+    FP16_LIMITS,
+    FP32_LIMITS,
+    INT8_LIMITS,
+    Limits,
+    ParityReport,
+    check_limits,
+    measure,
+)
+from exporters.quantize import calibration_feeds, input_hw, quantize, split_images
+from exporters.recipes import recipe_of
 
 TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
@@ -46,7 +58,7 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
             "camera, or render some with exporters.render_calibration"
         )
     _export_fp32(fp32, args, text)
-    return _export_int8(card, fp32, args, text)
+    return _export_derived(card, fp32, args, text)
 
 
 def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
@@ -84,17 +96,22 @@ def _export_fp32(
     return report
 
 
-def _export_int8(
+def _export_derived(
     card: ExportCard, fp32: ExportCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport:
-    """FP32 ONNX → INT8, compared with the FP32 on images it was not calibrated on."""
-    out = args.cache / card.file
+    """FP32 ONNX → FP16 or INT8, compared with the FP32 on images it was not calibrated on."""
+    source, out, recipe = args.cache / fp32.file, args.cache / card.file, recipe_of(card.family)
     calibration, validation = split_images(args.calibration, args.validation)
-    print(f"{card.name}: quantizing on {len(calibration)} images", file=sys.stderr)
+    print(f"{card.name}: {len(calibration)} images to calibrate on", file=sys.stderr)
+    feeds = calibration_feeds(calibration, text, input_hw(onnx.load(source)))
     with replace_atomically(out) as made:
-        quantize(args.cache / fp32.file, made, calibration, text, card.precision)
-        report = measure(args.cache / fp32.file, made, validation, text)
-        _conclude(card, args, report, INT8_LIMITS, reference=fp32.name)
+        if card.precision == "fp16":
+            write_fp16(source, made, feeds, recipe)
+        else:
+            quantize(source, made, feeds, recipe, card.precision)
+        report = measure(source, made, validation, text)
+        limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
+        _conclude(card, args, report, limits, reference=fp32.name)
     _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
     return report
 
@@ -156,7 +173,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("card", help="a card's name, such as yolo-world-s-256x320-int8-cpu")
     parser.add_argument("--weights", type=Path, required=True, help="the .pt file")
-    parser.add_argument("--calibration", type=Path, help="folder of images (int8 needs it)")
+    parser.add_argument("--calibration", type=Path, help="folder of images (all but fp32 need it)")
     parser.add_argument(
         "--validation",
         type=Path,

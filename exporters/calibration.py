@@ -17,6 +17,8 @@ import onnxruntime
 BINS = 2048
 LEVELS = 255
 """Steps of an 8-bit range."""
+MAX_LEVEL = 127
+"""Steps of a symmetric one, to either side of 0."""
 SHRINK = np.linspace(0.1, 1.0, 37)
 """Range ends that are tried, as shares of the observed extremes."""
 
@@ -116,6 +118,19 @@ def least_loss_range(
             if loss < best[0]:
                 best = (loss, float(low), float(high))
     return best[1], best[2]
+
+
+def least_loss_limit(histogram: Histogram) -> float:
+    """The largest magnitude of the symmetric 8-bit range that changes the values least."""
+    x, counts = histogram.centres, histogram.counts
+    x, counts = x[counts > 0], counts[counts > 0]
+    extreme = max(-histogram.low, histogram.high)
+    losses = []
+    for limit in extreme * SHRINK:
+        step = limit / MAX_LEVEL
+        q = np.clip(np.round(x / step), -MAX_LEVEL, MAX_LEVEL)
+        losses.append(float(((q * step - x) ** 2 * counts).sum()))
+    return float(extreme * SHRINK[int(np.argmin(losses))])
 
 
 def silu(x: np.ndarray) -> np.ndarray:

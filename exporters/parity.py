@@ -41,6 +41,7 @@ class Limits:
 
 
 FP32_LIMITS = Limits(recall=1.0, precision=1.0, score_error=0.01, max_abs_diff=0.01)
+FP16_LIMITS = Limits(recall=0.97, precision=0.95, score_error=0.05)
 INT8_LIMITS = Limits()
 
 

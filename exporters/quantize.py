@@ -1,30 +1,43 @@
-"""Static QDQ INT8 of an FP32 detector, for onnxruntime on a CPU.
+"""Static QDQ INT8 of an FP32 detector, for onnxruntime on a CPU or for TensorRT.
 
     python -m exporters.quantize FP32.onnx --calibration DIR --txt-feats VOCABULARY.npz --out FILE
 
-Activations are uint8 with a zero point, weights int8 per output channel. Three things keep the
-scores: ranges that lose least where the value is used (`calibration`), weights rounded against
-their inputs (`rounding`), and the few nodes of `FLOAT_NODES` that stay in float.
+Weights are int8 per output channel. Three things keep the scores: ranges that lose least where
+the value is used (`calibration`), weights rounded against their inputs (`rounding`), and the few
+nodes of the family's recipe that stay in float.
+
+`int8-cpu`: activations are uint8 with a zero point, and so is everything between convolutions.
+`int8-trt`: activations are int8 around 0, as TensorRT demands, and only what goes into a
+convolution is quantized: TensorRT fuses convolution, activation and the next Q into one kernel,
+which a Q between them would keep apart. Biases and the rest are float16 as in an `fp16` model,
+since a strongly typed TensorRT network takes the file at its word.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
-import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 
-from exporters.calibration import Feed, collect_histograms, least_loss_range, silu
+from exporters.calibration import (
+    Feed,
+    collect_histograms,
+    least_loss_limit,
+    least_loss_range,
+    silu,
+)
 from exporters.files import ExportError, replace_atomically
+from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format
+from exporters.recipes import RECIPES, Recipe, nodes_like, recipe_of
 from exporters.rounding import round_weights
 
-PRECISIONS = ("int8-cpu",)
+PRECISIONS = ("int8-cpu", "int8-trt")
 MIN_IMAGES = 4
 MAX_ROUNDING_IMAGES = 40
 """Images that the weights are rounded against; the ranges use all of them."""
@@ -33,38 +46,32 @@ HELD_OUT_EVERY = 4
 FEW_PROMPTS = 4
 """Prompts per image in half of the calibration: missions name few, benchmarks many."""
 
-FLOAT_NODES = (
-    r"^/model\.[01]/",  # 2 % of the work, and every later layer repeats their error
-    r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the total error
-    r"^/model\.22/(?!cv\d)",  # contrast with the text, box decoding: class scores die in 8 bits
-)
-"""Nodes that stay in float, as patterns of their names."""
-
 PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsqueeze", "Expand"}
 """Operators whose output shares its input's range, so that 8-bit values pass unchanged."""
 
 
-def quantize(
-    fp32: Path, out: Path, images: list[Path], text: TextEmbeddings, precision: str = "int8-cpu"
-) -> None:
-    """Write the INT8 model of `fp32` to `out`, calibrated on `images` with prompts `text`."""
+def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
+    """Write the INT8 model of `fp32` to `out`, calibrated on `feeds` (see `calibration_feeds`)."""
     if precision not in PRECISIONS:
         choices = ", ".join(PRECISIONS)
         raise ExportError(f"--precision: unknown {precision!r} (choices: {choices})")
-    if len(images) < MIN_IMAGES:
+    if len(feeds) < MIN_IMAGES:
         raise ExportError(
-            f"calibration: {len(images)} images, at least {MIN_IMAGES} are needed "
+            f"calibration: {len(feeds)} images, at least {MIN_IMAGES} are needed "
             "(40 or more for good scores); add pictures from the robot's camera"
         )
     model = onnx.load(fp32)
-    float_nodes = float_node_names(model)
-    feeds = calibration_feeds(images, text, input_hw(model))
-    ranges = activation_ranges(model, feeds)
-    convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in float_nodes]
+    for_trt = precision == "int8-trt"
+    excluded = nodes_like(model, recipe.not_int8)
+    float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
+    ranges = (symmetric_ranges if for_trt else activation_ranges)(model, feeds)
+    convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in excluded]
     steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
     scales = round_weights(model, convs, feeds[::steps])
     with replace_atomically(out) as temporary:
-        _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), float_nodes)
+        _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), excluded, precision)
+        if for_trt:
+            onnx.save(to_fp16(onnx.load(temporary), float32), temporary)
         check_format(temporary)
 
 
@@ -72,18 +79,6 @@ def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
     """Height and width in pixels of a model's image input."""
     dims = model.graph.input[0].type.tensor_type.shape.dim
     return dims[2].dim_value, dims[3].dim_value
-
-
-def float_node_names(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that stay in float; raises ExportError if a pattern finds none."""
-    names = [node.name for node in model.graph.node]
-    for pattern in FLOAT_NODES:
-        if not any(re.search(pattern, name) for name in names):
-            raise ExportError(
-                f"quantize: no node is named like {pattern}; export the FP32 model with "
-                "exporters.yolo_world, which keeps the module path in node names"
-            )
-    return [name for name in names if any(re.search(p, name) for p in FLOAT_NODES)]
 
 
 def calibration_feeds(
@@ -120,6 +115,12 @@ def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tu
     return ranges
 
 
+def symmetric_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tuple[float, float]]:
+    """The range (-r, r) of every activation, by tensor name."""
+    limits = {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds).items()}
+    return {name: (-limit, limit) for name, limit in limits.items()}
+
+
 def _overrides(
     ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray]
 ) -> dict[str, list[dict]]:
@@ -138,9 +139,14 @@ def _overrides(
 
 
 def _write_qdq(
-    model: onnx.ModelProto, out: Path, feed: Feed, overrides: dict, float_nodes: list[str]
+    model: onnx.ModelProto,
+    out: Path,
+    feed: Feed,
+    overrides: dict,
+    excluded: list[str],
+    precision: str,
 ) -> None:
-    """Insert the quantize/dequantize pairs; onnxruntime fuses them into integer kernels."""
+    """Insert the quantize/dequantize pairs that onnxruntime or TensorRT fuses into kernels."""
     from onnxruntime.quantization import (
         CalibrationDataReader,
         QuantFormat,
@@ -157,6 +163,12 @@ def _write_qdq(
         def get_next(self) -> Feed | None:
             return next(self._feeds, None)
 
+    for_trt = precision == "int8-trt"
+    placement = {
+        "ActivationSymmetric": True,
+        "OpTypesToExcludeOutputQuantization": ["Conv"],
+        "QuantizeBias": False,
+    }
     root = logging.getLogger()
     level = root.level
     root.setLevel(logging.ERROR)  # advice on shape inference that does not apply here
@@ -167,10 +179,11 @@ def _write_qdq(
             OneFeed(),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
-            activation_type=QuantType.QUInt8,
+            op_types_to_quantize=["Conv"] if for_trt else None,
+            activation_type=QuantType.QInt8 if for_trt else QuantType.QUInt8,
             weight_type=QuantType.QInt8,
-            nodes_to_exclude=float_nodes,
-            extra_options={"TensorQuantOverrides": overrides},
+            nodes_to_exclude=excluded,
+            extra_options={"TensorQuantOverrides": overrides, **(placement if for_trt else {})},
         )
     finally:
         root.setLevel(level)
@@ -187,12 +200,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
+    parser.add_argument("--family", choices=sorted(RECIPES), default="yolo-world-s")
     args = parser.parse_args(argv)
     try:
         text = load_text_embeddings(args.txt_feats)
         calibration, validation = split_images(args.calibration, args.validation)
         with replace_atomically(args.out) as made:
-            quantize(args.fp32, made, calibration, text, args.precision)
+            feeds = calibration_feeds(calibration, text, input_hw(onnx.load(args.fp32)))
+            quantize(args.fp32, made, feeds, recipe_of(args.family), args.precision)
             report = measure(args.fp32, made, validation, text)
             print(report.to_json())
             print(report.table(), file=sys.stderr)

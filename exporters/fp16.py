@@ -1,0 +1,91 @@
+"""Float16 of a float32 detector; its inputs and outputs stay float32.
+
+Two kinds of nodes stay in float32: those of the family's recipe, and those that came near the end
+of float16's range on the calibration images, where a brighter room would make them infinite.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+
+from exporters.calibration import Feed, float_tensors, tensor_session
+from exporters.files import ExportError, replace_atomically
+from exporters.onnx_format import check_format
+from exporters.recipes import Recipe, nodes_like
+
+SAFE_LIMIT = float(np.finfo(np.float16).max) / 8
+"""Largest value that a node may show on calibration images and still go to float16."""
+
+
+def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
+    """Write the float16 model of `fp32` to `out`; see `to_fp16`."""
+    if not feeds:
+        raise ExportError("float16: no images to see its values on; give a folder of pictures")
+    model = onnx.load(fp32)
+    with replace_atomically(out) as temporary:
+        onnx.save(to_fp16(model, kept_nodes(model, feeds, recipe)), temporary)
+        check_format(temporary)
+
+
+def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set[str]:
+    """Names of the nodes that stay in float32."""
+    return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
+
+
+def to_fp16(model: onnx.ModelProto, kept: set[str]) -> onnx.ModelProto:
+    """The model with float16 inside, but for the nodes `kept`; constants are clipped to it."""
+    from onnxruntime.transformers.float16 import convert_float_to_float16
+    from onnxruntime.transformers.onnx_model import OnnxModel
+
+    half = convert_float_to_float16(model, keep_io_types=True, node_block_list=sorted(kept))
+    drop_round_trips(half)
+    OnnxModel(half).topological_sort()
+    onnx.checker.check_model(half)
+    return half
+
+
+def overflowing_nodes(
+    model: onnx.ModelProto, feeds: list[Feed], limit: float = SAFE_LIMIT
+) -> set[str]:
+    """Names of the nodes that read or write a value beyond ±`limit` (or NaN) on `feeds`."""
+    names = float_tensors(model)
+    session = tensor_session(model, names)
+    large: set[str] = set()
+    for feed in feeds:
+        for name, value in (*feed.items(), *zip(names, session.run(names, feed), strict=True)):
+            if not np.abs(value).max(initial=0.0) <= limit:
+                large.add(name)
+    return {
+        node.name for node in model.graph.node if large.intersection((*node.input, *node.output))
+    }
+
+
+def drop_round_trips(model: onnx.ModelProto) -> None:
+    """Take out float32 → float16 → float32, which the converter leaves around kept nodes."""
+    graph = model.graph
+    to_half = {n.output[0]: n.input[0] for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT16)}
+    trips = [n for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT) and n.input[0] in to_half]
+    instead = {node.output[0]: to_half[node.input[0]] for node in trips}
+    for name in instead:
+        while instead[name] in instead:
+            instead[name] = instead[instead[name]]
+    results = {output.name for output in graph.output}
+    # A result keeps its name: there the value before the trip takes the result's.
+    renamed = {source: name for name, source in instead.items() if name in results}
+    for node in trips:
+        graph.node.remove(node)
+    for node in graph.node:
+        for names in (node.input, node.output):
+            for index, name in enumerate(names):
+                name = instead.get(name, name)
+                names[index] = renamed.get(name, name)
+    used = {name for node in graph.node for name in node.input} | results
+    for node in [n for n in graph.node if not used.intersection(n.output)]:
+        graph.node.remove(node)
+
+
+def _is_cast(node: onnx.NodeProto, to: int) -> bool:
+    return node.op_type == "Cast" and any(a.name == "to" and a.i == to for a in node.attribute)

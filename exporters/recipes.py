@@ -1,0 +1,59 @@
+"""What of a family's network is too delicate for few bits, as patterns of node names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import onnx
+
+from exporters.files import ExportError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Nodes that keep their type, as patterns of their names.
+
+    Attributes:
+        not_int8: nodes that are not quantized.
+        not_fp16: nodes that stay in float32 when the others go to float16.
+    """
+
+    not_int8: tuple[str, ...] = ()
+    not_fp16: tuple[str, ...] = ()
+
+
+_YOLO_HEAD = r"^/model\.22/(?!cv\d)"
+"""Contrast with the text and box decoding: class scores die in 8 bits, and a coordinate beyond
+512 px has only half pixels in float16."""
+
+RECIPES = {
+    "yolo-world-s": Recipe(
+        not_int8=(
+            r"^/model\.[01]/",  # 2 % of the work, and every later layer repeats their error
+            r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the error
+            _YOLO_HEAD,
+        ),
+        not_fp16=(_YOLO_HEAD,),
+    ),
+}
+"""By family, as the cards name it."""
+
+
+def recipe_of(family: str) -> Recipe:
+    """The recipe of a family; raises ExportError that lists those there are."""
+    if family not in RECIPES:
+        raise ExportError(f"family: unknown {family!r} (choices: {', '.join(sorted(RECIPES))})")
+    return RECIPES[family]
+
+
+def nodes_like(model: onnx.ModelProto, patterns: tuple[str, ...]) -> list[str]:
+    """Names of a model's nodes that fit a pattern; raises ExportError if a pattern finds none."""
+    names = [node.name for node in model.graph.node]
+    for pattern in patterns:
+        if not any(re.search(pattern, name) for name in names):
+            raise ExportError(
+                f"no node is named like {pattern}; export the FP32 model with this project's "
+                "exporter, which keeps the module path in node names"
+            )
+    return [name for name in names if any(re.search(p, name) for p in patterns)]
