@@ -24,7 +24,8 @@ class ExportCard:
         file: file name of the ONNX in the model cache.
         derived_from: name of the card that it is quantized from, None for FP32.
         hw: input height and width in pixels.
-        weights_sha256: digests of the checkpoints that it may be made from.
+        weights_sha256: digests of the checkpoints that it may be made from; the card's other
+            sources give the ONNX file itself.
     """
 
     path: Path
@@ -63,7 +64,9 @@ def load_card(name: str, folder: Path) -> ExportCard:
             file=card["file"],
             derived_from=card["derived_from"],
             hw=(card["input"]["height"], card["input"]["width"]),
-            weights_sha256=tuple(source["sha256"] for source in card["sources"]),
+            weights_sha256=tuple(
+                source["sha256"] for source in card["sources"] if source["sha256"] != card["sha256"]
+            ),
         )
     except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
         raise ExportError(f"{path}: not a model card ({error!r}); see the others there") from None

@@ -22,29 +22,33 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class SourceUrl(_Part):
+class _Source(_Part):
+    """`bytes` is the file's length, so that a server that sends more is not heard out."""
+
+    sha256: Sha256
+    bytes: Positive | None = None
+
+
+class SourceUrl(_Source):
     """A file on a server."""
 
     kind: Literal["url"]
     url: Annotated[str, Field(pattern=r"^https?://")]
-    sha256: Sha256
 
 
-class SourceWheel(_Part):
+class SourceWheel(_Source):
     """A file inside a wheel of the package index: `package` as `name==version`."""
 
     kind: Literal["wheel"]
     package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+==[A-Za-z0-9.+!_-]+$")]
     member: str
-    sha256: Sha256
 
 
-class SourcePath(_Part):
-    """A file on this machine, or in a folder of it under the card's own name for it."""
+class SourcePath(_Source):
+    """A file on this machine, or a folder that has it."""
 
     kind: Literal["path"]
     path: str
-    sha256: Sha256
 
 
 Source = Annotated[Union[SourceUrl, SourceWheel, SourcePath], Field(discriminator="kind")]

@@ -1,0 +1,204 @@
+"""Files over HTTP: resumed, measured against what they should be, never waited for forever."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import re
+import socket
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
+
+from edge import __version__
+from edge.store.meter import Meter
+from edge.store.part import MAX_BYTES, FetchError, Interrupted, Part
+
+_BLOCK = 1 << 16
+_PASSING = {408, 425, 429, 500, 502, 503, 504}
+"""HTTP errors that may be gone at the next try."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How long a server is waited for.
+
+    Attributes:
+        read_s: a connection that brings nothing for so long is given up.
+        slow_s, slow_bytes: so is one that brings less than so many bytes in so long.
+        tries: connections to one address; each goes on where the last ended.
+        page_bytes: longest page of an index.
+    """
+
+    read_s: float = 30.0
+    slow_s: float = 60.0
+    slow_bytes: int = 1 << 16
+    tries: int = 3
+    page_bytes: int = 64 << 20
+
+
+LIMITS = Limits()
+
+
+class NoRange(Interrupted):
+    """The server's file ends before the part does."""
+
+
+def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
+    """Fetch a file into `part`, from where that ends, and put it in its place.
+
+    Raises:
+        FetchError: it cannot be had there, or is not what it should be.
+    """
+    for tries_left in reversed(range(limits.tries)):
+        try:
+            with Meter(part.target.name, part.have) as meter:
+                if not part.is_whole():
+                    _stream(url, part, limits, meter)
+            part.finish()
+        except Interrupted as error:
+            if not tries_left:
+                raise FetchError(f"{shown(url)}: {error}") from None
+        except FetchError as error:
+            raise FetchError(f"{shown(url)}: {error}") from None
+        else:
+            return
+
+
+def read_page(url: str, accept: str, limits: Limits = LIMITS) -> tuple[str, str, bytes]:
+    """A small file, whole: (address after redirects, content type, content).
+
+    Raises:
+        FetchError: it cannot be had, or is no small file.
+    """
+    try:
+        with _open(url, {"Accept": accept}, limits) as response:
+            content = _read_all(response, limits)
+            return response.geturl(), response.headers.get_content_type(), content
+    except FetchError as error:
+        raise FetchError(f"{shown(url)}: {error}") from None
+
+
+def shown(url: str) -> str:
+    """An address as messages may show it: without user and password."""
+    split = urlsplit(url)
+    return urlunsplit(split._replace(netloc=_host(split)))
+
+
+def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:
+    try:
+        response = _open(url, {"Range": f"bytes={part.have}-"} if part.have else {}, limits)
+    except NoRange:
+        part.restart()
+        raise
+    with response:
+        total = _agree_on_start(response, part)
+        if total is not None and total > MAX_BYTES:
+            raise FetchError(f"offers {total} bytes, more than any model has")
+        if None not in (total, part.size) and total != part.size:
+            raise FetchError(f"offers {total} bytes, the card says {part.size}")
+        for block in _blocks(response, limits):
+            part.write(block)
+            meter.update(part.have, part.size if total is None else total)
+        if total is not None and part.have < total:
+            raise Interrupted(f"the connection ended after {part.have} of {total} bytes")
+
+
+def _agree_on_start(response: Any, part: Part) -> int | None:
+    """Make `part` end where the response begins; bytes of the whole file, None if not told."""
+    length = response.headers.get("Content-Length", "")
+    if response.status == 206:
+        told = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
+        if told is None or int(told[1]) != part.have:
+            part.restart()
+            raise Interrupted("the server sent another range than was asked for")
+        return int(told[2]) if told[2] != "*" else None
+    if part.have:
+        part.restart()  # it does not resume, and sends all of it
+    return int(length) if length.isdecimal() else None
+
+
+def _open(url: str, headers: dict[str, str], limits: Limits) -> Any:
+    """A response of 2xx; raises FetchError, or Interrupted where another try may help."""
+    split = urlsplit(url)
+    plain = urlunsplit(split._replace(netloc=_host(split)))
+    agent = {"User-Agent": f"edge-vln/{__version__}", "Accept-Encoding": "identity"}
+    request = urllib.request.Request(plain, headers={**agent, **headers})
+    if split.username is not None:  # for this host only, not where it redirects to
+        user = f"{unquote(split.username)}:{unquote(split.password or '')}"
+        token = base64.b64encode(user.encode()).decode()
+        request.add_unredirected_header("Authorization", f"Basic {token}")
+    try:
+        return _opener().open(request, timeout=limits.read_s)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == 416:
+            raise NoRange("the server has no such range") from None
+        kind = Interrupted if error.code in _PASSING else FetchError
+        raise kind(f"HTTP {error.code} {_reason(error.reason)}") from None
+    except urllib.error.URLError as error:
+        if isinstance(error.reason, (TimeoutError, socket.timeout)):
+            raise Interrupted(f"no answer within {limits.read_s:g} s") from None
+        raise FetchError(_reason(error.reason)) from None
+    except TimeoutError:
+        raise Interrupted(f"no answer within {limits.read_s:g} s") from None
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise Interrupted(_reason(error)) from None
+
+
+def _opener() -> urllib.request.OpenerDirector:
+    """HTTP and HTTPS alone, also after a redirect, through the proxies of the environment."""
+    opener = urllib.request.OpenerDirector()
+    for handler in (
+        urllib.request.ProxyHandler(),
+        urllib.request.HTTPHandler(),
+        urllib.request.HTTPSHandler(),
+        urllib.request.HTTPDefaultErrorHandler(),
+        urllib.request.HTTPRedirectHandler(),
+        urllib.request.HTTPErrorProcessor(),
+        urllib.request.UnknownHandler(),
+    ):
+        opener.add_handler(handler)
+    return opener
+
+
+def _blocks(response: Any, limits: Limits):  # type: ignore[no-untyped-def]
+    """What the response brings, until its end; raises Interrupted when it stalls or breaks."""
+    since_s, came = time.monotonic(), 0
+    while True:
+        try:
+            block = response.read1(_BLOCK)
+        except TimeoutError:
+            raise Interrupted(f"nothing came for {limits.read_s:g} s") from None
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            raise Interrupted(_reason(error)) from None
+        if not block:
+            return
+        yield block
+        came += len(block)
+        if time.monotonic() - since_s > limits.slow_s:
+            if came < limits.slow_bytes:
+                raise Interrupted(f"only {came} bytes came in {limits.slow_s:g} s")
+            since_s, came = time.monotonic(), 0
+
+
+def _read_all(response: Any, limits: Limits) -> bytes:
+    content = bytearray()
+    for block in _blocks(response, limits):
+        content += block
+        if len(content) > limits.page_bytes:
+            raise FetchError(f"is longer than {limits.page_bytes} bytes")
+    return bytes(content)
+
+
+def _host(split: SplitResult) -> str:
+    return split.netloc.rpartition("@")[2]
+
+
+def _reason(error: object) -> str:
+    """A socket's error in words."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(str(text).split())[:200]
