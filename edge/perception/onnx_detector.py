@@ -14,9 +14,9 @@ import numpy as np
 from edge import config, names
 from edge.perception import kernels
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
-from edge.perception.detector import Health, check_rgb
+from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.runtime import open_session
-from edge.perception.text import PromptError, TextEmbeddings
+from edge.perception.text import PromptError, make_text_encoder
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -86,23 +86,26 @@ class OnnxDetector:
         stages_ns: what filling the input, the session and picking boxes took at the last image.
     """
 
-    def __init__(self, detector: config.DetectorOnnx, prompts: Sequence[str]) -> None:
+    def __init__(
+        self,
+        detector: config.DetectorOnnx,
+        prompts: Sequence[str],
+        progress: Progress = log_progress,
+    ) -> None:
         """
+        Args:
+            progress: told while a TensorRT engine is built, which takes minutes.
+
         Raises:
             ModelError: card, file or providers are unusable.
-            PromptError: see `TextEmbeddings.embed`.
+            PromptError: see `make_text_encoder`, `TextEncoder.embed`.
         """
         self.config = detector
         self.card = load_detector_card(detector.model)
         self.name = self.card.name
         self.invalid_boxes = 0
         self.stages_ns = (0, 0, 0)
-        self._text = TextEmbeddings(detector.vocabulary)
-        if self._text.dim != self.card.text_dim:
-            raise PromptError(
-                f"{self._text.path}: embeddings have length {self._text.dim}, "
-                f"model {self.name} needs {self.card.text_dim}"
-            )
+        self._text = make_text_encoder(self.card, detector.vocabulary)
         self._session = open_session(verify_model(self.card), detector.providers, detector.threads)
         check_interface(self._session, self.card)
         height, width = self.card.input.height, self.card.input.width
@@ -127,7 +130,9 @@ class OnnxDetector:
         prompts = tuple(prompts)
         if not prompts:
             raise PromptError("no prompt: name at least one thing to look for")
-        columns = [*prompts, *self.config.background]
+        contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
+        others = dict.fromkeys((*self.config.background, *contrasts))
+        columns = [*prompts, *(other for other in others if other not in prompts)]
         competes = self._competitors(prompts, columns)
         useful = competes.any(axis=0)
         useful[: len(prompts)] = True
@@ -149,9 +154,11 @@ class OnnxDetector:
     def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
         """(prompts, columns) bool: whether a column's word is another thing than the prompt's.
 
-        A kind of the prompt's thing never is; between two prompts, neither is its broader name.
+        A kind of the prompt's thing never is, unless it is what the prompt is not (another colour);
+        between two prompts, neither is its broader name.
         """
         words = [(column, self._text.resolve(column)) for column in columns]
+        contrasts = [set(self._text.contrasts(prompt)) for prompt in prompts]
 
         def kind_of(i: int, j: int) -> bool:
             return any(names.is_kind_of(a, b) for a in words[i] for b in words[j])
@@ -160,7 +167,8 @@ class OnnxDetector:
         for row in range(len(prompts)):
             for column in range(len(columns)):
                 broader = column < len(prompts) and kind_of(row, column)
-                competes[row, column] = not (kind_of(column, row) or broader)
+                other = not contrasts[row].isdisjoint(words[column])
+                competes[row, column] = other or not (kind_of(column, row) or broader)
         return competes
 
     def detect(self, observation: Observation) -> Detections:
@@ -169,9 +177,7 @@ class OnnxDetector:
         rgb, asked = check_rgb(observation), self._asked
         self._fill_input(rgb)
         filled_ns = time.perf_counter_ns()
-        asked.binding.synchronize_inputs()
-        self._session.run_with_iobinding(asked.binding)
-        asked.binding.synchronize_outputs()
+        self._run(asked)
         ran_ns = time.perf_counter_ns()
         n = self._pick(asked)
         kept = self._keep[:n]
@@ -187,6 +193,26 @@ class OnnxDetector:
             model=self.name,
             latency_ns=end_ns - start_ns,
         )
+
+    def best_scores(self, rgb: np.ndarray) -> np.ndarray:
+        """The highest score that each prompt has anywhere in an image, however low.
+
+        Args:
+            rgb: (h, w, 3) uint8.
+
+        Returns:
+            (n,) float32, NaN where the model says NaN.
+        """
+        asked = self._asked
+        self._fill_input(np.ascontiguousarray(rgb))
+        self._run(asked)
+        return asked.scores[0, :, : len(asked.prompts)].max(axis=0)
+
+    def _run(self, asked: _Asked) -> None:
+        """The input's buffer → the output buffers."""
+        asked.binding.synchronize_inputs()
+        self._session.run_with_iobinding(asked.binding)
+        asked.binding.synchronize_outputs()
 
     def health(self) -> Health:
         """See `Detector.health`."""

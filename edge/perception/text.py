@@ -1,7 +1,8 @@
-"""Prompt words → CLIP text embeddings, from a vocabulary file made beforehand.
+"""Prompt words → text embeddings: what an encoder is, which one is taken, and the vocabulary.
 
-The seam for a text encoder: whatever turns prompts into (1, n, 512) unit rows can stand in for
-`TextEmbeddings.embed`; nothing else knows where the rows come from.
+A vocabulary file holds embeddings of single words that were made beforehand. With a CLIP text
+model (`edge.perception.clip` says what its ONNX file and its card must be like) whole phrases are
+understood; a small detector of our own brings an encoder along.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from edge import names, resources
 from edge.errors import UserError
+from edge.perception.card_types import DetectCard, TextCard
+from edge.perception.cards import all_cards, load_text_card
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +29,88 @@ VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 
 class PromptError(UserError, ValueError):
     """A prompt or vocabulary that cannot be used; one line with what to do."""
+
+
+class TextEncoder(Protocol):
+    """Turns prompts into what a detector or an image encoder compares with.
+
+    Attributes:
+        dim: length of an embedding.
+    """
+
+    dim: int
+
+    def embed(self, prompts: Sequence[str]) -> np.ndarray:
+        """One unit row per prompt.
+
+        Returns:
+            (1, n, dim) float32.
+
+        Raises:
+            PromptError: no prompt, an empty one, or one that is not understood.
+        """
+        ...
+
+    def resolve(self, prompt: str) -> str:
+        """The words that stand for a prompt; raises PromptError as `embed` does."""
+        ...
+
+    def contrasts(self, prompt: str) -> list[str]:
+        """Phrases that differ from the prompt in just what it says of its thing (another colour);
+        none where phrases are not understood."""
+        ...
+
+
+def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
+    """The encoder for a detector's prompts.
+
+    The card's own, when it understands attributes; else a CLIP text model, when its file is there;
+    else the vocabulary.
+
+    Args:
+        vocabulary: as configured; see `find_vocabulary`.
+
+    Raises:
+        ModelError: a model is there and cannot be used.
+        PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
+    """
+    named = None if card.text_encoder is None else load_text_card(card.text_encoder)
+    encoder = open_text_encoder(named, card.text_dim, vocabulary)
+    if encoder.dim != card.text_dim:
+        raise PromptError(
+            f"{encoder!r}: embeddings have length {encoder.dim}, "
+            f"model {card.name} needs {card.text_dim}"
+        )
+    return encoder
+
+
+def open_text_encoder(named: TextCard | None, dim: int, vocabulary: str | None) -> TextEncoder:
+    """See `make_text_encoder`.
+
+    Args:
+        named: the encoder asked for; None for any CLIP text model.
+        dim: how long its embeddings must be where none is named.
+    """
+    if named is not None and named.tokenizer.kind == "attributes":
+        from edge.perception.attributes import AttributeEncoder
+
+        return AttributeEncoder(named)
+    models = [named] if named is not None else _clip_cards(dim)
+    for model in models:
+        if model.path.is_file():
+            from edge.perception.clip import ClipTextEncoder
+
+            return ClipTextEncoder(model)
+    try:
+        return TextEmbeddings(vocabulary)
+    except PromptError as error:
+        wanted = " or ".join(str(model.path) for model in models) or "no card of one"
+        raise PromptError(f"no CLIP text model ({wanted}), and {error}") from None
+
+
+def _clip_cards(dim: int) -> list[TextCard]:
+    cards = (card for card in all_cards() if isinstance(card, TextCard))
+    return [card for card in cards if card.tokenizer.kind == "clip" and card.dim == dim]
 
 
 def find_vocabulary(configured: str | None) -> Path:
@@ -94,6 +180,10 @@ class TextEmbeddings:
         rows = [self._row_of[self.resolve(prompt)] for prompt in prompts]
         return np.ascontiguousarray(self._rows[rows])[None]
 
+    def contrasts(self, prompt: str) -> list[str]:
+        """See `TextEncoder.contrasts`: words say nothing of colours."""
+        return []
+
     def resolve(self, prompt: str) -> str:
         """The vocabulary word that stands for a prompt; see `embed`."""
         try:
@@ -118,6 +208,9 @@ class TextEmbeddings:
         """Vocabulary words and aliases spelt most like `word`, at most `n`."""
         known = [*self._row_of, *(a for others in names.ALIASES.values() for a in others)]
         return list(dict.fromkeys(difflib.get_close_matches(word, known, n=n + 2, cutoff=0.4)))[:n]
+
+    def __repr__(self) -> str:
+        return str(self.path)
 
     def _lookup(self, word: str) -> str | None:
         return next((name for name in names.names_of(word) if name in self._row_of), None)

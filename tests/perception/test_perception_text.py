@@ -5,7 +5,12 @@ import logging
 import numpy as np
 import pytest
 
-from edge.perception.text import PromptError, TextEmbeddings, find_vocabulary
+from edge.perception.text import (
+    PromptError,
+    TextEmbeddings,
+    find_vocabulary,
+    make_text_encoder,
+)
 from edge.store.export import keep_vocabulary
 
 
@@ -110,3 +115,29 @@ def test_the_clip_vocabulary_knows_the_household(shared_dir):
     assert (rows @ rows.T - np.eye(8)).max() < 0.95  # eight different things
     with pytest.raises(PromptError, match="nearest"):
         text.embed(["flux capacitor xyzzy"])
+
+
+class _Card:
+    """What `make_text_encoder` reads of a detector's card."""
+
+    name, text_encoder, text_dim = "detector", None, 512
+
+
+def test_without_a_text_model_the_vocabulary_is_taken(cards, vocabulary):
+    encoder = make_text_encoder(_Card, str(vocabulary))
+    assert encoder.embed(["bed"]).shape == (1, 1, encoder.dim) == (1, 1, 512)
+    assert encoder.contrasts("red chair") == []
+
+
+def test_with_neither_both_are_named(cards):
+    with pytest.raises(PromptError) as raised:
+        make_text_encoder(_Card, None)
+    assert str(raised.value).startswith("no CLIP text model (no card of one), and ")
+    assert "clip_vitb32_vocab.npz: no vocabulary" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_embeddings_of_another_length_are_refused(cards, vocabulary, monkeypatch):
+    monkeypatch.setattr(_Card, "text_dim", 64)
+    with pytest.raises(PromptError, match=r"words\.npz: embeddings have length 512, .* needs 64"):
+        make_text_encoder(_Card, str(vocabulary))

@@ -1,0 +1,183 @@
+"""CLIP's two encoders as ONNX files; none comes with the package.
+
+To use one, put its card into `models/`. A `text` card's file maps `tokens` (n, 77) int64 to
+`embeddings` (n, d) float32: the token embeddings, the transformer, and the projection of the place
+of the *first* end-of-text token (the highest id, so an argmax finds it; what follows it is 0).
+`tokenizer.json`, as Hugging Face publishes it with the model, lies beside it. An `image` card's
+file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d). Rows are made unit rows here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edge import names
+from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
+from edge.perception.cards import ModelError, verify_model
+from edge.perception.model_file import remembered_sha256
+from edge.perception.runtime import open_session
+from edge.perception.text import PromptError
+
+CPU = ("CPUExecutionProvider",)
+
+
+class ClipTextEncoder:
+    """A `TextEncoder` that understands whole phrases."""
+
+    def __init__(self, card: TextCard) -> None:
+        """
+        Raises:
+            ModelError: the model, its tokenizer or a package is not there, or is unusable.
+        """
+        assert isinstance(card.tokenizer, ClipTokenizer)
+        self.card = card
+        self.dim = card.dim
+        self._context = card.tokenizer.context
+        self._tokenizer = _open_tokenizer(card)
+        self._session = open_session(verify_model(card), CPU, threads=1)
+        _check(self._session, card.file, "tokens", "int64", [self._context])
+
+    def embed(self, prompts: Sequence[str]) -> np.ndarray:
+        """See `TextEncoder.embed`."""
+        if not prompts:
+            raise PromptError("no prompt: name at least one thing to look for")
+        return self.encode([self.resolve(prompt) for prompt in prompts])[None]
+
+    def encode(self, texts: Sequence[str]) -> np.ndarray:
+        """One unit row per text, whatever it says.
+
+        Returns:
+            (n, d) float32.
+
+        Raises:
+            PromptError: a text is longer than the model reads.
+            ModelError: the model fails, or its output is not finite.
+        """
+        tokens = np.zeros((len(texts), self._context), np.int64)
+        for row, text in zip(tokens, texts, strict=True):
+            ids = self._tokenizer.encode(text).ids
+            if len(ids) > self._context:
+                raise PromptError(
+                    f"prompt {text[:40]!r}…: {len(ids)} tokens, the text model reads "
+                    f"{self._context}: say it shorter"
+                )
+            row[: len(ids)] = ids
+        rows = _run(self._session, self.card.file, "tokens", tokens)
+        return _unit_rows(rows, (len(texts), self.dim), self.card.file)
+
+    def resolve(self, prompt: str) -> str:
+        """The prompt itself, tidied; see `TextEncoder.resolve`."""
+        try:
+            return names.normalise(prompt)
+        except ValueError:
+            raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
+
+    def contrasts(self, prompt: str) -> list[str]:
+        """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""
+        return []
+
+    def __repr__(self) -> str:
+        return str(self.card.path)
+
+
+class ClipImageEncoder:
+    """One image → one unit row."""
+
+    def __init__(self, card: ImageCard, providers: Sequence[str], threads: int) -> None:
+        """
+        Raises:
+            ModelError: the model is not there, or is unusable.
+        """
+        self.card = card
+        self.dim = card.dim
+        shape = [3, card.input.height, card.input.width]
+        self._session = open_session(verify_model(card), providers, threads)
+        _check(self._session, card.file, "pixels", "float", shape)
+
+    def embed(self, rgb: np.ndarray) -> np.ndarray:
+        """
+        Args:
+            rgb: (h, w, 3) uint8.
+
+        Returns:
+            (d,) float32.
+
+        Raises:
+            ModelError: the model fails, or its output is not finite.
+        """
+        how = self.card.preprocess
+        planes = fit(rgb, self.card.input.height, self.card.input.width).astype(np.float32)
+        pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
+        pixels = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
+        rows = _run(self._session, self.card.file, "pixels", pixels)
+        return _unit_rows(rows, (1, self.dim), self.card.file)[0]
+
+
+def fit(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The image scaled until it just fills (height, width), and its middle, as CLIP was trained."""
+    h, w = rgb.shape[:2]
+    scale = max(height / h, width / w)
+    size = max(width, round(w * scale)), max(height, round(h * scale))
+    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+    large = cv2.resize(rgb, size, interpolation=how)
+    top, left = (size[1] - height) // 2, (size[0] - width) // 2
+    return large[top : top + height, left : left + width]
+
+
+def _open_tokenizer(card: TextCard) -> Any:
+    """The tokenizer of a `text` card, which neither pads nor cuts off.
+
+    Raises:
+        ModelError: its file or the package is missing, or the file is another or no tokenizer.
+    """
+    path = card.tokenizer_path
+    if path is None or not path.is_file():
+        raise ModelError(f"{path}: the tokenizer of {card.name} is not there; put it there")
+    wanted = card.tokenizer.sha256
+    if wanted is not None and remembered_sha256(path) != wanted:
+        raise ModelError(f"{path}: another tokenizer: its sha256 is not {wanted[:12]}…")
+    try:
+        from tokenizers import Tokenizer
+    except ImportError:
+        raise ModelError(
+            f"{card.name}: the package tokenizers is not installed: pip install 'edge-vln[clip]'"
+        ) from None
+    try:
+        tokenizer = Tokenizer.from_file(str(path))
+    except Exception as error:  # it raises Exception itself
+        raise ModelError(f"{path}: not a tokenizer: {' '.join(str(error).split())}") from None
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    return tokenizer
+
+
+def _check(session: Any, file: str, name: str, kind: str, shape: list[int]) -> None:
+    """Raise ModelError unless the model maps (any, *shape) of that name to `embeddings`."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    found = [(i.name, i.type, list(i.shape[1:])) for i in inputs]
+    ends = [(o.name, o.type) for o in outputs]
+    if found != [(name, f"tensor({kind})", shape)] or ends != [("embeddings", "tensor(float)")]:
+        raise ModelError(
+            f"{file}: inputs {found}, outputs {ends}; it must map {name} ({kind}, n × "
+            f"{' × '.join(map(str, shape))}) to float embeddings: export it again"
+        )
+
+
+def _run(session: Any, file: str, name: str, array: np.ndarray) -> np.ndarray:
+    try:
+        return session.run(["embeddings"], {name: array})[0]
+    except Exception as error:  # onnxruntime raises many types of its own
+        raise ModelError(f"{file}: it fails: {' '.join(str(error).split())[:200]}") from None
+
+
+def _unit_rows(rows: np.ndarray, shape: tuple[int, int], file: str) -> np.ndarray:
+    norms = np.linalg.norm(rows, axis=-1, keepdims=True)
+    if rows.shape != shape or not np.isfinite(norms).all() or not (norms > 0.0).all():
+        raise ModelError(
+            f"{file}: embeddings of shape {rows.shape}, or not finite; they must be {shape}"
+        )
+    return np.ascontiguousarray(rows / norms, dtype=np.float32)

@@ -1,0 +1,144 @@
+"""CLIP's encoders, in miniature: the real ones cannot be had everywhere."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import tiny_clip
+from tiny_clip import DIM, SIDE, WORDS
+
+from edge import resources
+from edge.perception.cards import ModelError, load_image_card, load_text_card
+from edge.perception.clip import ClipImageEncoder, ClipTextEncoder, fit
+from edge.perception.text import PromptError, TextEmbeddings, make_text_encoder
+
+for package in ("onnxruntime", "onnx", "tokenizers"):
+    pytest.importorskip(package)
+
+
+@pytest.fixture
+def text_card(cards):
+    """make(**kw): the card of the text model, whose file `write_text_model` makes so."""
+    models = resources.models_dir()
+
+    def make(**model):
+        tiny_clip.write_tokenizer(models / "tiny-tokenizer.json")
+        tiny_clip.write_text_model(models / "tiny-text.onnx", **model)
+        tiny_clip.write_card(cards, tiny_clip.TEXT, models / "tiny-text.onnx")
+        return load_text_card("tiny-clip-text")
+
+    return make
+
+
+@pytest.fixture
+def image_encoder(cards):
+    path = resources.models_dir() / "tiny-image.onnx"
+    tiny_clip.write_image_model(path)
+    tiny_clip.write_card(cards, tiny_clip.IMAGE, path)
+    return ClipImageEncoder(load_image_card("tiny-clip-image"), ("CPUExecutionProvider",), 1)
+
+
+@pytest.mark.parametrize("prompts", [[], [""], ["chair", "  "]])
+def test_an_empty_prompt_is_an_error(text_card, prompts):
+    with pytest.raises(PromptError, match="prompt"):
+        ClipTextEncoder(text_card()).embed(prompts)
+
+
+def test_a_phrase_is_its_tokens_between_beginning_and_end(text_card):
+    encoder = ClipTextEncoder(text_card())
+    rows = encoder.embed(["The red  Chair", "sofa", "unheard"])
+    assert rows.shape == (1, 3, encoder.dim)
+    assert rows.dtype == np.float32
+    ends = 3 + len(WORDS)  # token of the end; 0 pads, 1 begins, and 2 is not known
+    wanted = np.zeros((3, DIM))
+    wanted[0, [3 + WORDS.index("chair"), 3 + WORDS.index("red"), ends]] = 3**-0.5
+    wanted[1, [3 + WORDS.index("sofa"), ends]] = 2**-0.5
+    wanted[2, ends] = 1.0
+    np.testing.assert_allclose(rows[0], wanted, atol=1e-6)
+    assert encoder.resolve(" The red  Chair") == "red chair"
+    assert encoder.contrasts("red chair") == []
+
+
+def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
+    encoder = ClipTextEncoder(text_card())
+    assert encoder.embed(["red red red red red chair"]).shape == (1, 1, DIM)
+    with pytest.raises(PromptError, match="9 tokens, the text model reads 8"):
+        encoder.embed(["red red red red red red chair"])
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        ({"name": "input_ids"}, "it must map tokens"),
+        ({"table": np.ones((20, DIM + 1), np.float32)}, "embeddings of shape"),
+        ({"table": np.full((20, DIM), np.nan, np.float32)}, "not finite"),
+        ({"table": np.zeros((20, DIM), np.float32)}, "not finite"),
+        ({"table": np.ones((3, DIM), np.float32)}, "it fails"),
+    ],
+)
+def test_a_model_of_another_interface_is_refused(text_card, model, expected):
+    with pytest.raises(ModelError, match=expected) as raised:
+        ClipTextEncoder(text_card(**model)).embed(["chair"])
+    assert "tiny-text.onnx: " in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_tokenizer_that_is_missing_or_none_is_an_error(text_card, monkeypatch):
+    card = text_card()
+    card.tokenizer_path.write_text("{}")
+    with pytest.raises(ModelError, match=r"tiny-tokenizer\.json: not a tokenizer"):
+        ClipTextEncoder(card)
+    monkeypatch.setitem(sys.modules, "tokenizers", None)
+    with pytest.raises(ModelError, match=r"pip install 'edge-vln\[clip\]'"):
+        ClipTextEncoder(card)
+    card.tokenizer_path.unlink()
+    with pytest.raises(ModelError, match=r"tiny-tokenizer\.json: the tokenizer of tiny-clip-text"):
+        ClipTextEncoder(card)
+
+
+def test_another_tokenizer_than_the_cards_is_refused(text_card, cards):
+    text_card()
+    tokenizer = {**tiny_clip.TEXT["tokenizer"], "sha256": "0" * 64}
+    path = resources.models_dir() / "tiny-text.onnx"
+    tiny_clip.write_card(cards, {**tiny_clip.TEXT, "tokenizer": tokenizer}, path)
+    with pytest.raises(ModelError, match="another tokenizer"):
+        ClipTextEncoder(load_text_card("tiny-clip-text"))
+
+
+class _Card:
+    """What `make_text_encoder` reads of a detector's card."""
+
+    name, text_encoder, text_dim = "detector", None, DIM
+
+
+def test_the_text_model_is_taken_when_its_file_is_there(text_card, tmp_path):
+    np.savez(tmp_path / "words.npz", names=np.array(["chair"]), emb=np.eye(1, DIM))
+    card = text_card()
+    assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), ClipTextEncoder)
+    card.path.unlink()
+    assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), TextEmbeddings)
+    with pytest.raises(PromptError) as raised:
+        make_text_encoder(_Card, None)
+    assert str(card.path) in str(raised.value)
+    assert "clip_vitb32_vocab.npz" in str(raised.value)
+
+
+@pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8)])
+def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
+    rgb = np.zeros((*hw, 3), np.uint8)
+    rgb[:, hw[1] // 2 :, 0] = 200
+    fitted = fit(rgb, SIDE, SIDE)
+    assert fitted.shape == (SIDE, SIDE, 3)
+    assert (fitted[:, : SIDE // 2 - 2] == 0).all()
+    np.testing.assert_allclose(fitted[:, SIDE // 2 + 2 :, 0], 200, atol=30)
+
+
+def test_an_image_embedding_is_a_unit_row(image_encoder):
+    rgb = np.zeros((40, 60, 3), np.uint8)
+    rgb[..., 1] = 255
+    row = image_encoder.embed(rgb)
+    assert row.shape == (DIM,)
+    assert row.dtype == np.float32
+    np.testing.assert_allclose(row[3 + WORDS.index("sofa")], 1.0, atol=1e-3)

@@ -1,0 +1,102 @@
+"""CLIP's two encoders in miniature: ONNX files, a tokenizer, and their cards."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+WORDS = ("chair", "sofa", "red", "seems", "like", "there", "is", "a", "ahead")
+DIM, CONTEXT, SIDE = 16, 8, 32
+TEXT = {
+    "name": "tiny-clip-text", "family": "tiny-clip", "task": "text", "file": "tiny-text.onnx",
+    "sources": [], "license": "CC0-1.0", "precision": "fp32", "derived_from": None,
+    "parity": None, "dim": DIM,
+    "tokenizer": {
+        "kind": "clip", "file": "tiny-tokenizer.json", "sha256": None, "context": CONTEXT,
+    },
+}  # fmt: skip
+IMAGE = {
+    **{k: v for k, v in TEXT.items() if k != "tokenizer"},
+    "name": "tiny-clip-image", "task": "image", "file": "tiny-image.onnx",
+    "input": {"height": SIDE, "width": SIDE},
+    "preprocess": {"color": "rgb", "scale": 1 / 255, "mean": [0.0] * 3, "std": [1.0] * 3},
+}  # fmt: skip
+PAIR = {
+    "name": "tiny-clip-similarity", "family": "tiny-clip", "task": "similarity",
+    "license": "CC0-1.0", "image_encoder": "tiny-clip-image", "text_encoder": "tiny-clip-text",
+}  # fmt: skip
+
+
+def write_tokenizer(path: Path) -> None:
+    """One token per word; 0 is nothing, 1 begins, 2 is any other word, the last one ends."""
+    from tokenizers import Tokenizer, models, pre_tokenizers, processors
+
+    vocabulary = {"<|startoftext|>": 1, "?": 2} | {w: 3 + i for i, w in enumerate(WORDS)}
+    end = vocabulary["<|endoftext|>"] = len(vocabulary) + 1
+    tokenizer = Tokenizer(models.WordLevel(vocabulary, unk_token="?"))
+    tokenizer.pre_tokenizer = pre_tokenizers.Whitespace()
+    tokenizer.post_processor = processors.TemplateProcessing(
+        single="<|startoftext|> $A <|endoftext|>",
+        special_tokens=[("<|startoftext|>", 1), ("<|endoftext|>", end)],
+    )
+    tokenizer.enable_padding(length=3)  # as published files may; the encoder must not
+    tokenizer.enable_truncation(3)
+    tokenizer.save(str(path))
+
+
+def write_text_model(path: Path, table: np.ndarray | None = None, name: str = "tokens") -> None:
+    """The sum of one row of `table` per token: token i counts on axis i, 0 nowhere."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    if table is None:
+        table = np.eye(len(WORDS) + 4, DIM, dtype=np.float32)
+        table[:3] = 0.0
+    nodes = [
+        helper.make_node("Gather", ["table", name], ["rows"], axis=0),
+        helper.make_node("ReduceSum", ["rows", "axes"], ["embeddings"], keepdims=0),
+    ]
+    _save(
+        path, nodes,
+        helper.make_tensor_value_info(name, TensorProto.INT64, ["n", CONTEXT]),
+        helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, ["n", table.shape[1]]),
+        [numpy_helper.from_array(table, "table"), numpy_helper.from_array(np.array([1]), "axes")],
+    )  # fmt: skip
+
+
+def write_image_model(path: Path) -> None:
+    """Mean red counts for "chair", mean green for "sofa", mean blue for "red"; 1 for "is"."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    spread = np.zeros((3, DIM), np.float32)
+    spread[[0, 1, 2], [3, 4, 5]] = 1.0
+    always = np.zeros((1, DIM), np.float32)
+    always[0, 3 + WORDS.index("is")] = 1e-3  # a black image has a direction too
+    nodes = [
+        helper.make_node("ReduceMean", ["pixels"], ["mean"], axes=[2, 3], keepdims=0),
+        helper.make_node("MatMul", ["mean", "spread"], ["colours"]),
+        helper.make_node("Add", ["colours", "always"], ["embeddings"]),
+    ]
+    _save(
+        path, nodes,
+        helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, SIDE, SIDE]),
+        helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, [1, DIM]),
+        [numpy_helper.from_array(spread, "spread"), numpy_helper.from_array(always, "always")],
+    )  # fmt: skip
+
+
+def _save(path, nodes, given, result, constants) -> None:
+    from onnx import helper
+
+    graph = helper.make_graph(nodes, "tiny", [given], [result], constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+
+
+def write_card(folder: Path, card: dict, file: Path | None = None) -> None:
+    """The card as a file of its name, with the hash of the model's file as it is now."""
+    if file is not None:
+        card = {**card, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    (folder / f"{card['name']}.yaml").write_text(yaml.safe_dump(card))
