@@ -20,7 +20,7 @@ from importlib import import_module, metadata, util
 from pathlib import Path
 from typing import Literal
 
-from edge import resources
+from edge import machine, resources
 from edge.config import Config, load
 from edge.errors import UserError
 
@@ -123,11 +123,9 @@ def check_packages(config: Config) -> Iterator[Finding]:
 
 
 def check_jetson(config: Config) -> Iterator[Finding]:
-    try:
-        release = TEGRA_RELEASE.read_text(encoding="utf-8", errors="replace").split(",")
-    except OSError:
+    name = machine.tegra_release(TEGRA_RELEASE)
+    if name is None:
         return
-    name = ", ".join(part.strip("# \n") for part in release[:2])
     if "CUDAExecutionProvider" in _providers():
         yield Finding("ok", f"Jetson: {name}")
     else:

@@ -1,0 +1,216 @@
+"""What machine this is: whatever a measured time depends on, as plain data.
+
+Linux's files only, and `nvidia-smi` where there is one; what cannot be read is left out.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+Description = dict[str, Any]
+
+_ROOT = Path("/")
+_RUNTIMES = {
+    "onnxruntime": ("onnxruntime-gpu", "onnxruntime"),
+    "tensorrt": ("tensorrt", "tensorrt-cu12", "tensorrt-cu13"),
+}
+"""Package → the distributions that bring it."""
+
+# Arm's implementer and part numbers, since its kernels give no name (linux: asm/cputype.h).
+_ARM_PARTS = {
+    "0xd03": "Cortex-A53",
+    "0xd07": "Cortex-A57",
+    "0xd08": "Cortex-A72",
+    "0xd0b": "Cortex-A76",
+    "0xd0c": "Neoverse-N1",
+    "0xd40": "Neoverse-V1",
+    "0xd42": "Cortex-A78AE",
+    "0xd83": "Neoverse-V3AE",
+}
+_GPU_CLOCKS = re.compile(r"^(gpu-gpc-\d+|[\da-f]+\.(gpu|gv11b|gp10b|ga10b))$")
+"""Folders of Jetson GPUs in /sys/class/devfreq: Thor's, and those of its predecessors."""
+_SMI_FIELDS = {
+    "name": "name",
+    "driver": "driver_version",
+    "clock_mhz": "clocks.sm",
+    "max_clock_mhz": "clocks.max.sm",
+    "power_limit_w": "power.limit",
+    "memory_mb": "memory.total",
+}
+_SMI_S = 20.0
+
+
+def describe(root: Path = _ROOT) -> Description:
+    """Processor, memory, system, runtimes, clocks, GPUs and, on a Jetson, its power mode.
+
+    Args:
+        root: where `proc`, `sys`, `etc` and `var` are looked for.
+    """
+    cpuinfo = _text(root / "proc/cpuinfo")
+    found: Description = {
+        "cpu": cpu_name(cpuinfo) or platform.machine(),
+        "architecture": platform.machine(),
+        "cores": len(os.sched_getaffinity(0)),
+        "memory_gb": _memory_gb(root),
+        "kernel": platform.release(),
+        "python": platform.python_version(),
+        **{name: _version(names) for name, names in _RUNTIMES.items()},
+        "cpu_clock": _cpu_clock(root, cpuinfo),
+        "gpus": nvidia_smi(),
+        "jetson": _jetson(root),
+    }
+    return {key: value for key, value in found.items() if value}
+
+
+def summary(machine: Description) -> str:
+    """One line for a person: processor, cores, memory, GPU, power mode, runtimes."""
+    parts = [f"{machine['cpu']}, {machine['cores']} cores"]
+    if memory := machine.get("memory_gb"):
+        parts.append(f"{memory:.0f} GB")
+    parts += [gpu["name"] for gpu in machine.get("gpus", ())]
+    jetson = machine.get("jetson", {})
+    if model := jetson.get("model"):
+        parts.append(model)
+    if mode := jetson.get("power_mode"):
+        parts.append(f"power mode {mode}")
+    parts += [f"{name} {machine[name]}" for name in ("python", *_RUNTIMES) if name in machine]
+    return "; ".join(parts)
+
+
+def short_name(machine: Description) -> str:
+    """What tells machines apart: the board or the processor with its cores, and the power mode."""
+    jetson = machine.get("jetson", {})
+    name = jetson.get("model") or f"{machine['cpu']}, {machine['cores']} cores"
+    return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
+
+
+def cpu_name(cpuinfo: str) -> str | None:
+    """The processor's name from the text of /proc/cpuinfo.
+
+    >>> cpu_name("processor: 0\\nmodel name\\t: AMD EPYC\\n"), cpu_name("CPU part\\t: 0xd42\\n")
+    ('AMD EPYC', 'Cortex-A78AE')
+    """
+    if match := re.search(r"^model name\s*:\s*(.+)$", cpuinfo, re.MULTILINE):
+        return " ".join(match[1].split())
+    parts = dict.fromkeys(re.findall(r"^CPU part\s*:\s*(\w+)$", cpuinfo, re.MULTILINE))
+    return " + ".join(_ARM_PARTS.get(part, part) for part in parts) or None
+
+
+def tegra_release(path: Path) -> str | None:
+    """Release and revision from /etc/nv_tegra_release; None on what is no Jetson."""
+    parts = _text(path).split(",")[:2]
+    return ", ".join(part.strip("# \n") for part in parts) or None
+
+
+def power_mode(status: str, conf: str) -> str | None:
+    """The name of the power mode from nvpmodel's own two files; its number where it has no name.
+
+    >>> power_mode("pmode:0002", "< POWER_MODEL ID=0 NAME=MAXN >\\n< POWER_MODEL ID=2 NAME=15W >")
+    '15W'
+    """
+    if not (match := re.search(r"pmode:\s*(\d+)", status)):
+        return None
+    number = int(match[1])
+    name = re.search(rf"<\s*POWER_MODEL\s+ID=0*{number}\s+NAME=(\S+)", conf)
+    return name[1] if name else str(number)
+
+
+def nvidia_smi(fields: dict[str, str] = _SMI_FIELDS) -> list[dict[str, str]]:
+    """What `nvidia-smi` says of each GPU, by our name of the field; empty where there is none."""
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return []
+    query = [program, f"--query-gpu={','.join(fields.values())}", "--format=csv,noheader,nounits"]
+    try:
+        answer = subprocess.run(query, capture_output=True, text=True, timeout=_SMI_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return []
+    rows = (line.split(", ") for line in answer.stdout.splitlines() if line.strip())
+    return [dict(zip(fields, row, strict=True)) for row in rows if len(row) == len(fields)]
+
+
+def busy_s(root: Path = _ROOT) -> float | None:
+    """Processor time that all processes have used since the start, or that a host has taken from
+    this virtual machine; None where it is not told."""
+    match = re.match(r"cpu +(.+)", _text(root / "proc/stat"))
+    if match is None:
+        return None
+    user, nice, system, _, _, irq, softirq, *more = map(int, match[1].split())
+    return (user + nice + system + irq + softirq + sum(more[:1])) / os.sysconf("SC_CLK_TCK")
+
+
+def gpu_memory_mb() -> float | None:
+    """Memory in use on all GPUs, by whatever process; None where nothing says so."""
+    used = [row["used"] for row in nvidia_smi({"used": "memory.used"})]
+    try:
+        return sum(map(float, used)) if used else None
+    except ValueError:  # "[N/A]" on a Jetson, whose GPU shares the processor's memory
+        return None
+
+
+def _jetson(root: Path) -> Description:
+    release = tegra_release(root / "etc/nv_tegra_release")
+    if release is None:
+        return {}
+    mode = power_mode(_text(root / "var/lib/nvpmodel/status"), _text(root / "etc/nvpmodel.conf"))
+    found = {
+        "release": release,
+        "model": _text(root / "proc/device-tree/model").strip("\0 \n"),
+        "power_mode": mode,
+        "gpu_clock": _gpu_clock(root / "sys/class/devfreq"),
+    }
+    return {key: value for key, value in found.items() if value}
+
+
+def _gpu_clock(devfreq: Path) -> Description:
+    """MHz of the first GPU, and who sets them."""
+    folders = sorted(devfreq.iterdir()) if devfreq.is_dir() else []
+    for folder in (f for f in folders if _GPU_CLOCKS.match(f.name)):
+        hertz = {name: _text(folder / f"{name}_freq") for name in ("cur", "min", "max")}
+        mhz = {f"{k}_mhz": int(v) / 1e6 for k, v in hertz.items() if v.strip().isdigit()}
+        return {**mhz, "governor": _text(folder / "governor").strip()}
+    return {}
+
+
+def _cpu_clock(root: Path, cpuinfo: str) -> Description:
+    """MHz of the allowed cores: now, by core, and the most they may have; and who sets them."""
+    found: Description = {"cur_mhz": [], "max_mhz": []}
+    for core in sorted(os.sched_getaffinity(0)):
+        folder = root / f"sys/devices/system/cpu/cpu{core}/cpufreq"
+        for key in ("cur", "max"):
+            if (khz := _text(folder / f"scaling_{key}_freq").strip()).isdigit():
+                found[f"{key}_mhz"].append(int(khz) / 1e3)
+        if governor := _text(folder / "scaling_governor").strip():
+            found["governor"] = governor
+    if not found["cur_mhz"]:  # a virtual machine
+        found["cur_mhz"] = [float(mhz) for mhz in re.findall(r"cpu MHz\s*:\s*([\d.]+)", cpuinfo)]
+    return {key: value for key, value in found.items() if value}
+
+
+def _memory_gb(root: Path) -> float | None:
+    match = re.search(r"^MemTotal:\s*(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)
+    return round(int(match[1]) * 1024 / 1e9, 1) if match else None
+
+
+def _version(distributions: tuple[str, ...]) -> str | None:
+    for name in distributions:
+        try:
+            return metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return None
+
+
+def _text(path: Path) -> str:
+    """A file's text, empty where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""

@@ -1,0 +1,142 @@
+"""How found boxes compare: with what is there, and with what another model found. Arrays only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+MATCH_IOU = 0.5
+COVERED = 0.5
+"""A box that lies this much in something that does not count, does not count either."""
+NO, KIND, NAMED = 0, 1, 2
+"""How a label answers to a prompt: not at all, as a kind of it (armchair, chair), by its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Boxes of one picture, highest score first.
+
+    Attributes:
+        xyxy_px: (n, 4) float32.
+        score: (n,) float32.
+        class_id: (n,) int32, index of the prompt.
+    """
+
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    class_id: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is in one picture.
+
+    Attributes:
+        xyxy_px: (m, 4) float32 boxes of what is visible of each thing.
+        label: (m,) int32, index of its label.
+        counts: (m,) bool; what is too small or too hidden is neither missed nor wrongly found.
+    """
+
+    xyxy_px: np.ndarray
+    label: np.ndarray
+    counts: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Counts that add up over pictures.
+
+    Attributes:
+        wanted: things, or boxes of the reference.
+        found: boxes that count.
+        hits: how many of them are one of the wanted, each of which is hit once.
+        error: sum over the hits of |score - reference's| / reference's.
+    """
+
+    wanted: int = 0
+    found: int = 0
+    hits: int = 0
+    error: float = 0.0
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(
+            self.wanted + other.wanted,
+            self.found + other.found,
+            self.hits + other.hits,
+            self.error + other.error,
+        )
+
+    @property
+    def recall(self) -> float | None:
+        """None where nothing is wanted."""
+        return self.hits / self.wanted if self.wanted else None
+
+    @property
+    def precision(self) -> float | None:
+        """None where nothing was found."""
+        return self.hits / self.found if self.found else None
+
+    @property
+    def score_error(self) -> float | None:
+        """Mean relative difference of the hits' scores; None without a hit."""
+        return self.error / self.hits if self.hits else None
+
+
+def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, m) intersection over union of (n, 4) and (m, 4) boxes, and over the area of the first.
+
+    0 where an area is empty.
+    """
+    low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
+    high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
+    both = np.clip(high - low, 0, None).prod(axis=2, dtype=float)
+    a, b = _area(a_xyxy)[:, None], _area(b_xyxy)[None]
+    union = a + b - both
+    iou = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
+    share = np.divide(both, a, out=np.zeros_like(both), where=a > 0)
+    return iou, share
+
+
+def _area(xyxy: np.ndarray) -> np.ndarray:
+    return np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1, dtype=float)
+
+
+def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:
+    """Hold the boxes of one prompt in one picture against what is there.
+
+    A box hits the thing of its prompt's name that it covers best, if no better box did. One that
+    hits nothing is left out of the count where it lies in something that answers to its prompt
+    but does not count, or is a kind of it; otherwise it is wrong.
+
+    Args:
+        xyxy_px: (n, 4) float32, highest score first.
+        how: (labels,) of NO, KIND, NAMED.
+    """
+    named = how[truth.label] == NAMED
+    wanted = named & truth.counts
+    spared = (named & ~truth.counts) | (how[truth.label] == KIND)
+    iou, share = overlaps(xyxy_px, truth.xyxy_px)
+    free, hits, counted = wanted.copy(), 0, 0
+    for i in range(len(xyxy_px)):
+        mine = free & (iou[i] >= MATCH_IOU)
+        if mine.any():
+            free[np.argmax(np.where(mine, iou[i], -1.0))] = False
+            hits, counted = hits + 1, counted + 1
+        elif not (spared & (share[i] >= COVERED)).any():
+            counted += 1
+    return Tally(int(wanted.sum()), counted, hits)
+
+
+def agree(reference: Found, candidate: Found) -> Tally:
+    """Hold one picture's boxes against those of another model: same prompt, IoU of `MATCH_IOU`."""
+    iou, _ = overlaps(candidate.xyxy_px, reference.xyxy_px)
+    iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
+    hits, error = 0, 0.0
+    for i in range(len(iou) if len(reference.score) else 0):
+        j = int(iou[i].argmax())
+        if iou[i, j] >= MATCH_IOU:
+            iou[:, j] = 0.0
+            hits += 1
+            error += abs(float(candidate.score[i]) / float(reference.score[j]) - 1.0)
+    return Tally(len(reference.score), len(candidate.score), hits, error)

@@ -1,0 +1,82 @@
+"""What there is to compare: the cards of a family, each on what it can run on here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from edge.errors import UserError
+from edge.perception.card_types import DetectCard
+from edge.perception.cards import all_cards
+
+PROVIDERS = {
+    "cpu": ("CPUExecutionProvider",),
+    "cuda": ("CUDAExecutionProvider",),
+    "tensorrt": ("TensorrtExecutionProvider",),
+}
+"""What a model can run on, by the name that tables use."""
+_PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
+# Its zero points are not 0: TensorRT refuses it, and CUDA has no kernels for it.
+_CPU_ONLY = ("int8-cpu",)
+
+
+class Variant(NamedTuple):
+    """A card on a provider of `PROVIDERS`."""
+
+    card: DetectCard
+    on: str
+
+
+def families() -> list[str]:
+    """Families that have a detector."""
+    return sorted({card.family for card in all_cards() if isinstance(card, DetectCard)})
+
+
+def variants(family: str, ons: Sequence[str]) -> list[Variant]:
+    """By provider, then size, then precision.
+
+    Raises:
+        UserError: the family has no detector (those that have are listed).
+    """
+    cards = [c for c in all_cards() if isinstance(c, DetectCard) and c.family == family]
+    if not cards:
+        choices = ", ".join(families()) or "none"
+        raise UserError(f"models bench: no detector of family {family!r} (choices: {choices})")
+    cards.sort(key=lambda c: (c.input.height * c.input.width, _PRECISIONS.index(c.precision)))
+    return [
+        Variant(card, on)
+        for on in PROVIDERS
+        if on in ons
+        for card in cards
+        if on == "cpu" or card.precision not in _CPU_ONLY
+    ]
+
+
+def providers_here(asked: str | None) -> list[str]:
+    """Names of `PROVIDERS` that this onnxruntime has: all, or those of a comma-separated list.
+
+    Raises:
+        UserError: onnxruntime is not installed, or lacks one that was asked for.
+    """
+    try:
+        import onnxruntime
+    except ImportError:
+        raise UserError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])") from (
+            None
+        )
+    available = set(onnxruntime.get_available_providers())
+    here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
+    if asked is None:
+        return here
+    wanted = [_short(word) for word in asked.split(",")]
+    for word in wanted:
+        if word not in here:
+            raise UserError(
+                f"models bench: --providers: {word!r} is not here (choices: {', '.join(here)})"
+            )
+    return wanted
+
+
+def _short(word: str) -> str:
+    """`CPUExecutionProvider` and `cpu` are the same."""
+    return word.strip().lower().removesuffix("executionprovider")

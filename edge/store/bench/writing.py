@@ -1,0 +1,88 @@
+"""Where the figures go: a JSON file in the cache, and the cards."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from edge import machine, resources
+from edge.errors import UserError
+from edge.perception.cards import card_path
+
+_CARD_WIDTH = 110
+
+
+def keep(report: dict[str, Any], also: Path | None) -> str:
+    """Write the report into the cache, and to another file if one is named; where it is.
+
+    Raises:
+        UserError: it cannot be written there.
+    """
+    stamp = report["date"][:19].replace(":", "").replace("-", "").replace("T", "-")
+    paths = [resources.cache_dir() / "bench" / f"{report['family']}-{stamp}.json"]
+    paths += [also] if also is not None else []
+    text = json.dumps(report, indent=1)
+    for path in paths:
+        _replace(path, text)
+    return " and ".join(map(str, paths))
+
+
+def update_cards(report: dict[str, Any]) -> list[Path]:
+    """Write the figures of each variant that ran into its card, in place of older ones of the
+    same machine and provider; the cards that were written.
+
+    Raises:
+        UserError: a card cannot be written.
+    """
+    written = []
+    for row in report["rows"]:
+        if row["state"] == "ran":
+            path = card_path(row["name"])
+            card = yaml.safe_load(path.read_text(encoding="utf-8"))
+            key = f"{row['on']} of {machine.short_name(report['machine'])}"
+            card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
+            _replace(path, yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH))
+            written.append(path)
+    return list(dict.fromkeys(written))
+
+
+def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float | int | str]:
+    """The part of a report that a card keeps of one row: flat, without what is not known."""
+    times, frames = row["latency_ms"], report["frames"]
+    agreement, truth = row["agreement"] or {}, row["truth"] or {}
+    h, w = frames["hw"][0]
+    found = {
+        "date": report["date"][:10],
+        "runtime": f"onnxruntime {report['machine'].get('onnxruntime', '?')}",
+        "threads": report["threads"] if row["on"] == "cpu" else None,
+        "frames": f"{frames['count']} of {w}x{h} px, {frames['source']}",
+        "prompts": len(report["prompts"]),
+        **{f"{stage}_ms": times[stage]["p50"] for stage in ("pre", "session", "post")},
+        "all_p50_ms": times["all"]["p50"],
+        "all_p95_ms": times["all"]["p95"],
+        "memory_mb": row["memory_mb"],
+        "gpu_memory_mb": row["gpu_memory_mb"],
+        "tau_det": report["tau_det"],
+        "fp32_recall": agreement.get("recall"),
+        "fp32_precision": agreement.get("precision"),
+        "fp32_score_error": agreement.get("score_error"),
+        "recall": truth.get("recall"),
+        "precision": truth.get("precision"),
+    }
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    half = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        half.write_text(text, encoding="utf-8")
+        half.replace(path)
+    except OSError as error:
+        half.unlink(missing_ok=True)
+        raise UserError(f"{path}: cannot be written: {error.strerror}") from None
