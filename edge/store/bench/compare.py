@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Union
@@ -14,7 +14,7 @@ import numpy as np
 from edge import machine
 from edge.config import Config, DetectorOnnx
 from edge.errors import UserError
-from edge.perception.text import TextEmbeddings
+from edge.perception.text import make_text_encoder
 from edge.store.bench import figures, frames
 from edge.store.bench.figures import Measured
 from edge.store.bench.frames import Frames
@@ -41,7 +41,7 @@ def compare(
     Raises:
         UserError: the text encoder knows nothing of what is in the frames, or is not there.
     """
-    resolve = _resolver(settings)
+    resolve = make_text_encoder(todo[0].card, settings.vocabulary).resolve
     prompts, unknown = frames.prompts_for(pictures.labels, resolve)
     if not prompts:
         raise UserError("models bench: the text encoder knows nothing of what is in the frames")
@@ -76,10 +76,6 @@ def compare(
         "rows": [_row(*pair, results, pictures, prompts, answers) for pair in results],
         "again": again,
     }
-
-
-def _resolver(settings: DetectorOnnx) -> Callable[[str], str]:
-    return TextEmbeddings(settings.vocabulary).resolve
 
 
 def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
