@@ -14,6 +14,7 @@ import numpy as np
 from edge import machine
 from edge.config import Config, DetectorOnnx
 from edge.errors import UserError
+from edge.perception.model_file import remembered_sha256
 from edge.perception.text import make_text_encoder
 from edge.store.bench import figures, frames
 from edge.store.bench.figures import Measured
@@ -104,6 +105,7 @@ def _row(
     return {
         **row,
         "state": "ran",
+        "sha256": remembered_sha256(variant.card.path),
         "latency_ms": figures.latency_ms(result.stages_ns),
         "load_s": round(result.load_s, 2),
         "memory_mb": round(result.memory_mb, 1),

@@ -38,9 +38,13 @@ def _header(report: dict[str, Any]) -> list[str]:
     return [
         f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){things}",
         f"{len(asked)} prompts{lacking}",
-        f"boxes above {report['tau_det']:g}; {report['threads']} threads on the CPU",
+        f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
         machine.summary(report["machine"]),
     ]
+
+
+def _threads(count: int) -> str:
+    return "1 thread" if count == 1 else f"{count} threads"
 
 
 def _rows(report: dict[str, Any]) -> list[str]:

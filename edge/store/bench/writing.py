@@ -51,12 +51,16 @@ def update_cards(report: dict[str, Any]) -> list[Path]:
 
 
 def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float | int | str]:
-    """The part of a report that a card keeps of one row: flat, without what is not known."""
+    """The part of a report that a card keeps of one row: flat, without what is not known.
+
+    `file` tells which file was measured, as cards of models that are made here have no hash.
+    """
     times, frames = row["latency_ms"], report["frames"]
     agreement, truth = row["agreement"] or {}, row["truth"] or {}
     h, w = frames["hw"][0]
     found = {
         "date": report["date"][:10],
+        "file": row["sha256"][:12],
         "runtime": f"onnxruntime {report['machine'].get('onnxruntime', '?')}",
         "threads": report["threads"] if row["on"] == "cpu" else None,
         "frames": f"{frames['count']} of {w}x{h} px, {frames['source']}",
