@@ -17,6 +17,7 @@ from time import perf_counter_ns
 import zenoh
 
 from edge import models_desk, requests
+from edge.advice import make_advisers
 from edge.bus import open_session
 from edge.config import Config
 from edge.desk import Desk
@@ -75,7 +76,8 @@ def open_service(
     Raises:
         UserError: the mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
-        ModelError: the detector's model is missing or unusable.
+        ModelError: the detector's or a scorer's model is missing or unusable.
+        ChatError: the URL of a scorer's server cannot be used.
         BusError: the endpoint cannot be listened on.
     """
     with ExitStack() as stack:
@@ -94,6 +96,9 @@ def open_service(
             else DetectorWorker(detector)
         )
         stack.callback(worker.close)
+        advisers = make_advisers(config, brief.targets)
+        if advisers is not None:
+            stack.callback(advisers.close)
         warm_up(config)
         session = stack.enter_context(open_session(config.zenoh, role="listen"))
         source = ZenohSource(session, config)
@@ -101,7 +106,7 @@ def open_service(
         every: list[Sink] = [ZenohSink(session, config), *sinks]
         for sink in every:
             stack.callback(sink.close)
-        service = Service(config, brief, worker, every, keeper)
+        service = Service(config, brief, worker, every, keeper, advisers)
         stack.callback(service.close)
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()

@@ -13,6 +13,7 @@ from time import perf_counter_ns
 import numpy as np
 
 from edge import stages
+from edge.advice import Advice, Advisers
 from edge.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
@@ -51,6 +52,7 @@ class Service:
         worker: detects on the side; `submit` and `poll` never wait for the model.
         sinks: take goals, maps, status; their methods never block.
         keeper: has the mission's state written, and what it read taken up again.
+        advisers: scorers that are asked beside the loop, where any are configured.
 
     Attributes:
         mission: the one under way, or the last one.
@@ -60,6 +62,7 @@ class Service:
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
         epoch: counts the frames that the map was in.
+        advice: what the scorers said, for policies; None where there are none.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class Service:
         worker: DetectorWorker | InlineWorker,
         sinks: list[Sink],
         keeper: Keeper | None = None,
+        advisers: Advisers | None = None,
     ) -> None:
         self.config = config
         self.keeper = keeper
@@ -82,6 +86,7 @@ class Service:
             config.policy.r_assoc_m,
             len(brief.targets),
         )
+        self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing()
         self.goal: Goal | None = None
         self.epoch = 0
@@ -90,6 +95,7 @@ class Service:
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self._worker = worker
+        self._advisers = advisers
         self.swapper = Swapper(config.perception, worker, self.event)
         self._sinks = sinks
         self._lifter = Lifter(config.perception)
@@ -132,6 +138,8 @@ class Service:
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
+        if self._advisers is not None:
+            self._consult(self._advisers, observation)
         self.policy.score(self.pool, self.grid, self._seen, pose)
         self._lap(SCORE)
         self._plan(observation, now_ns)
@@ -166,6 +174,8 @@ class Service:
             detections.observation.release()
             return
         self.latency.span(DETECT, detections.latency_ns)
+        if self._advisers is not None:
+            self._advisers.saw(detections)
         lifted = self._lifter.lift(detections)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation)
@@ -184,6 +194,16 @@ class Service:
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
+
+    def _consult(self, advisers: Advisers, observation: Observation) -> None:
+        """What stage 6 may go by besides detections: answers there are, and the next questions."""
+        mission = self.mission
+        if not (mission.done or mission.paused):
+            targets = mission.brief.targets
+            advisers.ask(observation, targets, mission.target, self.pool, self.tracker)
+        advisers.take_up()
+        if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
+            self.latency.resume(perf_counter_ns())
 
     def _plan(self, observation: Observation, now_ns: int) -> None:
         """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
@@ -359,6 +379,8 @@ class Service:
         self._neighbours.forget()
         if self._surveyor is not None:
             self._surveyor.forget()
+        if self._advisers is not None:
+            self._advisers.forget()
         self._drop_goal()
         self.mission.start(now_ns)
 
@@ -405,6 +427,8 @@ class Service:
         self.mission.forget_distances()
         if self._surveyor is not None:
             self._surveyor.forget()
+        if self._advisers is not None:
+            self._advisers.forget()
         self._drop_goal()
         self.orders.withdraw(at_once=True)
         self.selector.start_over()
@@ -435,7 +459,7 @@ class Service:
 
     def status_dict(self) -> dict[str, object]:
         """The status message; see `edge.status`."""
-        return status_of(self, self._worker)
+        return status_of(self, self._worker, self._advisers)
 
 
 def _blind_ns(config: Config) -> int:

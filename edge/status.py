@@ -9,11 +9,14 @@ from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 
 if TYPE_CHECKING:
+    from edge.advice import Advisers
     from edge.mission.run import MissionRun
     from edge.service import Service
 
 
-def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[str, object]:
+def status_of(
+    service: Service, worker: DetectorWorker | InlineWorker, advisers: Advisers | None
+) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
     pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
     return {
@@ -58,6 +61,7 @@ def status_of(service: Service, worker: DetectorWorker | InlineWorker) -> dict[s
             **asdict(worker.stats),
         },
         "swap": service.swapper.status(),
+        "scorers": {} if advisers is None else advisers.status(),
     }
 
 

@@ -1,0 +1,59 @@
+"""Next-token probabilities → probabilities of the answers that were offered (ViTL eq. 4 and 5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge.errors import UserError
+
+MISSING_NATS = 1.0
+"""How much less likely than the least likely token that the server told of an answer is taken to
+be which it did not tell of. At most as likely is all that is known."""
+
+_WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
+
+
+class NoAnswerError(UserError):
+    """The model is about to say something else than any of the answers."""
+
+
+def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -> np.ndarray:
+    """Softmax over exactly the answers that were offered.
+
+    log-probabilities are logits up to a constant, which falls out. The tokens of one answer
+    ("A", " A", "(A") are one event, so their probabilities are added. Words are compared without
+    regard to case; single letters are not, since "a" begins a sentence about anything.
+
+    Args:
+        tokens: the likeliest next tokens with their log-probabilities, at most 0.
+        answers: at least one, all different.
+
+    Returns:
+        (n,) float32, positive or zero, sums to 1.
+
+    Raises:
+        NoAnswerError: none of the answers is among the tokens.
+    """
+    place = {_key(answer): i for i, answer in enumerate(answers)}
+    logits = np.full(len(answers), -math.inf)
+    for token, logprob in tokens:
+        i = place.get(_key(token.strip(_WRAPPING)))
+        if i is not None:
+            logits[i] = np.logaddexp(logits[i], logprob)
+    if not np.isfinite(logits).any():
+        said = ", ".join(repr(token) for token, _ in tokens[:3])
+        raise NoAnswerError(
+            f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
+            "use one that answers at once"
+        )
+    floor = min(logprob for _, logprob in tokens) - MISSING_NATS
+    logits[np.isneginf(logits)] = floor
+    p = np.exp(logits - logits.max())
+    return (p / p.sum()).astype(np.float32)
+
+
+def _key(text: str) -> str:
+    return text if len(text) == 1 else text.casefold()

@@ -1,0 +1,105 @@
+"""What a choice scorer is asked, in the words of ViTL (IV-B1), and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.types import Observation
+
+LETTERS = "ABCDEFGHJ"
+"""One for each mark, and the next for "explore elsewhere". There is no I: as the likely beginning
+of a sentence it would pass for an answer."""
+MAX_MARKS = len(LETTERS) - 1
+
+SYSTEM = (
+    "You guide a robot that explores a building. Answer each question with one letter or one word."
+)
+DIRECTION = (
+    "Among directions ({letters}), or explore elsewhere ({elsewhere}), which should I choose to "
+    "find a {target}? Answer with ONLY a single letter."
+)
+SCENE = "Does this view show paths or doorways that could lead to a {target}? Answer Yes or No."
+
+
+class Mark(NamedTuple):
+    """A frontier in the camera's view.
+
+    Attributes:
+        id: of the candidate.
+        u_px: column in the observation's image; `v_px` is the row.
+        bearing_rad: left of where the robot is heading.
+    """
+
+    id: int
+    u_px: float
+    v_px: float
+    bearing_rad: float
+    distance_m: float
+
+
+class Sighting(NamedTuple):
+    """A thing that was detected a moment ago, and where it is as seen from the robot."""
+
+    label: str
+    bearing_rad: float
+    distance_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What there is to choose from at one instant.
+
+    Attributes:
+        observation: its image is read while whoever asks holds it.
+        target: what is looked for.
+        marks: at most `MAX_MARKS`, from left to right.
+        round: tells the views of one map and mission from those of another.
+    """
+
+    observation: Observation
+    target: str
+    marks: tuple[Mark, ...]
+    sightings: tuple[Sighting, ...] = ()
+    round: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """What the model thinks of the directions in one view.
+
+    Attributes:
+        stamp_ns: of the view's observation.
+        target: what it was asked about.
+        ids: (n,) the candidates whose marks had letters; some may be gone by now.
+        p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4.
+        elsewhere: the probability of "explore elsewhere"; it and `p` sum to 1.
+        scene: S_curr of ViTL eq. 5, in [0, 1].
+        round: the view's.
+    """
+
+    stamp_ns: int
+    target: str
+    ids: tuple[int, ...]
+    p: np.ndarray
+    elsewhere: float
+    scene: float
+    round: int = 0
+
+    @property
+    def value(self) -> np.ndarray:
+        """(n,) float32, V_curr(f_i) of ViTL eq. 6."""
+        return np.float32(self.scene) * self.p
+
+
+def direction_question(n_marks: int, target: str) -> str:
+    """Which of the first `n_marks` letters, or the next one."""
+    letters, elsewhere = ", ".join(LETTERS[:n_marks]), LETTERS[n_marks]
+    return DIRECTION.format(letters=letters, elsewhere=elsewhere, target=target)
+
+
+def scene_question(target: str) -> str:
+    """Whether the view as a whole promises anything."""
+    return SCENE.format(target=target)
