@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ _HEADINGS = (
     "prec.",
 )  # fmt: skip
 _LEFT = 2
+_WIDTH = 110
 _GAP = "  "
 _QUIET_CORES = 0.2
 """Below this, other processes do not lengthen times by much."""
@@ -35,12 +37,13 @@ def _header(report: dict[str, Any]) -> list[str]:
     things = f", {frames['things']} things in them" if frames["things"] is not None else ""
     unknown = report["unknown_labels"]
     lacking = f" (no word for {', '.join(unknown)})" if unknown else ""
-    return [
+    lines = [
         f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){things}",
         f"{len(asked)} prompts{lacking}",
         f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
         machine.summary(report["machine"]),
     ]
+    return [textwrap.fill(line, _WIDTH, subsequent_indent=_GAP) for line in lines]
 
 
 def _threads(count: int) -> str:

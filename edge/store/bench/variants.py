@@ -12,7 +12,7 @@ from edge.perception.cards import all_cards
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider",),
     "cuda": ("CUDAExecutionProvider",),
-    "tensorrt": ("TensorrtExecutionProvider",),
+    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
 }
 """What a model can run on, by the name that tables use."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
