@@ -34,14 +34,17 @@ Message = tuple[Topic, int, bytes]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge bench`."""
+    from edge import swap_bench
     from edge.cli import stop_on_signals
 
     started_s = process_age_s()
     config = load(args.config)
     stop = stop_on_signals()
     recording = Path(args.recording) if args.recording else ensure_recording(config, stop=stop)
-    figures = run_bench(config, recording, args.seconds, stop, started_s)
+    figures = run_bench(config, recording, args.seconds, stop, started_s, args.swap)
     print(figures.pop("table"))
+    if args.swap is not None:
+        print(swap_bench.table(figures["swap"]))
     for name, (value, unit, limit) in figures["verdicts"].items():
         verdict = "ok  " if value <= limit else "OVER"
         print(f"{verdict}  {name:24} {value:9.2f} {unit}   (budget {limit:g} {unit})")
@@ -57,23 +60,26 @@ def run_bench(
     seconds: float,
     stop: threading.Event,
     started_s: float = 0.0,
+    swap: str | None = None,
 ) -> dict[str, object]:
     """Run the service on a recording, for `seconds` from the first observation on.
 
     Args:
         started_s: what starting the interpreter has taken, to be counted as getting ready.
+        swap: the model to change to halfway, if any.
 
     Returns:
         `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`:
-        name → (value, unit, budget).
+        name → (value, unit, budget); with a swap, `swap` (see `edge.swap_bench`) too.
 
     Raises:
-        UserError: no tick, or no detection, came about.
+        UserError: no tick, or no detection, came about, or the swap did not end.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
     from edge.ports import free_port
     from edge.recording import player
     from edge.runner import loop, open_service
+    from edge.swap_bench import SwapBench
 
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = config.model_copy(
@@ -87,7 +93,11 @@ def run_bench(
         ready_s = time.perf_counter() - began
         log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
         with player(config, recording, loop=True) as process:
-            loop(running, stop, each=_stopwatch(running.source.counters, process, seconds, stop))
+            look = _stopwatch(running.source.counters, process, seconds, stop)
+            swapping = None if swap is None else SwapBench(running, swap, seconds)
+            each = look if swapping is None else lambda: (look(), swapping.look())
+            loop(running, stop, each=each)
+        swapped = {} if swapping is None else {"swap": swapping.figures()}
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
@@ -107,6 +117,7 @@ def run_bench(
             "resident memory": (memory_mb, "MB", stages.MEMORY_BUDGET_MB),
             "ready after": (ready_s, "s", stages.READY_BUDGET_S),
         },
+        **swapped,
     }
 
 

@@ -154,6 +154,9 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
         "--recording", metavar="FILE", help="an MCAP file of your own; default: one that the "
         "seeded simulator makes on first use"
     )  # fmt: skip
+    bench.add_argument(
+        "--swap", metavar="NAME", help="change to this model halfway: what that costs the loop"
+    )
     bench.set_defaults(handler=lazy("edge.bench", "run"))
 
 

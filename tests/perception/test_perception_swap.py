@@ -1,0 +1,497 @@
+"""A model that takes another's place: what is refused, what is rolled back, and what is kept."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from patience import PATIENCE_S, eventually
+
+from edge.config import parse
+from edge.perception import attempt
+from edge.perception.cards import ModelError
+from edge.perception.detector import Health
+from edge.perception.inline import InlineWorker
+from edge.perception.swap import SwapError, Swapper
+from edge.perception.text import PromptError
+from edge.perception.trial import Sample, boxes_found_again, iou, sample
+from edge.perception.worker import DetectorWorker
+from edge.types import Detections
+
+BOX = (10.0, 10.0, 30.0, 30.0)
+MS = 1_000_000
+NAN = float("nan")
+
+
+class Fake:
+    """Finds one box in every image, as told; from image `from_` on it does what `then` says."""
+
+    def __init__(self, name="new", words=("chair", "bed"), from_=0, **then):
+        self.name, self.words, self.closed, self.images = name, words, 0, 0
+        self.prompts: tuple[str, ...] = ("chair",)
+        self.invalid_boxes = 0
+        self.from_, self.then = from_, then
+        self.entered, self.gate = threading.Event(), threading.Event()
+        self.gate.set()
+
+    def set_prompts(self, prompts):
+        if lacks := [p for p in prompts if p not in self.words]:
+            raise PromptError(f"prompt {lacks[0]!r}: not in the vocabulary")
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation):
+        self.entered.set()
+        assert self.gate.wait(PATIENCE_S)
+        assert not self.closed
+        behaviour = {"box": BOX, "score": 0.6, "ms": 5.0}
+        behaviour.update(self.then if self.images >= self.from_ else {})
+        self.images += 1
+        if "error" in behaviour:
+            raise behaviour["error"]
+        self.invalid_boxes += behaviour.get("invalid", 0)
+        return Detections(
+            observation, np.array([behaviour["box"]], np.float32),
+            np.array([behaviour["score"]], np.float32), np.zeros(1, np.int32), self.prompts,
+            latency_ns=int(behaviour["ms"] * MS),
+        )  # fmt: skip
+
+    def health(self):
+        return self.then.get("health", Health()) if self.images >= self.from_ else Health()
+
+    def close(self):
+        self.closed += 1
+
+
+class Bench:
+    """A worker, a swapper, and a loop that steps once for every image."""
+
+    def __init__(self, make_observation, old, new, worker=InlineWorker, **swap):
+        self.clock_s = 0.0
+        self.old, self.new, self.said, self.seq = old, new, [], 0
+        self.worker = worker(old)
+        self._make_observation = make_observation
+        settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
+        self.swapper = Swapper(
+            parse({"perception": {"swap": settings}}).perception, self.worker,
+            lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
+        )  # fmt: skip
+
+    def _make(self, perception, prompts):
+        if isinstance(self.new, Exception):
+            raise self.new
+        self.new.set_prompts(prompts)
+        assert perception.detector.model == "new"
+        return self.new
+
+    def frame(self):
+        self.seq += 1
+        rgb = np.zeros((64, 80, 3), np.uint8)
+        return self._make_observation(seq=10 * self.seq, rgb=rgb)
+
+    def image(self):
+        """One image through the worker, one step of the loop."""
+        self.worker.submit(self.frame())
+        if isinstance(self.worker, DetectorWorker):
+            eventually(self.worker.idle)
+        found = self.worker.poll()
+        self.swapper.step(self.seq)
+        return found
+
+    def until(self, *states):
+        """Images until the swap is in one of these states."""
+
+        def reached():
+            self.image()
+            return self.swapper.state in states
+
+        eventually(reached, f"never {states}: {self.swapper.status()}")
+
+    def swap(self, force=False):
+        """A whole swap; its outcome."""
+        self.swapper.request("new", force, 0)
+        self.until("kept", "rolled back", "refused")
+        return self.swapper.state, self.swapper.status()["detail"]
+
+
+@pytest.fixture
+def bench(make_observation, monkeypatch):
+    monkeypatch.setattr(attempt, "related", lambda model, running: True)
+    opened = []
+
+    def make(new=None, old=None, **more):
+        new = Fake() if new is None else new
+        old = Fake("old", words=("chair", "bed", "sofa")) if old is None else old
+        opened.append(Bench(make_observation, old, new, **more))
+        return opened[-1]
+
+    yield make
+    for one in opened:
+        one.swapper.close()
+        one.worker.close()
+
+
+@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
+def test_without_a_request_nothing_happens(bench, worker):
+    b = bench(worker=worker)
+    for _ in range(3):
+        assert b.image() is not None
+    assert b.worker.watch is None
+    assert b.said == []
+    assert b.swapper.status() == {
+        "state": "idle", "model": "old", "previous": "", "detail": "", "progress": "", "number": 0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
+def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, worker):
+    b = bench(worker=worker)
+    assert b.swap() == ("kept", "5 images, median 5.0 ms")
+    assert b.worker.detector is b.new
+    assert b.worker.spare is None
+    assert b.worker.watch is None
+    eventually(lambda: b.old.closed)
+    assert (b.old.closed, b.new.closed) == (1, 0)
+    assert b.said == [
+        "model new: loading beside old",
+        "model new: switched to, on probation for 5 images; median 5.0 ms on 2 images; "
+        "finds 2 of the 2 boxes of old",
+        "model new: kept: 5 images, median 5.0 ms",
+    ]
+    status = b.swapper.status()
+    assert (status["model"], status["previous"], status["number"]) == ("new", "old", 1)
+
+
+@pytest.mark.parametrize(
+    ("new", "reason"),
+    [
+        (ModelError("new.onnx: damaged\nor another"), "new.onnx: damaged or another"),
+        (MemoryError("no room"), "it fails: MemoryError: no room"),
+        (Fake(words=("bed",)), "prompt 'chair': not in the vocabulary"),
+        (Fake(error=RuntimeError("bad\nnode")), "it fails: RuntimeError: bad node"),
+        (Fake(from_=3, error=RuntimeError("bad")), "it fails: RuntimeError: bad"),
+        (Fake(invalid=7), "it returns values that are not finite (7 boxes of an image)"),
+        (Fake(box=(0, 0, NAN, 9)), "it returns boxes or scores that are not finite"),
+        (Fake(score=float("inf")), "it returns boxes or scores that are not finite"),
+        (Fake(ms=21), "too slow: median 21.0 ms on 2 images, perception.swap.budget_ms is 20; "
+                      "--force takes it all the same"),
+        (Fake(box=(40, 40, 60, 60)), "finds 0 of the 2 boxes of old, perception.swap.min_recall "
+                                     "is 0.5; --force takes it all the same"),
+        (Fake(score=0.29), "finds 0 of the 2 boxes of old, perception.swap.min_recall is 0.5; "
+                           "--force takes it all the same"),
+    ],
+)  # fmt: skip
+def test_a_model_that_does_badly_beside_the_running_one_is_refused(bench, new, reason):
+    b = bench(new)
+    assert b.swap() == ("refused", f"{reason}; old goes on")
+    assert b.said[1:] == [f"model new: refused: {reason}; old goes on"]
+    assert b.worker.detector is b.old
+    assert b.image() is not None
+    b.swapper.close()
+    assert b.old.closed == 0
+
+
+def test_a_refused_model_is_closed(bench):
+    b = bench(Fake(ms=21))
+    b.swap()
+    eventually(lambda: b.new.closed)
+
+
+@pytest.mark.parametrize(
+    ("then", "reason"),
+    [
+        ({"error": ValueError("no")}, "it fails: ValueError: no"),
+        ({"invalid": 1}, "it returns values that are not finite (1 boxes of an image)"),
+        ({"box": (NAN, 0, 1, 1)}, "it returns boxes or scores that are not finite"),
+        ({"ms": 30}, "too slow: 5 images, median 30.0 ms, perception.swap.budget_ms is 20"),
+        ({"health": Health("degraded", "ended 8 times")}, "degraded: ended 8 times"),
+        ({"health": Health("restarting", "it ended")}, "restarting: it ended"),
+    ],
+)
+@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
+def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, worker):
+    tried = 2 + 3 * 2
+    b = bench(Fake(from_=tried + 1, **then), worker=worker)
+    assert b.swap() == ("rolled back", f"{reason}; old runs again")
+    assert b.worker.detector is b.old
+    assert b.worker.spare is None
+    eventually(lambda: b.new.closed)
+    assert b.old.closed == 0
+    seen = b.old.images
+    b.image()
+    assert b.old.images == seen + 1
+
+
+@pytest.mark.parametrize("new", [Fake(ms=50), Fake(box=(40, 40, 60, 60)), Fake(score=0.1)])
+def test_force_takes_what_is_slow_or_finds_other_things(bench, new):
+    assert bench(new).swap(force=True)[0] == "kept"
+
+
+def test_force_does_not_take_what_is_not_finite(bench):
+    assert bench(Fake(invalid=1)).swap(force=True)[0] == "refused"
+    assert bench(Fake(from_=9, invalid=1)).swap(force=True)[0] == "rolled back"
+
+
+@pytest.mark.parametrize(
+    ("old", "related", "finding"),
+    [
+        (Fake("old", score=0.2), True, "old saw nothing there to compare with"),
+        (Fake("old", error=RuntimeError("dead")), True, "old saw nothing there to compare with"),
+        (Fake("old", box=(50, 0, 60, 9)), False,
+         "finds 0 of the 2 boxes of old (another family, not held against it)"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
+    b = bench(old=old)
+    monkeypatch.setattr(attempt, "related", lambda model, running: related)
+    assert b.swap()[0] == "kept"
+    assert b.said[1].endswith(f"median 5.0 ms on 2 images; {finding}")
+
+
+def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
+    b = bench()
+    with pytest.raises(SwapError, match=r"^old runs already$"):
+        b.swapper.request("old", False, 0)
+    b.swapper.request("new", False, 0)
+    with pytest.raises(SwapError, match=r"^new is still (loading|checking); wait until that is o"):
+        b.swapper.request("other", False, 0)
+    b.until("on probation")
+    with pytest.raises(SwapError, match=r"^new is still on probation"):
+        b.swapper.request("old", False, 0)
+    b.until("kept")
+    b.new = Fake(ms=99)
+    with pytest.raises(SwapError, match=r"^new runs already$"):
+        b.swapper.request("new", False, 0)
+
+
+def test_no_images_no_swap_and_the_wait_for_them_ends(bench):
+    b = bench(load_timeout_s=9.0)
+    b.swapper.request("new", False, 0)
+    eventually(lambda: b.swapper.state == "checking")
+    b.swapper.step(0)
+    assert b.swapper.status()["progress"] == "0 of 2 images at hand"
+    b.clock_s = 9.5
+    b.swapper.step(0)
+    assert b.swapper.state == "refused"
+    assert b.said[-1] == (
+        "model new: refused: 0 of 2 images at hand after 9 s (perception.swap.load_timeout_s); "
+        "old goes on"
+    )
+    eventually(lambda: b.new.closed)
+
+
+def test_images_that_are_no_images_are_no_fault(bench, make_observation):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    for _ in range(20):
+        b.worker.watch(b.new, make_observation(), ValueError("no image to detect in"))
+        b.swapper.step(0)
+    assert b.swapper.state == "on probation"
+
+
+class Slow(Fake):
+    """Is made only when `go` is set."""
+
+    def __init__(self, **more):
+        super().__init__(**more)
+        self.begun, self.go = threading.Event(), threading.Event()
+
+    def set_prompts(self, prompts):
+        self.begun.set()
+        assert self.go.wait(PATIENCE_S)
+        super().set_prompts(prompts)
+
+
+def test_prompts_that_change_while_it_loads_are_its_own_when_it_switches(bench):
+    b = bench(Slow())
+    b.swapper.request("new", False, 0)
+    assert b.new.begun.wait(PATIENCE_S)
+    b.worker.set_prompts(["bed"])
+    b.new.go.set()
+    b.until("on probation")
+    assert b.new.prompts == b.old.prompts == ("bed",)
+
+
+def test_prompts_that_change_once_it_is_ready_are_its_own_too(bench):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    ready = b.swapper._attempt.ready
+
+    def is_ready():  # the loop does not step meanwhile
+        b.worker.submit(b.frame())
+        return ready.is_set()
+
+    eventually(is_ready)
+    b.worker.set_prompts(["bed"])
+    b.until("on probation")
+    assert b.new.prompts == ("bed",)
+
+
+def test_a_mission_that_the_new_model_cannot_look_for_comes_while_it_loads(bench):
+    b = bench(Slow())
+    b.swapper.request("new", False, 0)
+    assert b.new.begun.wait(PATIENCE_S)
+    b.worker.set_prompts(["sofa"])
+    b.new.go.set()
+    b.until("refused")
+    assert b.said[-1] == "model new: refused: prompt 'sofa': not in the vocabulary; old goes on"
+    assert b.old.prompts == ("sofa",)
+
+
+def test_prompts_that_change_on_probation_reach_both(bench):
+    b = bench(Fake(words=("chair", "bed", "desk"), from_=11, error=RuntimeError("late")))
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    for prompts, line in (
+        (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
+        (["desk"], r"^old, kept until new has proved itself: prompt 'desk': .*; try again after"),
+    ):
+        with pytest.raises(PromptError, match=line):
+            b.worker.set_prompts(prompts)
+        assert b.new.prompts == b.old.prompts == ("chair",)
+    b.worker.set_prompts(["bed"])
+    assert b.new.prompts == b.old.prompts == ("bed",)
+    b.until("rolled back")
+    assert b.worker.detector.prompts == ("bed",)
+
+
+def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
+    monkeypatch.setattr("edge.perception.swap._CLOSE_S", 0.01)
+    b = bench(Slow())
+    b.swapper.request("new", False, 0)
+    assert b.new.begun.wait(PATIENCE_S)
+    b.swapper.close()
+    assert b.worker.watch is None
+    assert b.new.closed == 0
+    b.new.go.set()
+    eventually(lambda: b.new.closed)
+    assert b.old.closed == 0
+
+
+def test_closing_on_probation_closes_both(bench):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    b.swapper.close()
+    b.worker.close()
+    assert (b.old.closed, b.new.closed) == (1, 1)
+
+
+def test_a_detector_that_still_detects_is_not_closed_under_its_hands(bench):
+    b = bench(worker=DetectorWorker)
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+    b.new.gate.clear()
+    b.new.entered.clear()
+    b.worker.submit(b.frame())
+    assert b.new.entered.wait(PATIENCE_S)
+    b.new.then = {"health": Health("degraded", "")}
+    b.swapper.step(0)
+    assert b.swapper.state == "rolled back"
+    assert b.worker.uses(b.new)
+    b.new.gate.set()
+    eventually(lambda: b.new.closed)
+    assert b.worker.stats.failed == 0
+
+
+class Slot:
+    """Counts holds as a frame pool does."""
+
+    def __init__(self):
+        self.holds = Counter()
+
+    def hold(self):
+        self.holds["n"] += 1
+
+    def release(self):
+        assert self.holds["n"] > 0
+        self.holds["n"] -= 1
+
+
+def test_the_exchange_while_the_old_one_detects(make_observation):
+    """Its result still counts, its observation is let go, and it is in use until then."""
+    old, new = Fake("old"), Fake("new")
+    worker = DetectorWorker(old)
+    old.gate.clear()
+    frames = [
+        make_observation(seq=i, rgb=np.zeros((4, 4, 3), np.uint8), slot=Slot()) for i in range(2)
+    ]
+    worker.submit(frames[0])
+    assert old.entered.wait(PATIENCE_S)
+    assert worker.exchange(new) is old
+    assert worker.uses(old)
+    worker.submit(frames[1])
+    assert new.images == 0
+    old.gate.set()
+    eventually(lambda: worker.stats.done == 2)
+    assert not worker.uses(old)
+    assert (old.images, new.images) == (1, 1)
+    worker.close()
+    assert [f.slot.holds["n"] for f in frames] == [0, 0]
+    assert (old.closed, new.closed) == (0, 1)
+
+
+def test_a_sample_owns_its_image(make_observation):
+    rgb = np.zeros((4, 4, 3), np.uint8)
+    observation = make_observation(rgb=rgb, depth_m=np.ones((4, 4), np.float32), slot=Slot())
+    found = Fake().detect(observation)
+    copy = sample(observation, found)
+    rgb[:] = 255
+    assert copy.observation.rgb.max() == 0
+    assert copy.observation.slot is copy.observation.depth_m is None
+    assert copy.found.observation is copy.observation
+    assert sample(observation, ValueError()).found is None
+
+
+# -- boxes found again ---------------------------------------------------------------------------
+
+
+def detections(boxes, scores, classes, rival=None, prompts=("chair", "bed")):
+    return Detections(
+        SimpleNamespace(), np.array(boxes, np.float32).reshape(-1, 4),
+        np.array(scores, np.float32), np.array(classes, np.int32), prompts,
+        rival=None if rival is None else np.array(rival, np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "expected"),
+    [
+        (detections([], [], []), detections([], [], []), (0, 0)),
+        (detections([], [], []), detections([BOX], [0.9], [0]), (0, 0)),
+        (detections([BOX], [0.9], [0]), detections([], [], []), (1, 0)),
+        (detections([BOX], [0.9], [0]), detections([BOX], [0.45], [0]), (1, 1)),
+        (detections([BOX], [0.9], [0]), detections([BOX], [0.44], [0]), (1, 0)),
+        (detections([BOX], [0.9], [0]), detections([BOX], [0.9], [1]), (1, 0)),
+        (detections([BOX], [0.29], [0]), detections([BOX], [0.9], [0]), (0, 0)),
+        (detections([BOX], [0.9], [0], rival=[0.95]), detections([], [], []), (0, 0)),
+        (detections([BOX], [0.9], [0]), detections([BOX], [0.9], [0], prompts=("bed",)), (0, 0)),
+        (detections([BOX, BOX], [0.9, 0.8], [0, 1]), detections([BOX], [0.9], [1]), (2, 1)),
+    ],
+)
+def test_which_boxes_count(was, now, expected):
+    assert boxes_found_again([Sample(SimpleNamespace(), was)], [now], 0.3) == expected
+
+
+corners = arrays(np.float32, (4,), elements=st.integers(0, 8).map(float))
+
+
+@given(corners, st.lists(corners, max_size=3))
+def test_iou_is_what_counting_pixels_gives(box, others):
+    def cells(b):
+        return {(x, y) for x in range(int(b[0]), int(b[2])) for y in range(int(b[1]), int(b[3]))}
+
+    def tidy(b):
+        return np.concatenate([np.minimum(b[:2], b[2:]), np.maximum(b[:2], b[2:])])
+
+    box, others = tidy(box), [tidy(o) for o in others]
+    found = iou(box, np.array(others, np.float32).reshape(-1, 4))
+    mine = cells(box)
+    expected = [len(mine & cells(o)) / max(1, len(mine | cells(o))) for o in others]
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
