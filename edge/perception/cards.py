@@ -20,6 +20,7 @@ from edge.perception.card_types import (
     SimilarityCard,
     TextCard,
 )
+from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, remembered_sha256
 
 C = TypeVar("C", bound=BaseCard)
@@ -127,10 +128,14 @@ def _explain(path: Path, fault: Any) -> str:
 
 
 def verify_model(card: FileCard) -> Path:
-    """The model's file, after its hash was checked (once per path, size and time of change).
+    """The model's file, sound as far as can be seen without running it.
+
+    Its hash is the card's (computed once per path, size and time of change), and it is an ONNX
+    model with the card's inputs and outputs; see `edge.perception.interface`.
 
     Raises:
-        ModelError: the file or its hash is missing, or they do not belong together.
+        ModelError: the file or its hash is missing, they do not belong together, or no session
+            should be made of it.
     """
     todo = how_to_get(card)
     if not card.path.is_file():
@@ -144,6 +149,7 @@ def verify_model(card: FileCard) -> Path:
         raise ModelError(
             f"{card.path}: damaged or another model: sha256 is not {expected[:12]}…; {todo}"
         )
+    check_file(card.path, card)
     return card.path
 
 

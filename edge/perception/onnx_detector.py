@@ -6,16 +6,17 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from edge import config, names
 from edge.perception import kernels
+from edge.perception.binding import Bound, bind
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
-from edge.perception.runtime import open_session
+from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, open_session
 from edge.perception.text import PromptError, make_text_encoder
 from edge.types import Detections, Observation
 
@@ -23,26 +24,19 @@ log = logging.getLogger(__name__)
 
 INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
+USUAL_COLUMNS, MAX_COLUMNS = 16, 256
+"""Prompts, background counted in, that a TensorRT engine is tuned for and can take."""
 
 
-def check_interface(session: Any, card: DetectCard) -> None:
-    """Raise ModelError unless the model's inputs and outputs are what a detector's must be."""
-    h, w = card.input.height, card.input.width
-    wanted = {"images": [1, 3, h, w], "txt_feats": [1, None, card.text_dim]}
-    found = {i.name: [d if isinstance(d, int) else None for d in i.shape] for i in _inputs(session)}
-    outputs = tuple(o.name for o in session.get_outputs())
-    if found != wanted or outputs != OUTPUTS:
-        raise ModelError(
-            f"{card.file}: inputs {found}, outputs {list(outputs)}; model {card.name} must have "
-            f"inputs {wanted}, outputs {list(OUTPUTS)}: export it again"
-        )
-
-
-def _inputs(session: Any) -> list[Any]:
-    inputs = session.get_inputs()
-    if any(i.type != "tensor(float)" for i in (*inputs, *session.get_outputs())):
-        raise ModelError("the model's inputs and outputs must be float32: export it again")
-    return inputs
+def engine_options(
+    card: DetectCard, detector: config.DetectorOnnx, progress: Progress
+) -> EngineOptions:
+    """What TensorRT is told of a detector; only the number of prompts may change."""
+    few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
+    cache = None if detector.engine_cache is None else Path(detector.engine_cache).expanduser()
+    return EngineOptions(
+        card.name, card.precision, {"txt_feats": (few, usual, many)}, cache, progress
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +46,10 @@ class _Asked:
     prompts: tuple[str, ...]
     text: np.ndarray
     competes: np.ndarray
-    boxes: np.ndarray
-    scores: np.ndarray
     anchor: np.ndarray
     label: np.ndarray
     score: np.ndarray
-    binding: Any
+    bound: Bound
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +98,13 @@ class OnnxDetector:
         self.invalid_boxes = 0
         self.stages_ns = (0, 0, 0)
         self._text = make_text_encoder(self.card, detector.vocabulary)
-        self._session = open_session(verify_model(self.card), detector.providers, detector.threads)
-        check_interface(self._session, self.card)
+        self._session = open_session(
+            verify_model(self.card),
+            detector.providers,
+            detector.threads,
+            detector.device_id,
+            engine_options(self.card, detector, progress),
+        )
         height, width = self.card.input.height, self.card.input.width
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
@@ -138,17 +135,21 @@ class OnnxDetector:
         useful[: len(prompts)] = True
         competes = np.ascontiguousarray(competes[:, useful])
         text = self._text.embed([c for c, kept in zip(columns, useful, strict=True) if kept])
-        boxes = np.empty((1, self._anchors, 4), np.float32)
-        scores = np.empty((1, self._anchors, text.shape[1]), np.float32)
-        binding = self._session.io_binding()
-        for name, array in zip(INPUTS, (self._images, text), strict=True):
-            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        for name, array in zip(OUTPUTS, (boxes, scores), strict=True):
-            binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
+            raise PromptError(
+                f"{text.shape[1]} prompts, background and contrasts counted in: engines of "
+                f"TensorRT are built for at most {MAX_COLUMNS}; name fewer"
+            )
+        bound = bind(
+            self._session,
+            dict(zip(INPUTS, (self._images, text), strict=True)),
+            {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
+            live=("images",),
+        )
         places = self._anchors * len(prompts)
         self._asked = _Asked(
-            prompts, text, competes, boxes, scores, np.empty(places, np.int32),
-            np.empty(places, np.int32), np.empty(places, np.float32), binding,
+            prompts, text, competes, np.empty(places, np.int32),
+            np.empty(places, np.int32), np.empty(places, np.float32), bound,
         )  # fmt: skip
 
     def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
@@ -177,9 +178,9 @@ class OnnxDetector:
         rgb, asked = check_rgb(observation), self._asked
         self._fill_input(rgb)
         filled_ns = time.perf_counter_ns()
-        self._run(asked)
+        boxes, scores = asked.bound.run()
         ran_ns = time.perf_counter_ns()
-        n = self._pick(asked)
+        n = self._pick(asked, boxes[0], scores[0])
         kept = self._keep[:n]
         end_ns = time.perf_counter_ns()
         self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
@@ -205,14 +206,8 @@ class OnnxDetector:
         """
         asked = self._asked
         self._fill_input(np.ascontiguousarray(rgb))
-        self._run(asked)
-        return asked.scores[0, :, : len(asked.prompts)].max(axis=0)
-
-    def _run(self, asked: _Asked) -> None:
-        """The input's buffer → the output buffers."""
-        asked.binding.synchronize_inputs()
-        self._session.run_with_iobinding(asked.binding)
-        asked.binding.synchronize_outputs()
+        _, scores = asked.bound.run()
+        return scores[0, :, : len(asked.prompts)].max(axis=0)
 
     def health(self) -> Health:
         """See `Detector.health`."""
@@ -259,10 +254,9 @@ class OnnxDetector:
         top, left = (h - new_h) // 2, (w - new_w) // 2
         return _Placement(width_px, height_px, scale, top, left, resized)
 
-    def _pick(self, asked: _Asked) -> int:
-        """Scores and boxes of the last run → `_keep`, `_xyxy`, `_against`; how many."""
-        c, place = self.config, self._place
-        boxes, scores, tau = asked.boxes[0], asked.scores[0], np.float32(self.config.tau_vl)
+    def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> int:
+        """Boxes (a, 4) and scores (a, n) → `_keep`, `_xyxy`, `_against`; how many."""
+        c, place, tau = self.config, self._place, np.float32(self.config.tau_vl)
         found, invalid = kernels.candidates(
             boxes, scores, len(asked.prompts), tau, asked.anchor, asked.label, asked.score,
             self._top,

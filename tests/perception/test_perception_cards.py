@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 
+import onnx_bytes
 import pytest
 import yaml
 
@@ -26,7 +27,7 @@ CARD = {
     "text_dim": 512,
     "parity": None,
 }
-DATA = b"a model" * 100
+DATA = onnx_bytes.detector()
 
 
 @pytest.fixture
@@ -174,7 +175,7 @@ def test_a_missing_model_says_how_to_make_it(place):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (DATA[:-50], "truncated: 650 of 700 bytes"),
+        (DATA[:-50], f"truncated: {len(DATA) - 50} of {len(DATA)} bytes"),
         (DATA[:-1] + b"X", "damaged"),
         (b"", "truncated"),
     ],

@@ -71,8 +71,8 @@ def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
-        ({"name": "input_ids"}, "it must map tokens"),
-        ({"table": np.ones((20, DIM + 1), np.float32)}, "embeddings of shape"),
+        ({"name": "input_ids"}, "must have inputs .tokens int64"),
+        ({"table": np.ones((20, DIM + 1), np.float32)}, "must have .* outputs .embeddings"),
         ({"table": np.full((20, DIM), np.nan, np.float32)}, "not finite"),
         ({"table": np.zeros((20, DIM), np.float32)}, "not finite"),
         ({"table": np.ones((3, DIM), np.float32)}, "it fails"),
