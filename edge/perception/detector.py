@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from edge import config
 from edge.types import Detections, Observation
+
+log = logging.getLogger(__name__)
 
 
 class Health(NamedTuple):
@@ -22,6 +25,10 @@ class Health(NamedTuple):
 
     state: Literal["ok", "building engine", "restarting", "degraded"] = "ok"
     detail: str = ""
+
+
+Progress = Callable[[Health], None]
+"""Told every few seconds how a detector is that is still being made; from any thread."""
 
 
 class Detector(Protocol):
@@ -60,13 +67,18 @@ class Detector(Protocol):
     def close(self) -> None: ...
 
 
-def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str]) -> Detector:
+def log_progress(health: Health) -> None:
+    """A line in the log."""
+    log.info("%s: %s", health.state, health.detail)
+
+
+def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str], progress: Progress) -> Detector:
     from edge.perception.onnx_detector import OnnxDetector
 
-    return OnnxDetector(detector, prompts)
+    return OnnxDetector(detector, prompts, progress)
 
 
-def _sim(detector: config.DetectorSim, prompts: Sequence[str]) -> Detector:
+def _sim(detector: config.DetectorSim, prompts: Sequence[str], progress: Progress) -> Detector:
     from edge.perception.sim_detector import SimDetector
 
     return SimDetector(detector, prompts)
@@ -75,14 +87,23 @@ def _sim(detector: config.DetectorSim, prompts: Sequence[str]) -> Detector:
 REGISTRY = {"onnx": _onnx, "sim": _sim}
 
 
-def make_detector(perception: config.Perception, prompts: Sequence[str]) -> Detector:
+def make_detector(
+    perception: config.Perception, prompts: Sequence[str], progress: Progress = log_progress
+) -> Detector:
     """The detector that the configuration names, ready to use.
+
+    Args:
+        progress: told every few seconds while a TensorRT engine is built, which takes minutes.
 
     Raises:
         PromptError: see `Detector.set_prompts`.
         ModelError: the model cannot be loaded, or not with the providers asked for.
     """
-    return REGISTRY[perception.detector.kind](perception.detector, prompts)
+    if perception.isolation == "process":
+        from edge.perception.process.detector import ProcessDetector
+
+        return ProcessDetector(perception, prompts)
+    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
 
 
 def check_rgb(observation: Observation) -> np.ndarray:

@@ -1,20 +1,96 @@
-"""Sessions of onnxruntime: on exactly the providers named, or an error that says why not."""
+"""Sessions that run a model: on exactly the providers named, or an error that says why not.
+
+A provider is onnxruntime's name of one (`CPUExecutionProvider`, `CUDAExecutionProvider`,
+`TensorrtExecutionProvider`), or `tensorrt` alone, which is TensorRT itself without onnxruntime.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+import importlib.util
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from edge.perception.cards import ModelError
+from edge import resources
+from edge.perception.building import Building
+from edge.perception.detector import Progress, log_progress
+from edge.perception.engine_cache import EngineKey, obtain
+from edge.perception.model_file import ModelError, remembered_sha256
+
+TENSORRT = "tensorrt"
+ORT_TENSORRT = "TensorrtExecutionProvider"
+TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
+
+Shape = tuple[int, ...]
 
 
-def open_session(path: Path, providers: Sequence[str], threads: int) -> Any:
-    """An onnxruntime session that runs on exactly the providers named.
+@dataclass(frozen=True)
+class EngineOptions:
+    """What TensorRT needs to know of a model beyond its file.
+
+    Attributes:
+        model: the card's name.
+        precision: the card's: `fp32`, `fp16` or `int8-trt`.
+        shapes: least, usual and largest shape of every input whose shape may change.
+        cache: folder for engines, None: `engines` in the service's cache.
+        progress: told while an engine is built.
+    """
+
+    model: str
+    precision: str
+    shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
+    cache: Path | None = None
+    progress: Progress = log_progress
+
+    @property
+    def folder(self) -> Path:
+        return self.cache or resources.cache_dir() / "engines"
+
+
+def open_session(
+    path: Path,
+    providers: Sequence[str],
+    threads: int,
+    device_id: int = 0,
+    engine: EngineOptions | None = None,
+) -> Any:
+    """A session that runs on exactly the providers named.
+
+    It is onnxruntime's, or one of TensorRT that has `run` and `get_providers` as those have;
+    `edge.perception.binding.bind` takes either.
+
+    Args:
+        threads: of the CPU.
+        device_id: which GPU.
+        engine: for TensorRT; the default takes the file for an `fp32` model of fixed shapes.
 
     Raises:
-        ModelError: onnxruntime or a provider is not there, or the file is no model.
+        ModelError: a package or provider is not there, or the file is no model.
     """
+    if not providers:
+        raise ModelError("perception.detector.providers: empty, name at least one")
+    engine = engine or EngineOptions(path.stem, "fp32")
+    if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
+        raise ModelError(
+            f"model {engine.model}: its INT8 is not symmetric, which TensorRT demands; choose its "
+            "int8-trt or fp16 variant"
+        )
+    if TENSORRT in providers:
+        if len(providers) > 1:
+            raise ModelError(
+                f"perception.detector.providers: {TENSORRT!r} stands alone, without others"
+            )
+        from edge.perception.tensorrt import open_engine
+
+        return open_engine(path, device_id, engine)
+    return _open_onnxruntime(path, providers, threads, device_id, engine)
+
+
+def _open_onnxruntime(
+    path: Path, providers: Sequence[str], threads: int, device_id: int, engine: EngineOptions
+) -> Any:
     try:
         import onnxruntime as ort
     except ImportError:
@@ -34,16 +110,114 @@ def open_session(path: Path, providers: Sequence[str], threads: int) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     options.log_severity_level = 3
+
+    def load(folder: Path) -> Any:
+        named = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
+        return _load(ort, path, options, named)
+
+    if ORT_TENSORRT not in providers:
+        return load(engine.folder)
+    key = EngineKey(
+        engine.model,
+        remembered_sha256(path),
+        f"onnxruntime {ort.__version__}",
+        tensorrt_version(),
+        compute_capability(device_id),
+        engine.precision,
+        repr(sorted(engine.shapes.items())),
+    )
+
+    def build(folder: Path) -> None:
+        with Building(engine.model, engine.progress):
+            load(folder)
+
+    folder, _ = obtain(key, engine.folder, build, engine.progress)
+    return load(folder)
+
+
+def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]]) -> Any:
     try:
-        session = ort.InferenceSession(str(path), options, providers=list(providers))
+        session = ort.InferenceSession(str(path), options, providers=providers)
     except Exception as error:  # onnxruntime raises many types of its own
         reason = str(error).splitlines()[0][:200]
         raise ModelError(f"{path}: onnxruntime cannot load it: {reason}") from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
-    if missing := [p for p in providers if p not in session.get_providers()]:
+    if missing := [p for p, _ in providers if p not in session.get_providers()]:
         raise ModelError(
             f"{path}: {', '.join(missing)} did not start; onnxruntime would run on "
             f"{', '.join(session.get_providers())} instead: check the driver, or change "
             "perception.detector.providers"
         )
     return session
+
+
+def provider_options(
+    provider: str, device_id: int, engine: EngineOptions, folder: Path
+) -> dict[str, str]:
+    """What onnxruntime's provider is told; empty for those that need nothing.
+
+    The TensorRT provider builds weakly typed networks: the flags allow the types that are in the
+    file. Q/DQ pairs in the file take the place of a calibration table.
+    https://onnxruntime.ai/docs/execution-providers/TensorRT-ExecutionProvider.html
+    """
+    if provider == "CUDAExecutionProvider":
+        return {"device_id": str(device_id)}
+    if provider != ORT_TENSORRT:
+        return {}
+    told = {
+        "device_id": str(device_id),
+        "trt_engine_cache_enable": "True",
+        "trt_engine_cache_path": str(folder),
+        "trt_timing_cache_enable": "True",
+        "trt_timing_cache_path": str(engine.folder),
+        "trt_fp16_enable": str(engine.precision in ("fp16", "int8-trt")),
+        "trt_int8_enable": str(engine.precision == "int8-trt"),
+    }
+    for index, end in enumerate(("min", "opt", "max")):
+        shapes = (f"{n}:{'x'.join(map(str, s[index]))}" for n, s in engine.shapes.items())
+        if text := ",".join(shapes):
+            told[f"trt_profile_{end}_shapes"] = text
+    return told
+
+
+def tensorrt_version() -> str:
+    """Of the TensorRT that onnxruntime will load, from Python's package or the library itself."""
+    if importlib.util.find_spec("tensorrt") is not None:
+        import tensorrt  # loads its libraries, where onnxruntime then finds them
+
+        return str(tensorrt.__version__)
+    for name in ("libnvinfer.so.10", "libnvinfer.so.11", "libnvinfer.so"):
+        try:
+            return str(ctypes.CDLL(name).getInferLibVersion())
+        except (OSError, AttributeError):
+            continue
+    raise ModelError(
+        "TensorRT's libnvinfer is not found: install TensorRT, or choose other "
+        "perception.detector.providers"
+    )
+
+
+def compute_capability(device_id: int) -> str:
+    """Of a GPU, such as `8.7`, from the driver itself (onnxruntime does not tell).
+
+    Raises:
+        ModelError: no driver or no such GPU.
+    """
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        raise ModelError(
+            "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
+        ) from None
+    device, value = ctypes.c_int(), ctypes.c_int()
+    failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
+    if failed:
+        raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
+    numbers = []
+    for attribute in _CAPABILITY:
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+        numbers.append(value.value)
+    return ".".join(map(str, numbers))
+
+
+_CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR in cuda.h

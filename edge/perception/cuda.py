@@ -1,0 +1,134 @@
+"""Memory on a CUDA device, by NVIDIA's `cuda-bindings`; imported only where a GPU is used."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edge.perception.model_file import ModelError
+
+
+def load() -> Any:
+    """The module `cuda.bindings.runtime`; ModelError where it is not installed."""
+    try:
+        from cuda.bindings import runtime
+    except ImportError:
+        raise ModelError(
+            "cuda-bindings is not installed: pip install edge-vln[tensorrt], or choose other "
+            "perception.detector.providers"
+        ) from None
+    return runtime
+
+
+class Device:
+    """One GPU with one stream; every call waits for what it asked the GPU to do.
+
+    Args:
+        index: `perception.detector.device_id`.
+
+    Raises:
+        ModelError: no driver, or no such GPU.
+    """
+
+    def __init__(self, index: int, cuda: Any = None) -> None:
+        self._cuda = cuda = load() if cuda is None else cuda
+        self.index = index
+        try:
+            (count,) = self._call("cudaGetDeviceCount")
+        except RuntimeError as error:
+            raise ModelError(
+                f"no CUDA device: {error}; check the driver, or choose other "
+                "perception.detector.providers"
+            ) from None
+        if index >= count:
+            raise ModelError(f"perception.detector.device_id: {index}, there are {count} GPUs here")
+        self.use()
+        self._pinned: weakref.WeakValueDictionary[int, np.ndarray] = weakref.WeakValueDictionary()
+        (self._stream,) = self._call("cudaStreamCreate")
+        _at_end(self, cuda.cudaStreamDestroy, self._stream)
+
+    @property
+    def sm(self) -> str:
+        """Compute capability, such as `8.7`."""
+        attributes = self._cuda.cudaDeviceAttr
+        (major,) = self._call(
+            "cudaDeviceGetAttribute", attributes.cudaDevAttrComputeCapabilityMajor, self.index
+        )
+        (minor,) = self._call(
+            "cudaDeviceGetAttribute", attributes.cudaDevAttrComputeCapabilityMinor, self.index
+        )
+        return f"{major}.{minor}"
+
+    @property
+    def stream(self) -> int:
+        """Handle of the stream."""
+        return int(self._stream)
+
+    def use(self) -> None:
+        """Make it the calling thread's device."""
+        self._call("cudaSetDevice", self.index)
+
+    def allocate(self, nbytes: int) -> DeviceBuffer:
+        """Memory on the device, freed with the object."""
+        (pointer,) = self._call("cudaMalloc", nbytes)
+        return DeviceBuffer(int(pointer), nbytes, self._cuda)
+
+    def pin(self, array: np.ndarray) -> None:
+        """Keep an array's pages in memory, so that copies need no detour.
+
+        It stays so for the life of the array. Where the system refuses, copies are slower.
+        """
+        address = array.ctypes.data
+        if address in self._pinned:
+            return
+        (error,) = self._cuda.cudaHostRegister(address, array.nbytes, 0)
+        if error != self._cuda.cudaError_t.cudaSuccess:
+            self._cuda.cudaGetLastError()  # or whoever asks next takes it for its own
+        else:
+            self._pinned[address] = array
+            _at_end(array, self._cuda.cudaHostUnregister, address)
+
+    def upload(self, buffer: DeviceBuffer, array: np.ndarray) -> None:
+        """Array (contiguous) → buffer, in the stream's order."""
+        kind = self._cuda.cudaMemcpyKind.cudaMemcpyHostToDevice
+        self._copy(buffer.pointer, array.ctypes.data, array.nbytes, kind)
+
+    def download(self, array: np.ndarray, buffer: DeviceBuffer) -> None:
+        """Buffer → array (contiguous), in the stream's order: `wait` before it is read."""
+        kind = self._cuda.cudaMemcpyKind.cudaMemcpyDeviceToHost
+        self._copy(array.ctypes.data, buffer.pointer, array.nbytes, kind)
+
+    def wait(self) -> None:
+        """Until everything that was asked for is done."""
+        self._call("cudaStreamSynchronize", self._stream)
+
+    def _copy(self, to: int, source: int, nbytes: int, kind: Any) -> None:
+        self._call("cudaMemcpyAsync", to, source, nbytes, kind, self._stream)
+
+    def _call(self, name: str, *arguments: object) -> tuple:
+        """What a CUDA function returns besides its error; that raises RuntimeError."""
+        error, *values = getattr(self._cuda, name)(*arguments)
+        if error != self._cuda.cudaError_t.cudaSuccess:
+            _, text = self._cuda.cudaGetErrorString(error)
+            raise RuntimeError(f"{name}: {text.decode()}")
+        return tuple(values)
+
+
+class DeviceBuffer:
+    """Bytes on a device.
+
+    Attributes:
+        pointer: where they begin.
+    """
+
+    def __init__(self, pointer: int, nbytes: int, cuda: Any) -> None:
+        self.pointer, self.nbytes = pointer, nbytes
+        _at_end(self, cuda.cudaFree, pointer)
+
+
+def _at_end(owner: object, free: Callable[[Any], object], what: Any) -> None:
+    """Free with the owner; at the end of the process the driver does it."""
+    weakref.finalize(owner, free, what).atexit = False

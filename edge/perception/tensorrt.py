@@ -1,0 +1,206 @@
+"""Engines of TensorRT itself: built from ONNX, kept, and run without onnxruntime.
+
+Written against TensorRT 10 (JetPack 6 and 7) and 11, whose networks are always strongly typed:
+the file's own types decide what is float32, float16 or int8, and a builder flag could only undo
+what was measured. TensorRT's Python package comes with JetPack, or from the package index on
+x86-64 (extra `tensorrt`).
+https://docs.nvidia.com/deeplearning/tensorrt/latest/_static/python-api/
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edge.perception.binding import Bound, Shapes
+from edge.perception.building import Building
+from edge.perception.cuda import Device
+from edge.perception.engine_cache import EngineKey, discard, obtain
+from edge.perception.model_file import ModelError, remembered_sha256
+from edge.perception.tensorrt_report import make_logger, make_monitor
+
+if TYPE_CHECKING:
+    from edge.perception.runtime import EngineOptions
+
+_PLAN = "model.engine"
+_WORKSPACE_BYTES = 1 << 30
+
+
+def load() -> Any:
+    """The module `tensorrt`; ModelError where it is not installed."""
+    try:
+        import tensorrt
+    except ImportError:
+        raise ModelError(
+            "TensorRT for Python is not installed: pip install edge-vln[tensorrt]; on a Jetson "
+            "take JetPack's, in an environment made with --system-site-packages"
+        ) from None
+    return tensorrt
+
+
+def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtSession:
+    """The engine of an ONNX file, from the cache or built now.
+
+    Raises:
+        ModelError: TensorRT, the GPU or the cache cannot be used, or TensorRT refuses the model.
+    """
+    trt, device = load(), Device(device_id)
+    key = EngineKey(
+        options.model,
+        remembered_sha256(path),
+        "tensorrt",
+        str(trt.__version__),
+        device.sm,
+        options.precision,
+        repr(sorted(options.shapes.items())),
+    )
+
+    def build(folder: Path) -> None:
+        with Building(options.model, options.progress) as building:
+            plan = build_plan(trt, path, options.shapes, building.note)
+        (folder / _PLAN).write_bytes(plan)
+
+    for _ in range(2):
+        folder, built = obtain(key, options.folder, build, options.progress)
+        logger = make_logger(trt)
+        runtime = trt.Runtime(logger)
+        engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
+        if engine is not None:
+            return TensorrtSession((logger, runtime), engine, device)
+        discard(folder)
+        if built:
+            break
+    raise ModelError(f"{path}: TensorRT cannot load the engine it built: {logger.last}")
+
+
+def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
+    """Build the engine of an ONNX file; minutes.
+
+    Args:
+        shapes: see `EngineOptions.shapes`.
+        note: told how far it is.
+
+    Returns:
+        The serialized engine, a buffer.
+
+    Raises:
+        ModelError: TensorRT refuses the model.
+    """
+    logger = make_logger(trt)
+    builder = trt.Builder(logger)
+    network = builder.create_network(1 << int(trt.NetworkDefinitionCreationFlag.STRONGLY_TYPED))
+    parser = trt.OnnxParser(network, logger)
+    if not parser.parse_from_file(str(path)):
+        faults = [parser.get_error(i).desc() for i in range(parser.num_errors)]
+        reason = " ".join((faults[0] if faults else logger.last).split())[:200]
+        raise ModelError(f"{path}: TensorRT cannot read it: {reason}")
+    config = builder.create_builder_config()
+    config.set_memory_pool_limit(trt.MemoryPoolType.WORKSPACE, _WORKSPACE_BYTES)
+    config.progress_monitor = make_monitor(trt, note)
+    if shapes:
+        profile = builder.create_optimization_profile()
+        for name, (least, usual, largest) in shapes.items():
+            profile.set_shape(name, least, usual, largest)
+        config.add_optimization_profile(profile)
+    plan = builder.build_serialized_network(network, config)
+    if plan is None:
+        raise ModelError(f"{path}: TensorRT cannot build an engine of it: {logger.last}")
+    return plan
+
+
+class TensorrtSession:
+    """An engine with the part of onnxruntime's interface that is used here.
+
+    Inputs and outputs are float32, as `edge.perception.interface` made sure of. Different threads
+    may bind and run.
+
+    Args:
+        runtime: what `engine` came from, kept as long.
+    """
+
+    def __init__(self, runtime: Any, engine: Any, device: Device) -> None:
+        self._kept = (runtime, engine)  # which must outlive the context
+        self.device = device
+        self._context = engine.create_execution_context()
+        if self._context is None:
+            raise ModelError("TensorRT: no room on the GPU for the engine's working memory")
+        self._lock = threading.Lock()
+
+    def get_providers(self) -> list[str]:
+        return ["tensorrt"]
+
+    def run(self, names: Sequence[str], feeds: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+        """The outputs named, for these inputs (float32, contiguous)."""
+        with self._lock:
+            for name, array in feeds.items():
+                self._set_shape(name, array.shape)
+            shapes = {name: tuple(self._context.get_tensor_shape(name)) for name in names}
+        return list(self.bind(feeds, shapes, live=()).run())
+
+    def bind(self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]) -> Bound:
+        """See `edge.perception.binding.bind`."""
+        return TensorrtBound(self, inputs, outputs, live)
+
+    def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
+        """Put one run on the stream; the caller holds `exclusive`."""
+        for name, shape in shapes.items():
+            self._set_shape(name, shape)
+        for name, address in addresses.items():
+            self._context.set_tensor_address(name, address)
+        if not self._context.execute_async_v3(self.device.stream):
+            raise RuntimeError("TensorRT could not run the engine; see the log for why")
+
+    def _set_shape(self, name: str, shape: Sequence[int]) -> None:
+        if not self._context.set_input_shape(name, tuple(shape)):
+            raise ValueError(
+                f"TensorRT: input {name} of shape {tuple(shape)} is outside of what the engine "
+                "was built for: name fewer prompts"
+            )
+
+    @property
+    def exclusive(self) -> threading.Lock:
+        """Held by whoever runs."""
+        return self._lock
+
+
+class TensorrtBound:
+    """Buffers on the device for one set of inputs; outputs come to pinned arrays."""
+
+    def __init__(
+        self,
+        session: TensorrtSession,
+        inputs: Mapping[str, np.ndarray],
+        outputs: Shapes,
+        live: Sequence[str],
+    ) -> None:
+        self._session = session
+        device = session.device
+        device.use()
+        self._shapes = {name: array.shape for name, array in inputs.items()}
+        self._results = {name: np.empty(shape, np.float32) for name, shape in outputs.items()}
+        both = {**inputs, **self._results}
+        self._buffers = {name: device.allocate(array.nbytes) for name, array in both.items()}
+        self._addresses = {name: buffer.pointer for name, buffer in self._buffers.items()}
+        self._live = [(self._buffers[name], inputs[name]) for name in live]
+        for array in (*(array for _, array in self._live), *self._results.values()):
+            device.pin(array)
+        for name, array in inputs.items():
+            device.upload(self._buffers[name], array)
+        device.wait()
+
+    def run(self) -> Sequence[np.ndarray]:
+        """See `Bound.run`."""
+        device = self._session.device
+        with self._session.exclusive:
+            device.use()
+            for buffer, array in self._live:
+                device.upload(buffer, array)
+            self._session.execute(self._shapes, self._addresses)
+            for name, array in self._results.items():
+                device.download(array, self._buffers[name])
+            device.wait()
+        return list(self._results.values())

@@ -1,0 +1,318 @@
+"""TensorRT engines: the cache on the real disk; TensorRT and CUDA as fakes (fake_gpu.py).
+
+What rests on a real GPU is in tests/integration/test_gpu_runtime.py.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import gc
+import json
+import logging
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_gpu import FakeCuda, FakeTensorrt
+from patience import PATIENCE_S, eventually
+
+from edge.perception import binding, cuda, engine_cache, tensorrt
+from edge.perception.building import Building
+from edge.perception.engine_cache import EngineKey, obtain
+from edge.perception.model_file import ModelError
+from edge.perception.runtime import EngineOptions, open_session
+from edge.perception.tensorrt_report import Phases
+
+KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "fp16", "()")
+
+
+class Builds:
+    """A build that counts."""
+
+    def __init__(self, content=b"engine"):
+        self.count, self.content = 0, content
+
+    def __call__(self, folder: Path) -> None:
+        self.count += 1
+        assert not list(folder.iterdir())
+        (folder / "model.engine").write_bytes(self.content)
+
+
+def quiet(health):
+    pass
+
+
+def test_an_engine_is_built_once(tmp_path):
+    build, cache = Builds(), tmp_path / "a" / "engines"
+    folder, built = obtain(KEY, cache, build, quiet)
+    assert built
+    assert (folder / "model.engine").read_bytes() == b"engine"
+    assert obtain(KEY, cache, build, quiet) == (folder, False)
+    assert build.count == 1
+    assert {p.name for p in cache.iterdir()} == {folder.name, f"{folder.name}.lock"}
+    assert json.loads((folder / "engine.json").read_text())["key"]["sm"] == "8.7"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sha256": "b" * 64},
+        {"tensorrt": "10.16.1"},
+        {"sm": "8.9"},
+        {"precision": "int8-trt"},
+        {"shapes": "(1,)"},
+        {"builder": "onnxruntime 1.30"},
+    ],
+)
+def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
+    build = Builds()
+    first, _ = obtain(KEY, tmp_path, build, quiet)
+    second, built = obtain(replace(KEY, **change), tmp_path, build, quiet)
+    assert built
+    assert first != second
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda folder: (folder / "model.engine").write_bytes(b"engin"),
+        lambda folder: (folder / "model.engine").unlink(),
+        lambda folder: (folder / "engine.json").write_bytes(b"{"),
+        lambda folder: (folder / "engine.json").write_text('{"files": []}'),
+        lambda folder: (folder / "engine.json").write_text('{"files": {}}'),
+        lambda folder: (folder / "engine.json").unlink(),
+    ],
+)
+def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
+    build = Builds()
+    folder, _ = obtain(KEY, tmp_path, build, quiet)
+    harm(folder)
+    with caplog.at_level(logging.WARNING):
+        assert obtain(KEY, tmp_path, build, quiet) == (folder, True)
+    assert len(caplog.records) == 1
+    assert "it is built again" in caplog.text
+    assert (folder / "model.engine").read_bytes() == b"engine"
+
+
+def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
+    def dies(folder):
+        (folder / "model.engine").write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        obtain(KEY, tmp_path, dies, quiet)
+    assert [p.name for p in tmp_path.iterdir()] == [f"{KEY.folder}.lock"]
+    killed = tmp_path / f".{KEY.folder}.killed"
+    killed.mkdir()
+    obtain(KEY, tmp_path, Builds(), quiet)
+    assert not killed.exists()
+
+
+def test_a_build_without_an_engine_and_a_full_disk_are_one_line(tmp_path):
+    with pytest.raises(ModelError, match="the build left no engine"):
+        obtain(KEY, tmp_path, lambda folder: None, quiet)
+
+    def fills_the_disk(folder):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(ModelError, match=r"cannot be kept \(No space left"):
+        obtain(KEY, tmp_path, fills_the_disk, quiet)
+
+
+def file_in_the_way(path):
+    path.write_text("")
+    return path
+
+
+def below_a_file(path):
+    path.write_text("")
+    return path / "engines"
+
+
+@pytest.mark.parametrize(
+    "place", [file_in_the_way, below_a_file, lambda path: Path("/proc/engines")]
+)
+def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
+    build = Builds()
+    with pytest.raises(ModelError, match=r"no place for engines .*engine_cache") as error:
+        obtain(KEY, place(tmp_path / "x"), build, quiet)
+    assert build.count == 0
+    assert "\n" not in str(error.value)
+
+
+def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 5 << 20})
+    monkeypatch.setattr(engine_cache.shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(ModelError, match="5 MB free"):
+        obtain(KEY, tmp_path, Builds(), quiet)
+
+
+def test_two_at_once_build_one_engine(tmp_path):
+    told, build, results = [], Builds(), []
+    with (tmp_path / f"{KEY.folder}.lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # as the other process does that builds
+        waits = threading.Thread(
+            target=lambda: results.append(obtain(KEY, tmp_path, build, told.append))
+        )
+        waits.start()
+        eventually(lambda: told, "it did not say that it waits")
+        assert "another process builds it" in told[0].detail
+        assert not results
+        made = tmp_path / KEY.folder
+        made.mkdir()
+        (made / "model.engine").write_bytes(b"engine")
+        engine_cache._seal(made, KEY)
+    waits.join(PATIENCE_S)
+    assert results == [(made, False)]
+    assert build.count == 0
+
+
+def test_a_build_is_told_of_while_it_goes_on():
+    told = []
+    with Building("tiny", told.append, every_s=0.001) as building:
+        eventually(lambda: told)
+        building.note("45% of building engine")
+        eventually(lambda: "45%" in told[-1].detail)
+    assert told[0].state == "building engine"
+    assert told[0].detail.startswith("tiny: 0 s, ")
+    over = len(told)
+    assert not [thread for thread in threading.enumerate() if thread.name == "building"]
+    assert len(told) == over
+
+
+def test_how_far_nested_phases_are():
+    phases = Phases()
+    assert phases.line() == ""
+    phases.start("Building Engine", None, 4)
+    assert phases.line() == "0% of building engine"
+    phases.step("Building Engine", 0)
+    phases.start("Timing", "Building Engine", 2)
+    phases.step("Timing", 0)
+    assert phases.line() == "38% of building engine"
+    phases.step("No Such", 3)
+    phases.finish("Timing")
+    assert phases.line() == "25% of building engine"
+    phases.finish("Building Engine")
+    assert phases.line() == ""
+
+
+@pytest.fixture
+def gpu(monkeypatch):
+    """A fake TensorRT on a fake GPU; what `import` would give."""
+    fake = FakeTensorrt(FakeCuda())
+    monkeypatch.setitem(sys.modules, "tensorrt", fake)
+    monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    return fake
+
+
+@pytest.fixture
+def open_tiny(tmp_path):
+    """open(**options): a session of TensorRT for a model of any number of prompts up to 4."""
+    path = tmp_path / "tiny.onnx"
+    path.write_bytes(b"model")
+
+    def open_it(progress=quiet, device_id=0):
+        shapes = {"txt_feats": ((1, 1, 2), (1, 2, 2), (1, 4, 2))}
+        options = EngineOptions("tiny", "fp16", shapes, tmp_path / "engines", progress)
+        return open_session(path, ["tensorrt"], 1, device_id, options)
+
+    return open_it
+
+
+def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(gpu, open_tiny):
+    told = []
+    open_tiny(told.append)
+    assert gpu.flags == [1 << gpu.NetworkDefinitionCreationFlag.STRONGLY_TYPED]
+    assert gpu.built == [{"txt_feats": ((1, 1, 2), (1, 2, 2), (1, 4, 2))}]
+    assert told[0].state == "building engine"
+    assert open_tiny().get_providers() == ["tensorrt"]
+    assert len(gpu.built) == 1
+    gpu.__version__ = "10.16.1"
+    open_tiny()
+    assert len(gpu.built) == 2
+
+
+def test_tensorrts_results_come_from_what_is_live_and_what_is_not(gpu, open_tiny):
+    session = open_tiny()
+    images, text = np.arange(3, dtype=np.float32)[None], np.ones((1, 2, 2), np.float32)
+    inputs = {"images": images, "txt_feats": text}
+    np.testing.assert_array_equal(session.run(["boxes"], inputs)[0], [[4, 5, 6]])
+    bound = binding.bind(session, inputs, {"boxes": (1, 3)}, live=("images",))
+    images += 10
+    text[:] = 5  # not live: what it was when it was bound
+    np.testing.assert_array_equal(bound.run()[0], [[14, 15, 16]])
+    other = binding.bind(session, inputs, {"boxes": (1, 3)}, live=("images",))
+    np.testing.assert_array_equal(other.run()[0], [[30, 31, 32]])
+    np.testing.assert_array_equal(bound.run()[0], [[14, 15, 16]])
+
+
+def test_what_was_allocated_on_the_gpu_is_freed(gpu, open_tiny):
+    session = open_tiny()
+    inputs = {"images": np.zeros((1, 3), np.float32), "txt_feats": np.zeros((1, 1, 2), np.float32)}
+    for _ in range(3):
+        bound = binding.bind(session, inputs, {"boxes": (1, 3)}, live=("images",))
+        bound.run()
+    gc.collect()
+    assert len(gpu.cuda.memory) == 3
+    del bound, session, inputs
+    gc.collect()
+    assert not gpu.cuda.memory
+    assert gpu.cuda.calls.count("cudaHostRegister") == gpu.cuda.calls.count("cudaHostUnregister")
+
+
+def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
+    inputs = {"images": np.zeros((1, 3), np.float32), "txt_feats": np.zeros((1, 5, 2), np.float32)}
+    with pytest.raises(ValueError, match="fewer prompts"):
+        open_tiny().run(["boxes"], inputs)
+
+
+def test_an_engine_that_does_not_load_is_built_again_once(gpu, open_tiny):
+    open_tiny()
+    gpu.unreadable = 1
+    open_tiny()
+    assert len(gpu.built) == 2
+    gpu.unreadable = 9
+    with pytest.raises(ModelError, match=r"cannot load the engine it built: version mismatch"):
+        open_tiny()
+    assert len(gpu.built) == 3
+
+
+def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
+    gpu.refuses = True
+    with pytest.raises(ModelError, match="cannot build an engine of it: no kernel for that"):
+        open_tiny()
+    gpu.faults = ["no importer registered\nfor op: Strange"]
+    with pytest.raises(ModelError, match="cannot read it: no importer registered for op") as error:
+        open_tiny()
+    assert "\n" not in str(error.value)
+
+
+def test_no_gpu_is_one_line(gpu, open_tiny):
+    with pytest.raises(ModelError, match="device_id: 1, there are 1 GPUs"):
+        open_tiny(device_id=1)
+    gpu.cuda.failing = {"cudaGetDeviceCount"}
+    with pytest.raises(ModelError, match=r"no CUDA device: .*no CUDA-capable device"):
+        open_tiny()
+    assert not gpu.built
+
+
+def test_memory_that_cannot_be_pinned_is_only_slower(gpu, open_tiny):
+    gpu.cuda.failing = {"cudaHostRegister"}
+    inputs = {"images": np.ones((1, 3), np.float32), "txt_feats": np.zeros((1, 1, 2), np.float32)}
+    bound = binding.bind(open_tiny(), inputs, {"boxes": (1, 3)}, live=("images",))
+    np.testing.assert_array_equal(bound.run()[0], [[1, 1, 1]])
+    gpu.cuda.failing = {"cudaMemcpyAsync"}
+    with pytest.raises(RuntimeError, match="cudaMemcpyAsync: no CUDA-capable device"):
+        bound.run()
+
+
+def test_packages_that_are_missing_are_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorrt", None)
+    with pytest.raises(ModelError, match=r"pip install edge-vln\[tensorrt\]"):
+        tensorrt.load()
+    monkeypatch.setitem(sys.modules, "cuda.bindings", None)
+    with pytest.raises(ModelError, match=r"cuda-bindings .*edge-vln\[tensorrt\]"):
+        cuda.load()

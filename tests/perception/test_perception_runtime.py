@@ -1,0 +1,265 @@
+"""Which provider runs a model, what it is told, and how buffers are bound.
+
+No GPU is needed: onnxruntime runs here on the CPU. `DeviceBound` is run for real on onnxruntime's
+own values with the device `cpu`; that CUDA's are used in the same way, and only then, is tested
+with a session and a module that are fakes and named so. The real GPU: tests/integration/
+test_gpu_runtime.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge.perception import binding, runtime
+from edge.perception.model_file import ModelError
+from edge.perception.runtime import ORT_TENSORRT, EngineOptions, open_session, provider_options
+
+ort = pytest.importorskip("onnxruntime")
+
+SHAPES = {"txt_feats": ((1, 1, 512), (1, 16, 512), (1, 256, 512))}
+CPU = "CPUExecutionProvider"
+
+
+def engine(precision="fp32", **more):
+    return EngineOptions("tiny", precision, SHAPES, **more)
+
+
+@pytest.fixture
+def doubles(tmp_path):
+    """A session whose `twice` is `fresh` + `fixed`, (1, 4)."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import TensorProto, helper
+
+    fresh, fixed, twice = (
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4])
+        for name in ("fresh", "fixed", "twice")
+    )
+    node = helper.make_node("Add", ["fresh", "fixed"], ["twice"])
+    graph = helper.make_graph([node], "doubles", [fresh, fixed], [twice])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path = tmp_path / "doubles.onnx"
+    onnx.save(model, path)
+    return open_session(path, [CPU], threads=1)
+
+
+@pytest.mark.parametrize(
+    ("providers", "precision", "says"),
+    [
+        ((), "fp32", "providers: empty"),
+        (("NoSuchProvider",), "fp32", r"'NoSuchProvider' is not available here .*CPUExecution"),
+        (("tensorrt", CPU), "fp32", "'tensorrt' stands alone"),
+        (("tensorrt",), "int8-cpu", "int8-trt"),
+        ((ORT_TENSORRT, CPU), "int8-cpu", "int8-trt"),
+    ],
+)
+def test_providers_that_cannot_be(tmp_path, providers, precision, says):
+    with pytest.raises(ModelError, match=says) as error:
+        open_session(tmp_path / "tiny.onnx", providers, 1, engine=engine(precision))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"not onnx", b"\x08\x07" * 50])
+def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
+    (tmp_path / "tiny.onnx").write_bytes(content)
+    with pytest.raises(ModelError, match="onnxruntime cannot load it") as error:
+        open_session(tmp_path / "tiny.onnx", [CPU], 1)
+    assert "\n" not in str(error.value)
+
+
+def test_providers_without_options_are_told_nothing():
+    assert provider_options(CPU, 1, engine(), Path("/e/key")) == {}
+    assert provider_options("CUDAExecutionProvider", 1, engine(), Path("/e/key")) == {
+        "device_id": "1"
+    }
+
+
+@pytest.mark.parametrize(
+    ("precision", "fp16", "int8"),
+    [("fp32", "False", "False"), ("fp16", "True", "False"), ("int8-trt", "True", "True")],
+)
+def test_what_onnxruntimes_tensorrt_is_told(precision, fp16, int8):
+    told = provider_options(ORT_TENSORRT, 2, engine(precision, cache=Path("/e")), Path("/e/key"))
+    assert told == {
+        "device_id": "2",
+        "trt_engine_cache_enable": "True",
+        "trt_engine_cache_path": "/e/key",
+        "trt_timing_cache_enable": "True",
+        "trt_timing_cache_path": "/e",
+        "trt_fp16_enable": fp16,
+        "trt_int8_enable": int8,
+        "trt_profile_min_shapes": "txt_feats:1x1x512",
+        "trt_profile_opt_shapes": "txt_feats:1x16x512",
+        "trt_profile_max_shapes": "txt_feats:1x256x512",
+    }
+
+
+def test_a_model_of_fixed_shapes_has_no_profile():
+    told = provider_options(ORT_TENSORRT, 0, EngineOptions("tiny", "fp32"), Path("/e"))
+    assert not [name for name in told if "profile" in name]
+
+
+class FakeOrt:
+    """Fake of the module onnxruntime: its TensorRT provider leaves a file for an engine."""
+
+    __version__ = "1.30"
+
+    def __init__(self):
+        self.sessions = []
+
+    def get_available_providers(self):
+        return [ORT_TENSORRT, CPU]
+
+    class SessionOptions:
+        def add_session_config_entry(self, *_):
+            pass
+
+    def InferenceSession(self, path, options, providers):
+        told = dict(providers)[ORT_TENSORRT]
+        folder = Path(told["trt_engine_cache_path"])
+        self.sessions.append((folder, sorted(p.name for p in folder.iterdir())))
+        (folder / "kernel_sm87.engine").write_bytes(b"engine")
+        return SimpleNamespace(get_providers=lambda: [ORT_TENSORRT, CPU])
+
+
+@pytest.fixture
+def fake_ort(monkeypatch):
+    """A fake onnxruntime on a machine that seems to have TensorRT and a GPU."""
+    fake = FakeOrt()
+    monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
+    monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
+    monkeypatch.setattr(runtime, "compute_capability", lambda device_id: "8.7")
+    return fake
+
+
+def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path):
+    (tmp_path / "tiny.onnx").write_bytes(b"model")
+    told = []
+    options = engine("fp16", cache=tmp_path / "engines", progress=told.append)
+    open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
+    (building, empty), (folder, kept) = fake_ort.sessions
+    assert empty == []
+    assert building != folder, "it gets its place only when it is whole"
+    assert not building.exists()
+    assert kept == ["engine.json", "kernel_sm87.engine"]
+    assert [health.state for health in told] == ["building engine"]
+    open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
+    assert fake_ort.sessions[2:] == [(folder, kept)]
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("providers", [(ORT_TENSORRT,), ("tensorrt",)])
+def test_tensorrt_that_is_not_there_is_one_line(tmp_path, monkeypatch, providers):
+    (tmp_path / "tiny.onnx").write_bytes(b"model")
+    monkeypatch.setattr(ort, "get_available_providers", lambda: [ORT_TENSORRT, CPU])
+    monkeypatch.setitem(__import__("sys").modules, "tensorrt", None)
+    monkeypatch.setattr(runtime.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
+    with pytest.raises(ModelError, match=r"TensorRT.*(not found|not installed)") as error:
+        open_session(tmp_path / "tiny.onnx", providers, 1, engine=engine(cache=tmp_path))
+    assert "\n" not in str(error.value)
+
+
+def test_no_driver_and_no_gpu_are_one_line(monkeypatch):
+    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
+    with pytest.raises(ModelError, match="no CUDA driver"):
+        runtime.compute_capability(0)
+    broken = SimpleNamespace(cuInit=lambda flags: 100)
+    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: broken)
+    with pytest.raises(ModelError, match="no GPU 3"):
+        runtime.compute_capability(3)
+
+
+def feeds():
+    return {
+        "fresh": np.array([[1, 2, 3, 4]], np.float32),
+        "fixed": np.array([[10, 20, 30, 40]], np.float32),
+    }
+
+
+def make_host(session, arrays, outputs):
+    return binding.bind(session, arrays, outputs, live=("fresh",))
+
+
+def make_device(session, arrays, outputs):
+    return binding.DeviceBound(session, arrays, outputs, ("fresh",), "cpu", 0)
+
+
+@pytest.mark.parametrize("make", [make_host, make_device])
+def test_what_is_live_is_read_before_every_run(doubles, make):
+    arrays = feeds()
+    bound = make(doubles, arrays, {"twice": (1, 4)})
+    np.testing.assert_array_equal(bound.run()[0], [[11, 22, 33, 44]])
+    arrays["fresh"][:] = -1
+    np.testing.assert_array_equal(bound.run()[0], [[9, 19, 29, 39]])
+
+
+def test_on_the_cpu_nothing_is_copied_or_allocated(doubles):
+    arrays = feeds()
+    bound = make_host(doubles, arrays, {"twice": (1, 4)})
+    first = bound.run()[0]
+    arrays["fixed"][:] = 0  # read in place, too
+    assert bound.run()[0] is first
+    np.testing.assert_array_equal(first, arrays["fresh"])
+
+
+class FakeValue:
+    """Fake of onnxruntime.OrtValue on a device: a copy that counts its transfers."""
+
+    def __init__(self, array, device, index):
+        self.array, self.where, self.uploads = array.copy(), (device, index), 1
+
+    ortvalue_from_numpy = staticmethod(lambda a, device, index: FakeValue(a, device, index))
+
+    @staticmethod
+    def ortvalue_from_shape_and_type(shape, dtype, device, index):
+        return FakeValue(np.zeros(shape, dtype), device, index)
+
+    def update_inplace(self, array):
+        self.uploads += 1
+        self.array[:] = array
+
+    def numpy(self):
+        return self.array.copy()
+
+
+class FakeCudaSession:
+    """Fake of a session on CUDA that adds its two inputs."""
+
+    def __init__(self, provider="CUDAExecutionProvider"):
+        self.provider, self.bound = provider, {}
+
+    def get_providers(self):
+        return [self.provider, CPU]
+
+    def get_provider_options(self):
+        return {self.provider: {"device_id": "1"}, CPU: {}}
+
+    def io_binding(self):
+        keep = self.bound.__setitem__
+        nothing = lambda: None  # noqa: E731
+        return SimpleNamespace(
+            bind_ortvalue_input=keep,
+            bind_ortvalue_output=keep,
+            synchronize_inputs=nothing,
+            synchronize_outputs=nothing,
+        )
+
+    def run_with_iobinding(self, bound):
+        self.bound["twice"].array[:] = self.bound["fresh"].array + self.bound["fixed"].array
+
+
+@pytest.mark.parametrize("provider", ["CUDAExecutionProvider", ORT_TENSORRT])
+def test_on_cuda_only_what_is_live_is_uploaded_again(monkeypatch, provider):
+    monkeypatch.setattr(ort, "OrtValue", FakeValue)
+    session, arrays = FakeCudaSession(provider), feeds()
+    bound = binding.bind(session, arrays, {"twice": (1, 4)}, live=("fresh",))
+    for _ in range(3):
+        arrays["fresh"] += 1
+        np.testing.assert_array_equal(bound.run()[0], arrays["fresh"] + arrays["fixed"])
+    assert {value.where for value in session.bound.values()} == {("cuda", 1)}
+    assert session.bound["fixed"].uploads == 1
+    assert session.bound["fresh"].uploads == 4
