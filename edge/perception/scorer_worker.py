@@ -14,7 +14,7 @@ from edge.types import Observation
 log = logging.getLogger(__name__)
 
 PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
-MAX_SKIPS = 64
+MAX_DOUBLINGS = 6
 LONGEST_ERROR = 500
 
 
@@ -157,7 +157,8 @@ class ScorerWorker(Generic[Q, A]):
             return question
 
     def _pause(self) -> float:
-        return min(self._pause_s * 2.0 ** (self.stats.in_a_row - 1), MAX_PAUSE_S)
+        doubled = min(self.stats.in_a_row - 1, MAX_DOUBLINGS)
+        return min(self._pause_s * 2.0**doubled, MAX_PAUSE_S)
 
 
 class InlineScorer(Generic[Q, A]):
@@ -192,7 +193,7 @@ class InlineScorer(Generic[Q, A]):
         if _count(self.stats, outcome, perf_counter_ns() - begin_ns, self._kind, self.name):
             self._result = outcome
         else:
-            self._skips = min(2**self.stats.in_a_row, MAX_SKIPS)
+            self._skips = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
         return True
 
     def poll(self) -> A | None:

@@ -1,0 +1,416 @@
+"""Letters on images, and what a chat server makes of them (ViTL eq. 4 to 6)."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import logging
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from chat_server import likeliest, send, serving
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from patience import PATIENCE_S
+
+from edge.chat import ChatError
+from edge.config import ChoiceOpenai, ChoiceText
+from edge.perception.choice import scorer
+from edge.perception.choice.letters import MISSING_NATS, NoAnswerError, probabilities
+from edge.perception.choice.marks import visible_marks
+from edge.perception.choice.picture import data_url, draw, place
+from edge.perception.choice.question import (
+    LETTERS,
+    MAX_MARKS,
+    Choice,
+    Mark,
+    Sighting,
+    View,
+    direction_question,
+    scene_question,
+)
+from edge.perception.choice.scorer import make_choice
+from edge.perception.choice.words import describe
+
+LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)
+FLOOR = 0.25 * math.exp(-MISSING_NATS)
+
+
+# -- letters ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("tokens", "answers", "expected"),
+    [
+        ({"A": -3.0}, "A", [1.0]),
+        ({"A": LOG_HALF, "B": LOG_QUARTER}, "AB", [2 / 3, 1 / 3]),
+        ({"A": LOG_HALF, "the": -1.0, "B": LOG_QUARTER}, "AB", [2 / 3, 1 / 3]),
+        ({"B": LOG_HALF, " B": LOG_QUARTER, "▁A": LOG_QUARTER}, "AB", [0.25, 0.75]),
+        ({"Ġ(B": LOG_HALF, "**A": LOG_QUARTER, "\nB": LOG_QUARTER}, "AB", [0.25, 0.75]),
+        ({"A": LOG_HALF, "a": -0.1, "B": LOG_HALF}, "AB", [0.5, 0.5]),  # an article, no answer
+        ({"A": LOG_HALF, "AB": -0.1, "B": LOG_HALF}, "AB", [0.5, 0.5]),
+        ({"A": LOG_HALF, "I": -0.1, "B": LOG_HALF}, "AB", [0.5, 0.5]),
+        ({"A": LOG_QUARTER}, "AB", [0.25 / (0.25 + FLOOR), FLOOR / (0.25 + FLOOR)]),
+        ({"A": LOG_HALF, "x": LOG_QUARTER}, "AB", [0.5 / (0.5 + FLOOR), FLOOR / (0.5 + FLOOR)]),
+        ({"yes": LOG_HALF, "NO": LOG_HALF, "Yes": LOG_QUARTER}, ["Yes", "No"], [0.6, 0.4]),
+        ({"A": -1e4, "B": -1e4 + LOG_HALF}, "AB", [2 / 3, 1 / 3]),
+    ],
+)
+def test_softmax_is_over_exactly_the_answers(tokens, answers, expected):
+    p = probabilities(list(tokens.items()), answers)
+    assert p.dtype == np.float32
+    np.testing.assert_allclose(p, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("tokens", [{"The": -0.5, "To": -1.0}, {"<think>": -0.0}, {"a": -0.1}])
+def test_a_model_that_says_something_else_is_named(tokens):
+    with pytest.raises(NoAnswerError, match=r"begins its answer with '.*, not with A, B"):
+        probabilities(list(tokens.items()), "AB")
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["A", " A", "B", "C", "The", "_D", ""]), st.floats(-30, 0)),
+        min_size=1,
+        max_size=20,
+    )
+)
+def test_probabilities_sum_to_one_and_do_not_depend_on_order_or_scale(tokens):
+    if not any(token.strip() in "ABC" and token.strip() for token, _ in tokens):
+        return
+    p = probabilities(tokens, "ABC")
+    assert p.sum() == pytest.approx(1.0, abs=1e-5)
+    assert (p >= 0).all()
+    np.testing.assert_allclose(p, probabilities(tokens[::-1], "ABC"), rtol=1e-4)
+    shifted = [(token, logit - 7.5) for token, logit in tokens]
+    np.testing.assert_allclose(p, probabilities(shifted, "ABC"), rtol=1e-3, atol=1e-7)
+    told = {token.strip() for token, _ in tokens}
+    known = [chance for letter, chance in zip("ABC", p, strict=True) if letter in told]
+    for letter, chance in zip("ABC", p, strict=True):
+        assert letter in told or chance <= min(known)
+
+
+# -- marks ------------------------------------------------------------------------------------
+
+
+def marks_of(observation, *xy_m, **kw):
+    points = np.array(xy_m, np.float32).reshape(-1, 2)
+    return visible_marks(observation, points, np.arange(10, 10 + len(points)), **kw)
+
+
+def test_no_frontiers_or_no_camera_no_marks(make_observation):
+    assert marks_of(make_observation()) == ()
+    seen = make_observation()
+    object.__setattr__(seen, "camera", None)
+    assert marks_of(seen, (3.0, 0.0)) == ()
+
+
+def test_frontiers_are_projected_onto_the_floor(make_observation):
+    """The camera is 0.6 m up, looks along x, and has square pixels of equal focal length."""
+    seen = make_observation(x_m=1.0, hw=(64, 80))
+    (mark,) = marks_of(seen, (4.0, 0.0))
+    focal = seen.camera.fx_px
+    assert mark.id == 10
+    assert mark.u_px == pytest.approx(39.5, abs=1e-4)
+    assert mark.v_px == pytest.approx(31.5 + focal * 0.6 / 3.0, abs=1e-3)
+    assert (mark.bearing_rad, mark.distance_m) == pytest.approx((0.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    "xy_m",
+    [(-3.0, 0.0), (0.05, 0.0), (0.9, 0.0), (2.0, 3.0), (2.0, -3.0), (0.0, 2.0)],
+    ids=["behind", "under the camera", "below the image", "left", "right", "abeam"],
+)
+def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
+    assert marks_of(make_observation(), xy_m) == ()
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "seen"),
+    [
+        (np.nan, True),
+        (0.0, True),
+        (1.0, False),
+        (2.2, False),
+        (2.5, True),
+        (3.0, True),
+        (9.0, True),
+    ],
+)
+def test_what_stands_before_a_frontier_hides_it(make_observation, depth_m, seen):
+    depth = np.full((64, 80), depth_m, np.float32)
+    assert bool(marks_of(make_observation(depth_m=depth), (3.0, 0.0))) == seen
+
+
+def test_letters_go_from_left_to_right_to_the_nearest(make_observation):
+    ring = [(4.0 + 0.1 * i, y) for i, y in enumerate(np.linspace(-1.5, 1.5, 12))]
+    marks = marks_of(make_observation(), (2.5, 0.0), *ring)
+    assert len(marks) == MAX_MARKS
+    assert [m.u_px for m in marks] == sorted(m.u_px for m in marks)
+    assert max(m.distance_m for m in marks) < 4.9
+    assert 10 in {m.id for m in marks}
+    assert marks_of(make_observation(), *ring, limit=1)[0].distance_m == pytest.approx(
+        4.27, abs=0.1
+    )
+
+
+# -- pictures ---------------------------------------------------------------------------------
+
+
+def mark(u_px, v_px, id=0):
+    return Mark(id, u_px, v_px, 0.0, 1.0)
+
+
+def test_an_image_without_marks_is_a_copy():
+    rgb = np.full((256, 320, 3), 90, np.uint8)
+    image, marks = draw(rgb, (), 640)
+    assert marks == ()
+    assert (image == 90).all()
+    assert not np.shares_memory(image, rgb)
+
+
+@pytest.mark.parametrize(
+    ("hw", "max_px", "size"),
+    [
+        ((256, 320), 640, (256, 320)),
+        ((64, 80), 640, (256, 320)),  # enlarged, or letters would hide everything
+        ((960, 1280), 640, (480, 640)),
+        ((1000, 10), 100, (100, 1)),
+        ((64, 80), 64, (51, 64)),
+    ],
+)
+def test_letters_are_drawn_on_a_copy_of_bounded_size(hw, max_px, size):
+    rgb = np.full((*hw, 3), 90, np.uint8)
+    image, marks = draw(rgb, [mark(hw[1] / 2, hw[0] / 2)], max_px)
+    assert image.shape == (*size, 3)
+    assert (rgb == 90).all()
+    assert len(marks) == (min(size) > 14)
+    if marks:
+        disc = image[size[0] // 2 - 5 : size[0] // 2 + 6, size[1] // 2 - 5 : size[1] // 2 + 6]
+        assert (disc == 255).any()
+        assert (disc < 60).any()
+
+
+def test_two_letters_at_one_spot_can_both_be_read():
+    rgb = np.full((256, 320, 3), 90, np.uint8)
+    image, marks = draw(rgb, [mark(160, 128, 1), mark(160, 128, 2)], 640)
+    assert [m.id for m in marks] == [1, 2]
+    one, _ = draw(rgb, [mark(160, 128, 1)], 640)
+    assert np.count_nonzero(image == 255) > 1.8 * np.count_nonzero(one == 255)
+
+
+def test_marks_beyond_the_letters_and_without_room_are_left_out():
+    _, marks = draw(np.zeros((256, 320, 3), np.uint8), [mark(i, i) for i in range(20)], 640)
+    assert len(marks) == MAX_MARKS == len(LETTERS) - 1
+    _, marks = draw(np.zeros((20, 20, 3), np.uint8), [mark(10, 10, i) for i in range(3)], 20)
+    assert [m.id for m in marks] == [0]
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500)), max_size=MAX_MARKS),
+    st.integers(40, 640),
+    st.integers(40, 480),
+    st.integers(7, 20),
+)
+def test_no_letter_lies_over_another_or_outside(spots, width, height, radius):
+    places = place(spots, (width, height), radius)
+    assert len(places) == len(spots)
+    found = [at for at in places if at is not None]
+    for at, other in itertools.combinations(found, 2):
+        assert math.dist(at, other) >= 2 * radius + 1
+    for u, v in found:
+        assert radius <= u <= width - 1 - radius
+        assert radius <= v <= height - 1 - radius
+
+
+def test_a_spot_that_is_free_is_taken_as_it_is():
+    spots = [(100.0, 100.0), (200.0, 100.0)]
+    assert place(spots, (320, 256), 11) == spots
+
+
+def test_the_data_url_holds_the_image_in_its_colours():
+    rgb = np.zeros((32, 48, 3), np.uint8)
+    rgb[..., 0] = 250
+    kind, data = data_url(rgb).split(",")
+    assert kind == "data:image/jpeg;base64"
+    bgr = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+    assert bgr.shape == rgb.shape
+    np.testing.assert_allclose(bgr[..., ::-1].mean(axis=(0, 1)), [250, 0, 0], atol=4)
+
+
+# -- questions --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("n", "letters"),
+    [(1, "(A), or explore elsewhere (B)"), (3, "(A, B, C), or explore elsewhere (D)"),
+     (8, "(A, B, C, D, E, F, G, H), or explore elsewhere (J)")],
+)  # fmt: skip
+def test_the_questions_are_the_papers(n, letters):
+    assert direction_question(n, "red chair") == (
+        f"Among directions {letters}, which should I choose to find a red chair? "
+        "Answer with ONLY a single letter."
+    )
+    assert scene_question("bed") == (
+        "Does this view show paths or doorways that could lead to a bed? Answer Yes or No."
+    )
+
+
+def view(make_observation, **arrays):
+    marks = (Mark(7, 20.0, 40.0, 0.5, 2.04), Mark(9, 60.0, 40.0, -0.1, 4.0))
+    seen = (Sighting("bed", 0.21, 1.0), Sighting("tv", -0.3, 3.25))
+    return View(make_observation(seq=3, **arrays), "lamp", marks, seen, round=5)
+
+
+def test_a_view_in_words(make_observation):
+    shown = view(make_observation)
+    assert describe(shown) == (
+        "The robot sees:\n- bed, left, 1.0 m\n- tv, right, 3.2 m\n"
+        "It can go on in these directions:\n- A: left, 2.0 m\n- B: ahead, 4.0 m"
+    )
+    empty = View(shown.observation, "lamp", shown.marks)
+    assert describe(empty).startswith("The robot sees:\n- nothing that it knows\nIt can")
+
+
+def test_the_value_of_a_frontier_is_scene_times_direction():
+    choice = Choice(0, "bed", (1, 2), np.array([0.5, 0.25], np.float32), 0.25, 0.4)
+    np.testing.assert_allclose(choice.value, [0.2, 0.1])
+
+
+# -- servers ----------------------------------------------------------------------------------
+
+DIRECTIONS = {"A": LOG_HALF, "B": LOG_QUARTER, "C": LOG_QUARTER, "The": -9.0}
+SCENE = {"Yes": LOG_QUARTER, "No": LOG_HALF, " yes": LOG_QUARTER}
+
+
+def scorer_of(server, kind="openai", **settings):
+    make = ChoiceOpenai if kind == "openai" else ChoiceText
+    return make_choice(make(url=server.url, model="vlm", **settings))
+
+
+def put_to(asks, question):
+    return asks.answer(asks.look(question))
+
+
+def model(direction=DIRECTIONS, scene=SCENE):
+    """A server that answers the two questions in turn."""
+    answers = itertools.cycle([direction, scene])
+    return lambda handler: send(handler, likeliest(next(answers)))
+
+
+@pytest.mark.parametrize("kind", ["openai", "text"])
+def test_both_questions_make_a_choice(make_observation, kind):
+    rgb = np.full((64, 80, 3), 90, np.uint8)
+    with serving(model()) as server:
+        asks = scorer_of(server, kind)
+        choice = put_to(asks, view(make_observation, rgb=rgb))
+    assert asks.name == f"vlm at {server.url}"
+    assert (choice.stamp_ns, choice.target, choice.round) == (300_000_000, "lamp", 5)
+    assert choice.ids == (7, 9)
+    np.testing.assert_allclose(choice.p, [0.5, 0.25], rtol=1e-5)
+    assert choice.elsewhere == pytest.approx(0.25)
+    assert choice.scene == pytest.approx(0.5)
+    np.testing.assert_allclose(choice.value, [0.25, 0.125], rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["openai", "text"])
+def test_the_questions_share_all_that_comes_before_them(make_observation, kind):
+    """So that a server with a prefix cache reads the image once."""
+    with serving(model()) as server:
+        question = view(make_observation, rgb=np.zeros((64, 80, 3), np.uint8))
+        put_to(scorer_of(server, kind), question)
+    first, second = (json.dumps(request["messages"]) for _, _, request in server.requests)
+    at = first.index(direction_question(2, "lamp"))
+    assert first[:at] == second[:at]
+    assert second[at:].startswith(scene_question("lamp"))
+    assert at > 200
+    for _, _, request in server.requests:
+        assert (request["max_tokens"], request["logprobs"]) == (1, True)
+
+
+def test_the_image_is_sent_with_its_letters_and_no_image_is_an_error(make_observation):
+    rgb = np.full((64, 80, 3), 90, np.uint8)
+    with serving(model()) as server:
+        asks = scorer_of(server, max_image_px=160)
+        put_to(asks, view(make_observation, rgb=rgb))
+        with pytest.raises(ValueError, match="observation 3: no image"):
+            asks.look(view(make_observation))
+    image, text = server.requests[0][2]["messages"][1]["content"]
+    assert image["type"] == "image_url"
+    data = base64.b64decode(image["image_url"]["url"].split(",")[1])
+    sent = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert sent.shape == (128, 160, 3)
+    assert (sent > 240).any()
+    assert text == {"type": "text", "text": direction_question(2, "lamp")}
+
+
+def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
+    with serving(model()) as server:
+        question = view(make_observation, rgb=np.zeros((4, 80, 3), np.uint8))
+        assert put_to(scorer_of(server, max_image_px=80), question) is None
+    assert server.requests == []
+
+
+@pytest.mark.parametrize(
+    ("behave", "expected"),
+    [
+        (
+            model(direction={"The": -0.1, "I": -2.0}),
+            "begins its answer with 'The', 'I', not with A",
+        ),
+        (model(scene={"Maybe": -0.1}), "begins its answer with 'Maybe', not with Yes, No"),
+        (model(direction={"A": float("nan")}), "a logprob that is none"),
+        (model(scene={}), "no logprobs"),
+        (lambda handler: send(handler, b"[]"), "no logprobs"),
+        (lambda handler: send(handler, b"x" * 100_000), "more than 64 KB"),
+        (lambda handler: send(handler, b"", 500), "HTTP 500"),
+        (lambda handler: handler.stopping.wait(), "no whole answer within 0.3 s"),
+    ],
+)
+def test_a_server_that_lies_is_one_clear_line(make_observation, behave, expected):
+    limit_s = 0.3 if "within" in expected else PATIENCE_S
+    with serving(behave) as server:
+        asks = scorer_of(server, "text", time_limit_s=limit_s)
+        with pytest.raises(ChatError) as raised:
+            put_to(asks, view(make_observation))
+    assert str(raised.value).startswith(server.url)
+    assert expected in str(raised.value)
+    assert str(raised.value).isprintable()
+
+
+def test_the_time_limit_is_for_both_questions(make_observation, monkeypatch):
+    made = make_choice(ChoiceText(url="http://127.0.0.1:1/v1", model="m", time_limit_s=5.0))
+    clock = itertools.count(100.0, 2.0)
+    monkeypatch.setattr(scorer, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    left = []
+
+    def next_tokens(messages, left_s):
+        left.append(left_s)
+        return [("A", -1.0), ("Yes", -1.0)]
+
+    monkeypatch.setattr(made._client, "next_tokens", next_tokens)
+    put_to(made, view(make_observation))
+    assert left == [3.0, 1.0]
+
+
+def test_the_key_is_sent_and_never_shown(make_observation, monkeypatch, caplog):
+    monkeypatch.setenv("MY_KEY", "sk-secret")
+    echo = b'{"error": {"message": "wrong key sk-secret"}}'
+    with caplog.at_level(logging.DEBUG), serving(lambda h: send(h, echo, 401)) as server:
+        asks = scorer_of(server, "text", api_key_env="MY_KEY")
+        with pytest.raises(ChatError, match=r"wrong key \*\*\*"):
+            put_to(asks, view(make_observation))
+    assert server.requests[0][1]["Authorization"] == "Bearer sk-secret"
+    assert "sk-secret" not in caplog.text + asks.name
+
+
+@pytest.mark.parametrize("url", ["", "localhost:8080", "ftp://host/v1", "http://user:pw@host/v1"])
+def test_an_unusable_url_is_refused_at_once(url):
+    with pytest.raises(ChatError, match=r"^perception\.choice: .*http://HOST:PORT/v1"):
+        make_choice(ChoiceText(url=url, model="m"))
