@@ -137,7 +137,12 @@ class Mapping(Section):
 
 
 class DetectorOnnx(Section):
-    """An ONNX detector; `model` names a card in `models/`."""
+    """An ONNX detector; `model` names a card in `models/`.
+
+    `providers` are onnxruntime's, in the order of preference, or `tensorrt` alone: TensorRT itself,
+    without onnxruntime. `device_id` is the GPU. Engines of TensorRT are kept in `engine_cache`, by
+    default beside the models.
+    """
 
     kind: Literal["onnx"] = "onnx"
     model: str = "yolo-world-s-256x320-int8-cpu"
@@ -250,6 +255,15 @@ class Perception(Section):
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
     refute_radius_m: NonNegative = 0.6
+
+    @model_validator(mode="after")
+    def _isolable(self) -> Perception:
+        if self.isolation == "process" and self.detector.kind != "onnx":
+            raise ValueError(
+                f"isolation: process: only for perception.detector.kind: onnx, "
+                f"{self.detector.kind} runs in the service"
+            )
+        return self
 
 
 class PolicyHvl(Section):
