@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import tiny_clip
-from tiny_clip import DIM, SIDE, WORDS
+from tiny_clip import CONTEXT, DIM, SIDE, WORDS
 
 from edge import resources
 from edge.perception.cards import ModelError, load_image_card, load_text_card
@@ -63,9 +63,10 @@ def test_a_phrase_is_its_tokens_between_beginning_and_end(text_card):
 
 def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
     encoder = ClipTextEncoder(text_card())
-    assert encoder.embed(["red red red red red chair"]).shape == (1, 1, DIM)
-    with pytest.raises(PromptError, match="9 tokens, the text model reads 8"):
-        encoder.embed(["red red red red red red chair"])
+    most = "red " * (CONTEXT - 3) + "chair"
+    assert encoder.embed([most]).shape == (1, 1, DIM)
+    with pytest.raises(PromptError, match="13 tokens, the text model reads 12"):
+        encoder.embed([f"red {most}"])
 
 
 @pytest.mark.parametrize(

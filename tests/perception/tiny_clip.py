@@ -1,4 +1,4 @@
-"""CLIP's two encoders in miniature: ONNX files, a tokenizer, and their cards."""
+"""CLIP's encoders and a detector in miniature: ONNX files, a tokenizer, and cards."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 WORDS = ("chair", "sofa", "red", "seems", "like", "there", "is", "a", "ahead")
-DIM, CONTEXT, SIDE = 16, 8, 32
+DIM, CONTEXT, SIDE = 16, 12, 32
 TEXT = {
     "name": "tiny-clip-text", "family": "tiny-clip", "task": "text", "file": "tiny-text.onnx",
     "sources": [], "license": "CC0-1.0", "precision": "fp32", "derived_from": None,
@@ -27,6 +27,18 @@ IMAGE = {
 PAIR = {
     "name": "tiny-clip-similarity", "family": "tiny-clip", "task": "similarity",
     "license": "CC0-1.0", "image_encoder": "tiny-clip-image", "text_encoder": "tiny-clip-text",
+}  # fmt: skip
+
+
+DETECTOR = {
+    **{k: v for k, v in TEXT.items() if k not in ("tokenizer", "dim")},
+    "name": "tiny-detector", "task": "detect", "file": "tiny-detector.onnx",
+    "input": {"height": SIDE, "width": SIDE}, "text_dim": 512,
+    "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": 114},
+}  # fmt: skip
+BY_DETECTOR = {
+    "name": "tiny-by-detector", "family": "tiny", "task": "similarity", "license": "CC0-1.0",
+    "detector": "tiny-detector",
 }  # fmt: skip
 
 
@@ -60,8 +72,8 @@ def write_text_model(path: Path, table: np.ndarray | None = None, name: str = "t
     ]
     _save(
         path, nodes,
-        helper.make_tensor_value_info(name, TensorProto.INT64, ["n", CONTEXT]),
-        helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, ["n", table.shape[1]]),
+        [helper.make_tensor_value_info(name, TensorProto.INT64, ["n", CONTEXT])],
+        [helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, ["n", table.shape[1]])],
         [numpy_helper.from_array(table, "table"), numpy_helper.from_array(np.array([1]), "axes")],
     )  # fmt: skip
 
@@ -81,16 +93,45 @@ def write_image_model(path: Path) -> None:
     ]
     _save(
         path, nodes,
-        helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, SIDE, SIDE]),
-        helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, [1, DIM]),
+        [helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, SIDE, SIDE])],
+        [helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, [1, DIM])],
         [numpy_helper.from_array(spread, "spread"), numpy_helper.from_array(always, "always")],
     )  # fmt: skip
 
 
-def _save(path, nodes, given, result, constants) -> None:
+def write_detector(path: Path, logits: np.ndarray) -> None:
+    """Two empty boxes; scores are the sigmoid of `logits` (2, 512) times the text features.
+
+    The image counts as its mean times 0, so that it is an input.
+    """
+    from onnx import TensorProto, helper, numpy_helper
+
+    nodes = [
+        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Add", ["box", "nothing"], ["boxes"]),
+        helper.make_node("Transpose", ["txt_feats"], ["text_t"], perm=[0, 2, 1]),
+        helper.make_node("MatMul", ["logits", "text_t"], ["raw"]),
+        helper.make_node("Sigmoid", ["raw"], ["scores"]),
+    ]
+    constants = {
+        "zero": np.float32(0), "box": np.zeros((1, 2, 4), np.float32), "logits": logits[None],
+    }  # fmt: skip
+    info = helper.make_tensor_value_info
+    _save(
+        path, nodes,
+        [info("images", TensorProto.FLOAT, [1, 3, SIDE, SIDE]),
+         info("txt_feats", TensorProto.FLOAT, [1, "n", logits.shape[1]])],
+        [info("boxes", TensorProto.FLOAT, [1, 2, 4]),
+         info("scores", TensorProto.FLOAT, [1, 2, "n"])],
+        [numpy_helper.from_array(np.asarray(v), k) for k, v in constants.items()],
+    )  # fmt: skip
+
+
+def _save(path, nodes, given, results, constants) -> None:
     from onnx import helper
 
-    graph = helper.make_graph(nodes, "tiny", [given], [result], constants)
+    graph = helper.make_graph(nodes, "tiny", given, results, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     path.write_bytes(model.SerializeToString())
 
