@@ -1,0 +1,170 @@
+"""A detector that lives in a process of its own, and is brought back when that ends."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future
+
+from edge import config
+from edge.errors import UserError
+from edge.perception.detector import Health, check_rgb
+from edge.perception.process.frames import FrameFile
+from edge.perception.process.link import Link
+from edge.perception.process.messages import ModelProcessError
+from edge.perception.process.restarts import Pause, Restarts
+from edge.perception.text import PromptError
+from edge.types import Detections, Observation
+
+log = logging.getLogger(__name__)
+
+_CHECK_S = 0.25  # how long the loop may wait to hear whether prompts will do
+
+
+class ProcessDetector:
+    """See `Detector`; `edge.perception.process` says how it works.
+
+    A thread of its own starts the process, waits for its end, and starts it again. While there is
+    no process `detect` raises at once.
+    """
+
+    def __init__(self, perception: config.Perception, prompts: Sequence[str]) -> None:
+        """
+        Raises:
+            ModelError, PromptError: what keeps the model from loading.
+            ModelProcessError: its process cannot be started, ends, or is not ready in time.
+        """
+        self.name = perception.detector.model
+        self.invalid_boxes = 0
+        self._config = perception.process
+        self._perception = perception.model_copy(update={"isolation": "thread"})
+        self._prompts = self._looked_for = tuple(prompts)
+        self._own, self._told = Health(), Health()
+        self._frames = FrameFile()
+        self._link: Link | None = None
+        self._closing = threading.Event()
+        first: Future[None] = Future()
+        self._thread = threading.Thread(
+            target=self._run, args=(first,), name="model-process", daemon=True
+        )
+        self._thread.start()
+        try:
+            first.result()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        return self._prompts
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        """See `Detector.set_prompts`.
+
+        Prompts set while there is no process, or while it is too busy to answer, are looked for
+        once there is one; that they cannot be is then what `detect` raises.
+        """
+        if isinstance(prompts, str) or not prompts:
+            raise PromptError("no prompt: name at least one thing to look for")
+        if self._link is not None:
+            self._link.check(prompts, _CHECK_S)
+        self._prompts = tuple(prompts)
+
+    def detect(self, observation: Observation) -> Detections:
+        """See `Detector.detect`; takes at most `timeout_s`.
+
+        Raises:
+            ModelProcessError: the process is not there, or it ended or was killed over this image.
+        """
+        start_ns = time.perf_counter_ns()
+        rgb = check_rgb(observation)
+        if self._link is None or self._own.state != "ok":
+            raise ModelProcessError(self._own.detail)
+        answer = self._link.detect(rgb, self._prompts, self._config.timeout_s)
+        self._looked_for = answer.prompts
+        self._told, self.invalid_boxes = answer.health, answer.invalid_boxes
+        return Detections(
+            observation=observation,
+            xyxy_px=answer.xyxy_px,
+            score=answer.score,
+            class_id=answer.class_id,
+            prompts=answer.prompts,
+            rival=answer.rival,
+            model=self.name,
+            latency_ns=time.perf_counter_ns() - start_ns,
+        )
+
+    def health(self) -> Health:
+        """See `Detector.health`: of the process, and if that is well, of the model in it."""
+        if self._own.state != "ok":
+            return self._own
+        if self._link is not None and self._link.fault:  # the thread is about to say so
+            return Health("restarting", self._link.fault)
+        return self._told
+
+    def close(self) -> None:
+        """End the process; no detect afterwards."""
+        self._closing.set()
+        if self._link is not None:
+            self._link.stop()
+        self._thread.join()
+        self._frames.close()
+
+    def _run(self, first: Future[None]) -> None:
+        """Keep a process running until `close`; how its first start went goes to `first`."""
+        restarts = Restarts(self._config)
+        while not self._closing.is_set():
+            ran_s, state = 0.0, "restarting"
+            try:
+                ran_s, why = self._run_once(first)
+            except ModelProcessError as error:
+                why, failed = str(error), error
+            except Exception as error:  # the model cannot be loaded any more
+                state, failed = "degraded", error
+                why = str(error) if isinstance(error, UserError) else repr(error)
+            if not first.done():
+                first.set_exception(failed)
+                return
+            pause = restarts.after(ran_s, time.monotonic())
+            state = "degraded" if pause.limit else state
+            if not self._closing.is_set():
+                self._say(Health(state, f"{why}; {self._outlook(pause)}"))
+            self._closing.wait(None if math.isinf(pause.seconds) else pause.seconds)
+
+    def _run_once(self, first: Future[None]) -> tuple[float, str]:
+        """One process, from its start to its end: seconds that it was ready, and how it ended.
+
+        Raises:
+            as `Link.wait_ready`.
+        """
+        link = Link(self._perception, self._looked_for, self.name, self._frames)
+        try:
+            link.wait_ready(self._config.start_timeout_s, self._closing)
+            ready_s = time.monotonic()
+            self._link, self._told = link, Health()
+            self._say(Health())
+            if not first.done():
+                first.set_result(None)
+            if not self._closing.is_set():  # else `close` may not have found this link
+                link.join()
+            return time.monotonic() - ready_s, link.fault
+        finally:
+            link.close()
+
+    def _outlook(self, pause: Pause) -> str:
+        if not pause.limit:
+            return f"started again in {pause.seconds:.1f} s"
+        limit = f"(perception.process.restarts: {self._config.restarts})"
+        if math.isinf(pause.seconds):
+            return f"not started again {limit}"
+        return f"ended too often {limit}, started again in {pause.seconds:.0f} s"
+
+    def _say(self, health: Health) -> None:
+        """Take on a state, and log that it changed."""
+        level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
+        if health != self._own:
+            log.log(level, health.detail or f"model {self.name}: its process runs again")
+        self._own = health

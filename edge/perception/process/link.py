@@ -1,0 +1,243 @@
+"""One model process, as the service sees it: started, asked, watched, ended."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+
+import numpy as np
+import zmq
+
+from edge import config
+from edge.logs import LEVELS, JsonFormatter
+from edge.perception.process import messages
+from edge.perception.process.frames import FrameFile, shared_dir
+from edge.perception.process.messages import ModelProcessError
+
+PROGRAM = (sys.executable, "-m", "edge.perception.process.serve")
+
+_LOOK_MS = 50  # how long an end may go unnoticed while an answer is awaited
+_END_S = 0.2
+_STOP_S = 2.0
+
+
+class Link:
+    """A process that was started; ready once `wait_ready` has returned.
+
+    The kernel ends the process with the thread that makes this object.
+
+    Attributes:
+        name: of the model.
+        fault: why it was given up, or how it ended; empty while all is well.
+    """
+
+    def __init__(
+        self, perception: config.Perception, prompts: Sequence[str], name: str, frames: FrameFile
+    ) -> None:
+        """
+        Raises:
+            ModelProcessError: it cannot be started.
+        """
+        self.name, self.fault = name, ""
+        self._frames = frames
+        self._asked = self._checked = 0
+        self._ended = threading.Event()
+        self._asking, self._checking = threading.Lock(), threading.Lock()
+        with ExitStack() as stack:
+            try:
+                folder = tempfile.mkdtemp(prefix="edge-model-", dir=shared_dir())
+                self._drop_folder = partial(shutil.rmtree, folder, ignore_errors=True)
+                stack.callback(self._drop_folder)
+                context = zmq.Context()
+                stack.callback(context.destroy, linger=0)
+                self._images = _bind(context, f"ipc://{folder}/frames")
+                self._control = _bind(context, f"ipc://{folder}/control")
+                start = messages.Start(
+                    perception.model_dump(mode="json"), list(prompts), folder, frames.fd,
+                    os.getpid(), *_logging(),
+                )  # fmt: skip
+                self._process = _start(start)
+            except (OSError, zmq.ZMQError) as error:
+                raise ModelProcessError(
+                    f"model {name}: its process cannot be started: {error}"
+                ) from None
+            self._stack = stack.pop_all()
+
+    def wait_ready(self, timeout_s: float, closing: threading.Event) -> None:
+        """Until the model is loaded and has run once.
+
+        Raises:
+            ModelError, PromptError: what kept the model from loading, in the same words as where
+                it is loaded in this process.
+            ModelProcessError: it ended, takes longer than `timeout_s`, or `closing` was set.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        for socket in (self._control, self._images):
+            said = None
+            while said is None:
+                code = self._process.poll()  # before: what it said at the end is still to be heard
+                if (said := _receive(socket)) is not None:
+                    break
+                if closing.is_set():
+                    raise self.give_up("told to end while it was started")
+                if time.monotonic() >= deadline_s:
+                    limit = "perception.process.start_timeout_s"
+                    raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
+                if code is not None:
+                    raise self.give_up(f"{_how(code)} before it was ready")
+            messages.raise_error(messages.decode_header(said[0]), self.name)
+        self._drop_folder()
+
+    def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> messages.Answer:
+        """Have it look for the prompts in an image.
+
+        Raises:
+            ModelProcessError: it ended; it was given up since it answered too late or nonsense;
+                or its model raised something.
+            PromptError: a prompt cannot be looked for.
+        """
+        with self._asking:
+            if self.fault:
+                raise ModelProcessError(self.fault)
+            seq = self._asked = self._asked + 1
+            try:
+                self._frames.write(seq, rgb)
+            except OSError as error:
+                raise ModelProcessError(f"{shared_dir()}: no room for images: {error}") from None
+            said = self._exchange(messages.encode_request(seq, rgb.shape, prompts), timeout_s)
+        try:
+            header = messages.decode_header(said[0])
+            answer = None
+            if "error" not in header:
+                answer = messages.decode_answer(seq, header, said[-1])
+        except ValueError as error:
+            raise self.give_up(f"damaged answer ({error}): killed") from None
+        if header.get("error") == "MemoryError":
+            raise self.give_up("out of memory: killed")
+        messages.raise_error(header, self.name)
+        assert answer is not None
+        return answer
+
+    def _exchange(self, request: bytes, timeout_s: float) -> list[bytes]:
+        deadline_s = time.monotonic() + timeout_s
+        try:
+            self._images.send(request)
+        except zmq.Again:  # there is nobody at the other end
+            self._ended.wait(_END_S)
+            raise self.give_up("takes no images: killed") from None
+        while (said := _receive(self._images)) is None:
+            if self._ended.is_set():
+                raise ModelProcessError(self.fault)
+            if time.monotonic() >= deadline_s:
+                limit = "perception.process.timeout_s"
+                raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
+        return said
+
+    def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
+        """Whether it has said in this time that it can look for the prompts.
+
+        Raises:
+            PromptError: it cannot.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        with self._checking:
+            number = self._checked = self._checked + 1
+            if self.fault or not _send(self._control, messages.encode_check(number, prompts)):
+                return False
+            header = {}
+            while header.get("id") != number:
+                if self._ended.is_set() or time.monotonic() >= deadline_s:
+                    return False
+                if (said := _receive(self._control)) is not None:
+                    header = messages.decode_header(said[0])
+        messages.raise_error(header, self.name)
+        return True
+
+    def give_up(self, why: str) -> ModelProcessError:
+        """Kill the process; the first reason counts, and is returned to be raised."""
+        self.fault = self.fault or f"model {self.name}: its process: {why}"
+        self._process.kill()
+        return ModelProcessError(self.fault)
+
+    def join(self) -> None:
+        """Wait for the process to end; `fault` says how."""
+        code = self._process.wait()
+        self.fault = self.fault or f"model {self.name}: its process: {_how(code)}"
+        self._ended.set()
+
+    def stop(self) -> None:
+        """End a process that another thread has joined."""
+        self._process.terminate()
+        if not self._ended.wait(_STOP_S):
+            self._process.kill()
+
+    def close(self) -> None:
+        """Let go of everything, the process included."""
+        self._process.kill()
+        self.join()
+        with self._asking, self._checking:
+            self._stack.close()
+
+
+def _bind(context: zmq.Context[zmq.Socket[bytes]], address: str) -> zmq.Socket[bytes]:
+    socket = context.socket(zmq.PAIR)
+    socket.linger, socket.sndtimeo, socket.rcvtimeo = 0, 0, _LOOK_MS
+    socket.maxmsgsize = messages.MAX_BYTES
+    socket.bind(address)
+    return socket
+
+
+def _start(start: messages.Start) -> subprocess.Popen[bytes]:
+    # A session of its own keeps the terminal's Ctrl-C for this process, which ends it in order;
+    # what libraries print goes to stderr, as stdout is for reports.
+    process = subprocess.Popen(
+        PROGRAM, stdin=subprocess.PIPE, stdout=2, pass_fds=(start.frames_fd,),
+        start_new_session=True,
+    )  # fmt: skip
+    with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` says how
+        process.stdin.write(start.encode())
+    return process
+
+
+def _receive(socket: zmq.Socket[bytes]) -> list[bytes] | None:
+    """The parts of the next message; None when none came for a moment."""
+    try:
+        return socket.recv_multipart()
+    except zmq.Again:
+        return None
+
+
+def _send(socket: zmq.Socket[bytes], message: bytes) -> bool:
+    """Whether there was somebody to send it to."""
+    try:
+        socket.send(message)
+    except zmq.Again:
+        return False
+    return True
+
+
+def _how(code: int) -> str:
+    """How a process ended, by its exit code."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    name = signal.Signals(-code).name
+    return f"ended by {name}" + (", out of memory?" if -code == signal.SIGKILL else "")
+
+
+def _logging() -> tuple[str, bool]:
+    """Level and form of what is logged here, for the other process."""
+    level = logging.getLogger("edge").getEffectiveLevel()
+    name = next((name for name in LEVELS if getattr(logging, name.upper()) >= level), LEVELS[-1])
+    handlers = logging.getLogger().handlers
+    return name, any(isinstance(handler.formatter, JsonFormatter) for handler in handlers)

@@ -1,0 +1,171 @@
+"""What the two processes say: JSON headers, and arrays as one block of bytes.
+
+What the model process sends is not trusted: it may be dying.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+
+from edge.perception.cards import ModelError
+from edge.perception.detector import Detector, Health
+from edge.perception.text import PromptError
+from edge.types import Detections
+
+MAX_BYTES = 1 << 20
+"""Of a message; a thousand boxes are 28 KB."""
+_BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
+_STATES = get_args(get_type_hints(Health)["state"])
+
+
+class ModelProcessError(ModelError):
+    """The model's process failed, or is not there: one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What a model process is told when it starts, on its stdin.
+
+    Attributes:
+        perception: the configuration's section.
+        folder: with the sockets.
+        frames_fd: the frame file.
+        parent: the process id of who started it.
+    """
+
+    perception: dict[str, Any]
+    prompts: list[str]
+    folder: str
+    frames_fd: int
+    parent: int
+    log_level: str
+    log_json: bool
+
+    def encode(self) -> bytes:
+        return json.dumps(asdict(self)).encode()
+
+    @classmethod
+    def decode(cls, data: bytes) -> Start:
+        return cls(**json.loads(data))
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What was found in one image; see `edge.types.Detections` for the arrays."""
+
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    class_id: np.ndarray
+    rival: np.ndarray | None
+    prompts: tuple[str, ...]
+    health: Health
+    invalid_boxes: int
+
+
+def encode_request(seq: int, image_hw: Sequence[int], prompts: Sequence[str]) -> bytes:
+    """Look for the prompts in image `seq`."""
+    return json.dumps({"seq": seq, "hw": image_hw[:2], "prompts": prompts}).encode()
+
+
+def encode_check(number: int, prompts: Sequence[str]) -> bytes:
+    """Can the prompts be looked for?"""
+    return json.dumps({"id": number, "prompts": list(prompts)}).encode()
+
+
+def encode_yes(number: int) -> bytes:
+    """They can."""
+    return json.dumps({"id": number}).encode()
+
+
+def encode_answer(seq: int, found: Detections, detector: Detector) -> tuple[bytes, bytes]:
+    """What `detector` found in image `seq`, and how it is: header and block."""
+    n = len(found)
+    header = {
+        "seq": seq,
+        "n": n,
+        "rival": found.rival is not None,
+        "prompts": found.prompts,
+        "health": detector.health(),
+        "invalid_boxes": detector.invalid_boxes,
+    }
+    rival = np.zeros(n, np.float32) if found.rival is None else found.rival
+    arrays = ((found.xyxy_px, "<f4"), (found.score, "<f4"), (found.class_id, "<i4"), (rival, "<f4"))
+    block = b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
+    return json.dumps(header).encode(), block
+
+
+def encode_error(error: BaseException, **header: int) -> bytes:
+    """An exception as a header; `raise_error` is its counterpart."""
+    return json.dumps({**header, "error": type(error).__name__, "text": str(error)}).encode()
+
+
+def decode_header(data: bytes) -> dict[str, Any]:
+    """
+    Raises:
+        ValueError: it is no JSON object.
+    """
+    try:
+        header = json.loads(data)
+    except (ValueError, RecursionError):
+        raise ValueError("not JSON") from None
+    if not isinstance(header, dict):
+        raise ValueError(f"not an object: {header!r:.40}")
+    return header
+
+
+def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
+    """Check and unpack what `encode_answer` made.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    n, prompts, invalid = (header.get(key) for key in ("n", "prompts", "invalid_boxes"))
+    if header.get("seq") != seq:
+        raise ValueError(f"seq {header.get('seq')!r:.40}, expected {seq}")
+    if type(n) is not int or len(block) != n * _BOX_BYTES:
+        raise ValueError(f"{len(block)} bytes for {n!r:.40} boxes of {_BOX_BYTES} bytes")
+    if not isinstance(prompts, list) or not all(isinstance(p, str) for p in prompts):
+        raise ValueError(f"prompts {prompts!r:.40}")
+    if type(invalid) is not int:
+        raise ValueError(f"invalid_boxes {invalid!r:.40}")
+    reals = np.frombuffer(block, "<f4").astype(np.float32)
+    xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
+    class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
+    if not np.isfinite(xyxy).all():
+        raise ValueError("boxes that are not finite")
+    if not ((score >= 0) & (score <= 1) & (rival >= 0) & (rival <= 1)).all():  # NaN is neither
+        raise ValueError("scores that are not in 0 to 1")
+    if not ((class_id >= 0) & (class_id < len(prompts))).all():
+        raise ValueError(f"classes that are not among {len(prompts)} prompts")
+    return Answer(
+        xyxy, score, class_id, rival if header.get("rival") is True else None, tuple(prompts),
+        _health(header.get("health")), invalid,
+    )  # fmt: skip
+
+
+def _health(told: Any) -> Health:
+    if not isinstance(told, list) or len(told) != 2 or not all(isinstance(t, str) for t in told):
+        raise ValueError(f"health {told!r:.40}")
+    if told[0] not in _STATES:
+        raise ValueError(f"health {told[0]!r:.40} (choices: {', '.join(_STATES)})")
+    return Health(*told)
+
+
+def raise_error(header: dict[str, Any], name: str) -> None:
+    """Raise here what was raised in the process of model `name`; nothing if it is no error.
+
+    What a user can cause keeps its type and words, anything else becomes a ModelProcessError.
+    """
+    if "error" not in header:
+        return
+    kind, text = str(header["error"]), str(header.get("text"))
+    if kind == "ModelError":
+        raise ModelError(text)
+    if kind == "PromptError":
+        raise PromptError(text)
+    raise ModelProcessError(f"model {name}, in its process: {kind}: {' '.join(text.split()):.300}")

@@ -1,0 +1,115 @@
+"""`python -m edge.perception.process.serve`: the model process, started by `link.py` only."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from edge import config, logs
+from edge.perception.detector import Detector, make_detector
+from edge.perception.process import messages
+from edge.perception.process.frames import FrameView
+from edge.types import Observation
+
+log = logging.getLogger(__name__)
+
+Make = Callable[[config.Perception, Sequence[str]], Detector]
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_FIRST_TO_GO = "1000"  # for the kernel when memory runs out: the robot can do without this process
+_LINGER_MS = 2000
+
+
+def main(make: Make = make_detector) -> int:
+    """Read from stdin what to do, load the model, answer until told to end.
+
+    Args:
+        make: makes the detector.
+    """
+    start = messages.Start.decode(sys.stdin.buffer.read())
+    _end_with(start.parent)
+    faulthandler.enable()
+    logs.setup(start.log_level, start.log_json)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
+    with zmq.Context() as context:
+        control = _connect(context, start.folder, "control")
+        images = _connect(context, start.folder, "frames")
+        control.send(b"{}")
+        try:
+            detector = make(config.Perception.model_validate(start.perception), start.prompts)
+            _run_empty(detector)
+        except Exception as error:
+            images.send(messages.encode_error(error))
+            return 1  # once that has been sent, at most _LINGER_MS later
+        images.send(b"{}")
+        threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
+        try:
+            answer_images(images, detector, FrameView(start.frames_fd))
+        except BaseException:
+            log.exception("model %s: its process ends", detector.name)
+            os._exit(1)  # the thread above waits for ever
+    return 0
+
+
+def _end_with(parent: int) -> None:
+    """Have the kernel end this process with the thread that started it."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it had ended before
+        sys.exit(1)
+
+
+def _connect(context: zmq.Context, folder: str, name: str) -> zmq.Socket:
+    socket = context.socket(zmq.PAIR)
+    socket.linger = _LINGER_MS
+    socket.connect(f"ipc://{folder}/{name}")
+    return socket
+
+
+def _run_empty(detector: Detector) -> None:
+    """One image before the first: what compiles kernels on its way would look like a hang."""
+    detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
+
+
+def check_prompts(control: zmq.Socket, detector: Detector) -> None:
+    """Answer whether prompts can be looked for, while images are being looked at."""
+    while True:
+        request = messages.decode_header(control.recv())
+        try:
+            detector.set_prompts(request["prompts"])
+            control.send(messages.encode_yes(request["id"]))
+        except Exception as error:
+            control.send(messages.encode_error(error, id=request["id"]))
+
+
+def answer_images(images: zmq.Socket, detector: Detector, frames: FrameView) -> None:
+    """Answer every image with what is found in it, or what was raised."""
+    while True:
+        request = messages.decode_header(images.recv())
+        seq, prompts = request["seq"], tuple(request["prompts"])
+        try:
+            if prompts != detector.prompts:
+                detector.set_prompts(prompts)
+            rgb = frames.look(seq, request["hw"])
+            found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
+            if not frames.is_whole(seq):
+                raise ValueError(f"frame {seq}: torn, another was written meanwhile")
+        except Exception as error:
+            images.send(messages.encode_error(error, seq=seq))
+        else:
+            images.send_multipart(messages.encode_answer(seq, found, detector))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,91 @@
+"""A model process for tests: its detector does what the first pixel of an image says.
+
+Started in place of `edge.perception.process.serve`. With a model other than `steered` it serves
+that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
+`wait` a steered one is not ready; what else it says keeps it from loading.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from edge import resources
+from edge.perception.cards import ModelError
+from edge.perception.detector import Health, make_detector
+from edge.perception.process import serve
+from edge.perception.text import PromptError
+from edge.types import Detections
+
+SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE = range(1, 8)
+
+
+def fail(error: BaseException) -> None:
+    raise error
+
+
+ORDERS = {
+    SEGFAULT: lambda: os.kill(os.getpid(), signal.SIGSEGV),
+    HANG: signal.pause,
+    NO_MEMORY: lambda: fail(MemoryError("Unable to allocate 8 GiB")),
+    FAILURE: lambda: fail(RuntimeError("no luck\nat all")),
+    EXIT: lambda: os._exit(3),
+}
+
+
+class Steered:
+    """Finds the whole image once for every prompt, with its mean as the score."""
+
+    name = "steered"
+    invalid_boxes = 7
+
+    def __init__(self, prompts):
+        self.set_prompts(prompts)
+        self._health = Health()
+
+    def set_prompts(self, prompts):
+        if "nonsense" in prompts:
+            raise PromptError("prompt 'nonsense': not in the vocabulary")
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation):
+        height, width = observation.rgb.shape[:2]
+        order, n = int(observation.rgb[0, 0, 0]), len(self.prompts)
+        ORDERS.get(order, lambda: None)()
+        self._health = Health("building engine", "3 of 9") if order == ENGINE else Health()
+        right = np.nan if order == NAN else width
+        return Detections(
+            observation=observation,
+            xyxy_px=np.tile(np.array([[0, 0, right, height]], np.float32), (n, 1)),
+            score=np.full(n, observation.rgb.mean(dtype=np.float64) / 255, np.float32),
+            class_id=np.arange(n, dtype=np.int32),
+            prompts=self.prompts,
+            rival=np.zeros(n, np.float32),
+        )
+
+    def health(self):
+        return self._health
+
+
+def make(perception, prompts):
+    if perception.detector.model != "steered":
+        return make_detector(perception, prompts)
+    script = Path(perception.detector.vocabulary or os.devnull)
+    while (said := script.read_text()) == "wait":
+        time.sleep(0.01)
+    if said == "exit":
+        os._exit(4)
+    if said:
+        raise ModelError(said)
+    return Steered(prompts)
+
+
+if __name__ == "__main__":
+    if cards := os.environ.get("EDGE_TEST_CARDS"):
+        resources.data_dir = lambda kind: Path(cards)
+    sys.exit(serve.main(make))

@@ -1,0 +1,393 @@
+"""A detector in a process of its own that crashes, hangs, lies, and comes back."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from fake_model_process import (
+    ENGINE,
+    EXIT,
+    FAILURE,
+    HANG,
+    NAN,
+    NO_MEMORY,
+    SEGFAULT,
+)
+from patience import PATIENCE_S, eventually
+
+from edge import config, resources
+from edge.perception.cards import ModelError, card_names
+from edge.perception.detector import Health, make_detector
+from edge.perception.process import detector as process_detector
+from edge.perception.process import frames, link
+from edge.perception.process.messages import ModelProcessError
+from edge.perception.text import PromptError
+from edge.perception.worker import DetectorWorker
+
+FAKE = Path(__file__).parent / "fake_model_process.py"
+# Only where a hang is meant may a slow machine be taken for one.
+QUICK = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.01}
+SMALL = "mini-house-256x320-int8-cpu"
+
+
+def steered(prompts=("chair",), script=None, **process):
+    chosen = config.DetectorOnnx(model="steered", vocabulary=script and str(script))
+    rules = config.ModelProcess(**{**QUICK, "restarts": 1000, **process})
+    perception = config.Perception(isolation="process", process=rules, detector=chosen)
+    return make_detector(perception, prompts)
+
+
+def pid_of(detector):
+    return detector._link._process.pid
+
+
+def halt(pid):
+    """Stop all threads of a process, and wait until they are."""
+    os.kill(pid, signal.SIGSTOP)
+    states = Path(f"/proc/{pid}/task").glob("*/stat")
+    eventually(lambda: all(s.read_text().rpartition(") ")[2][0] == "T" for s in states))
+
+
+@pytest.fixture(autouse=True)
+def place(monkeypatch, tmp_path_factory):
+    """The fake in the model process's place, and where it may leave something: nothing."""
+    folder = tmp_path_factory.mktemp("shm")
+    monkeypatch.setattr(link, "PROGRAM", (sys.executable, str(FAKE)))
+    monkeypatch.setattr(frames, "SHARED_MEMORY", folder)
+    monkeypatch.setattr(process_detector, "_CHECK_S", PATIENCE_S)
+    yield folder
+    assert list(folder.iterdir()) == []
+    assert psutil.Process().children() == []
+
+
+@pytest.fixture
+def make():
+    """make(**kw): a steered detector, closed at the end."""
+    made = []
+
+    def make(**kwargs):
+        made.append(steered(**kwargs))
+        return made[-1]
+
+    yield make
+    for detector in made:
+        detector.close()
+
+
+@pytest.fixture
+def seen(make_observation):
+    """seen(order, hw): an observation whose first pixel is an order."""
+
+    def make(order=0, hw=(8, 10), seq=1, value=51):
+        rgb = np.full((*hw, 3), value, np.uint8)
+        rgb[0, 0, 0] = order
+        return make_observation(seq=seq, rgb=rgb, hw=hw)
+
+    return make
+
+
+def back(detector):
+    return eventually(lambda: detector.health().state == "ok", "it never came back")
+
+
+def test_an_image_goes_there_and_boxes_come_back(make, seen, place):
+    detector = make(prompts=("chair", "sofa"))
+    assert list(place.iterdir()) == []  # the folder of the sockets has served
+    observation = seen(hw=(8, 10))
+    found = detector.detect(observation)
+    assert found.observation is observation
+    assert found.xyxy_px.tolist() == [[0, 0, 10, 8]] * 2
+    assert found.score.tolist() == [np.float32(observation.rgb.mean() / 255)] * 2
+    assert found.class_id.tolist() == [0, 1]
+    assert found.rival.tolist() == [0, 0]
+    assert found.prompts == detector.prompts == ("chair", "sofa")
+    assert found.model == detector.name == "steered"
+    assert found.latency_ns > 0
+    assert detector.health() == Health()
+    assert detector.invalid_boxes == 7
+    larger = seen(hw=(480, 640), value=102)
+    assert detector.detect(larger).score[0] == np.float32(larger.rgb.mean() / 255)
+
+    with pytest.raises(ValueError, match="no image to detect in"):
+        detector.detect(seen().__class__(seq=1, stamp_ns=0, T_map_base=np.eye(4)))
+    detector.detect(seen(ENGINE))
+    assert detector.health() == Health("building engine", "3 of 9")
+    detector.detect(seen())
+    assert detector.health() == Health()
+
+    with pytest.raises(ModelProcessError, match="steered, in its process: RuntimeError: no luck"):
+        detector.detect(seen(FAILURE))
+    assert len(detector.detect(seen())) == 2
+
+    detector.set_prompts(["sofa", "bed"])
+    assert detector.detect(seen()).prompts == detector.prompts == ("sofa", "bed")
+    for prompts in ([], "sofa"):
+        with pytest.raises(PromptError, match="no prompt"):
+            detector.set_prompts(prompts)
+    with pytest.raises(PromptError, match="'nonsense': not in the vocabulary"):
+        detector.set_prompts(["nonsense"])
+    assert detector.detect(seen()).prompts == detector.prompts == ("sofa", "bed")
+
+
+def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
+    caplog.set_level(logging.INFO)
+    detector = make()
+    ends = {
+        SEGFAULT: "its process: ended by SIGSEGV",
+        EXIT: "its process: ended with exit code 3",
+        NO_MEMORY: "its process: out of memory: killed",
+        NAN: r"its process: damaged answer \(boxes that are not finite\): killed",
+    }
+    descriptors = []
+    for order, says in ends.items():
+        pid = pid_of(detector)
+        with pytest.raises(ModelProcessError, match=says):
+            detector.detect(seen(order))
+        back(detector)
+        assert not psutil.pid_exists(pid)
+        assert len(detector.detect(seen())) == 1
+        descriptors.append(len(os.listdir("/proc/self/fd")))
+    told = [r.getMessage() for r in caplog.records if r.name.startswith("edge.perception.process")]
+    assert len([t for t in told if "started again in" in t]) == len(ends)
+    assert len([t for t in told if t.endswith("its process runs again")]) == len(ends)
+    assert not any("\n" in t for t in told)
+    assert descriptors[-1] <= descriptors[0]
+
+
+def test_an_end_between_images_is_noticed(make, seen):
+    detector = make()
+    pid = pid_of(detector)
+    os.kill(pid, signal.SIGTERM)
+    eventually(lambda: pid_of(detector) != pid)
+    assert not psutil.pid_exists(pid)
+    back(detector)
+    assert len(detector.detect(seen())) == 1
+
+
+def test_a_hang_is_ended(make, seen):
+    """Of the model, and of the whole process."""
+    detector = make(timeout_s=0.5)
+    for order in (HANG, 0):
+        pid = pid_of(detector)
+        if order == 0:
+            halt(pid)
+        with pytest.raises(ModelProcessError, match=r"no answer within 0\.5 s .*timeout_s.*killed"):
+            detector.detect(seen(order))
+        eventually(lambda pid=pid: pid_of(detector) != pid and detector.health().state == "ok")
+        assert not psutil.pid_exists(pid)
+
+
+def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):
+    script = tmp_path / "script"
+    script.write_text("")
+    detector = make(script=script)
+    script.write_text("wait")
+    os.kill(pid_of(detector), signal.SIGKILL)
+    says = "ended by SIGKILL, out of memory?; started again in 0.0 s"
+    eventually(lambda: says in detector.health().detail)
+    assert detector.health().state == "restarting"
+    for _ in range(100):
+        with pytest.raises(ModelProcessError, match="SIGKILL"):
+            detector.detect(seen())
+    detector.set_prompts(["sofa"])
+    script.write_text("")
+    back(detector)
+    assert detector.detect(seen()).prompts == ("sofa",)
+
+
+def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monkeypatch):
+    monkeypatch.setattr(process_detector, "_CHECK_S", 0.05)
+    detector = make()
+    halt(pid_of(detector))
+    detector.set_prompts(["nonsense"])
+    monkeypatch.setattr(process_detector, "_CHECK_S", PATIENCE_S)
+    os.kill(pid_of(detector), signal.SIGCONT)
+    with pytest.raises(PromptError, match="'nonsense'"):
+        detector.detect(seen())
+    detector.set_prompts(["sofa"])
+    assert detector.detect(seen()).prompts == ("sofa",)
+
+
+def test_ended_too_often_is_degraded_until_there_is_room_again(make, seen, caplog):
+    detector = make(restarts=1, window_s=1e6)
+    pid = pid_of(detector)
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: pid_of(detector) != pid)
+    os.kill(pid_of(detector), signal.SIGKILL)
+    eventually(lambda: detector.health().state == "degraded")
+    for _ in range(10):
+        with pytest.raises(ModelProcessError, match=r"ended too often \(.*restarts: 1\)"):
+            detector.detect(seen())
+    assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
+
+
+def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, seen, tmp_path):
+    script = tmp_path / "script"
+    script.write_text("")
+    detector = make(script=script)
+    script.write_text("tiny.onnx: truncated")
+    os.kill(pid_of(detector), signal.SIGKILL)
+    eventually(lambda: detector.health().state == "degraded")
+    assert detector.health().detail.startswith("tiny.onnx: truncated; started again in")
+    script.write_text("")
+    back(detector)
+    assert len(detector.detect(seen())) == 1
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "says"),
+    [
+        ("tiny.onnx: truncated", ModelError, "^tiny.onnx: truncated$"),
+        ("exit", ModelProcessError, "ended with exit code 4 before it was ready"),
+        ("wait", ModelProcessError, r"not ready after 0\.5 s \(.*start_timeout_s\)"),
+        ("", PromptError, "'nonsense': not in the vocabulary"),
+    ],
+)
+def test_what_never_gets_ready_is_an_error_at_the_start(tmp_path, said, kind, says):
+    (tmp_path / "script").write_text(said)
+    limit_s = 0.5 if said == "wait" else PATIENCE_S
+    with pytest.raises(kind, match=says) as error:
+        steered(["nonsense"], tmp_path / "script", start_timeout_s=limit_s)
+    assert type(error.value) is kind
+
+
+def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):
+    monkeypatch.setattr(link, "PROGRAM", ("/nowhere/python",))
+    with pytest.raises(ModelProcessError, match=r"cannot be started: .*No such file"):
+        steered()
+
+
+def test_closed_while_it_is_started_again(make, tmp_path):
+    script = tmp_path / "script"
+    script.write_text("")
+    detector = make(script=script)
+    script.write_text("wait")
+    pid = pid_of(detector)
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: detector.health().state == "restarting" and psutil.Process().children())
+    detector.close()
+    detector.close()
+
+
+def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch):
+    monkeypatch.setattr(link, "_STOP_S", 0.05)
+    detector = make()
+    halt(pid_of(detector))
+    detector.close()
+    assert not psutil.pid_exists(pid_of(detector))
+
+
+PARENT = """
+import os, sys
+sys.path[:0] = {paths!r}
+from test_perception_process import FAKE, link, pid_of, steered
+link.PROGRAM = (sys.executable, str(FAKE))
+detector = steered()
+print(pid_of(detector), flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_process_does_not_outlive_who_started_it():
+    paths = [str(FAKE.parent), str(FAKE.parent.parent)]
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT.format(paths=paths)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with parent:
+        child = psutil.Process(int(parent.stdout.readline()))
+        parent.kill()
+        child.wait(PATIENCE_S)
+
+
+def test_the_worker_goes_on_over_a_process_that_ends(seen):
+    worker = DetectorWorker(steered())
+    worker.submit(seen(SEGFAULT))
+    eventually(lambda: worker.stats.failed)
+    back(worker.detector)
+    worker.submit(seen(seq=2))
+    assert eventually(worker.poll).observation.seq == 2
+    assert worker.stats.failures == {"ModelProcessError": 1}
+    worker.close()
+
+
+def test_two_of_them_at_once(make, seen):
+    one, other = make(prompts=["chair"]), make(prompts=["sofa", "bed"])
+    results = {}
+
+    def look(name, detector):
+        results[name] = [len(detector.detect(seen(value=v))) for v in range(40)]
+
+    threads = [threading.Thread(target=look, args=pair) for pair in (("a", one), ("b", other))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == {"a": [1] * 40, "b": [2] * 40}
+
+
+def compare(inside, perception, observations):
+    """What a detector here and one in a process of its own find is the same, bit for bit."""
+    outside = make_detector(perception, inside.prompts)
+    try:
+        for observation in observations:
+            a, b = inside.detect(observation), outside.detect(observation)
+            for name in ("xyxy_px", "score", "class_id", "rival"):
+                mine, its = getattr(a, name), getattr(b, name)
+                assert (mine.dtype, mine.shape) == (its.dtype, its.shape)
+                assert mine.tobytes() == its.tobytes()
+            assert (a.model, a.prompts) == (b.model, b.prompts)
+        return len(a)
+    finally:
+        outside.close()
+
+
+def noise(make_observation, *sizes):
+    random = np.random.default_rng(0)
+    images = [random.integers(0, 256, (*hw, 3), np.uint8) for hw in sizes]
+    return [make_observation(seq=i, rgb=rgb, hw=rgb.shape[:2]) for i, rgb in enumerate(images)]
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch, vocabulary):
+    """make(prompts): a detector on a model made here, whose card a model process finds too."""
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    import test_perception_onnx
+
+    return test_perception_onnx.tiny.__wrapped__(tmp_path, monkeypatch, vocabulary)
+
+
+def test_a_made_up_models_boxes_are_the_same_in_a_process(tiny, monkeypatch, make_observation):
+    inside = tiny(prompts=("sofa", "chair", "trash can"))
+    monkeypatch.setenv("EDGE_TEST_CARDS", str(resources.data_dir("models")))
+    rules = config.ModelProcess(**QUICK)
+    perception = config.Perception(isolation="process", process=rules, detector=inside.config)
+    assert compare(inside, perception, noise(make_observation, (64, 64), (48, 80), (64, 64)))
+
+
+def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_observation):
+    """With the program that is started outside of tests, too."""
+    pytest.importorskip("onnxruntime")
+    if SMALL not in card_names():
+        pytest.skip(f"no card {SMALL}")
+    monkeypatch.undo()
+    chosen = config.DetectorOnnx(model=SMALL, tau_vl=0.01)
+    inside = make_detector(config.Perception(detector=chosen), ["chair", "bed"])
+    rules = config.ModelProcess(**QUICK)
+    perception = config.Perception(isolation="process", process=rules, detector=chosen)
+    compare(inside, perception, noise(make_observation, (256, 320), (480, 640)))
+
+
+def test_a_detector_that_needs_more_than_an_image_cannot_be_isolated():
+    with pytest.raises(ValueError, match=r"only for perception\.detector\.kind: onnx"):
+        config.Perception(isolation="process")

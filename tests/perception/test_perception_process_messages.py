@@ -1,0 +1,146 @@
+"""What is said between service and model process, and what is refused of it."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from edge.perception.cards import ModelError
+from edge.perception.detector import Health
+from edge.perception.process import messages
+from edge.perception.process.messages import ModelProcessError
+from edge.perception.text import PromptError
+from edge.types import Detections
+
+PROMPTS = ("chair", "déjà vu")
+REALS = st.floats(-1e6, 1e6, width=32)
+UNITS = st.floats(0, 1, width=32)
+
+
+def detections(xyxy, score, class_id, rival):
+    return Detections(None, xyxy, score, class_id, PROMPTS, rival)
+
+
+def encode(found, health=("ok", ""), seq=3):
+    detector = SimpleNamespace(health=lambda: health, invalid_boxes=2)
+    header, block = messages.encode_answer(seq, found, detector)
+    return messages.decode_header(header), block
+
+
+def some(n=2, rival=True):
+    return detections(
+        np.arange(4 * n, dtype=np.float32).reshape(n, 4), np.full(n, 0.5, np.float32),
+        np.arange(n, dtype=np.int32), np.full(n, 0.25, np.float32) if rival else None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rival", [True, False])
+def test_nothing_found(rival):
+    answer = messages.decode_answer(3, *encode(some(0, rival)))
+    assert answer.xyxy_px.shape == (0, 4)
+    assert len(answer.score) == len(answer.class_id) == 0
+    assert (answer.rival is not None) == rival
+    assert answer.prompts == PROMPTS
+
+
+@given(st.data(), st.integers(0, 40))
+def test_an_answer_arrives_bit_for_bit(data, n):
+    found = detections(
+        data.draw(npst.arrays(np.float32, (n, 4), elements=REALS)),
+        data.draw(npst.arrays(np.float32, n, elements=UNITS)),
+        data.draw(npst.arrays(np.int32, n, elements=st.integers(0, 1))),
+        data.draw(st.none() | npst.arrays(np.float32, n, elements=UNITS)),
+    )
+    told = Health("building engine", "a line")
+    answer = messages.decode_answer(3, *encode(found, told))
+    for name in ("xyxy_px", "score", "class_id", "rival"):
+        sent, came = getattr(found, name), getattr(answer, name)
+        if sent is None:
+            assert came is None
+            continue
+        assert came.dtype == sent.dtype
+        assert came.tobytes() == sent.tobytes()
+        assert came.flags.writeable
+        assert came.flags.c_contiguous
+    assert (answer.prompts, answer.health, answer.invalid_boxes) == (PROMPTS, told, 2)
+
+
+def changed(**fields):
+    """An answer with two boxes, some of its header put wrong."""
+    header, block = encode(some())
+    return {**header, **fields}, block
+
+
+def with_array(name, value):
+    found = some()
+    getattr(found, name)[1] = value
+    return encode(found)
+
+
+DAMAGES = {
+    "another image's": (changed(seq=2), "seq 2, expected 3"),
+    "no number": (changed(n=None), "56 bytes for None boxes"),
+    "more boxes than bytes": (changed(n=3), "56 bytes for 3 boxes"),
+    "fewer boxes than bytes": (changed(n=1), "56 bytes for 1 boxes"),
+    "less than none": (changed(n=-2), "56 bytes for -2 boxes"),
+    "a real number": (changed(n=2.0), "56 bytes for 2.0 boxes"),
+    "cut short": ((encode(some())[0], encode(some())[1][:-1]), "55 bytes for 2 boxes"),
+    "a prompt that is none": (changed(prompts=["chair", 3]), "prompts"),
+    "one prompt": (changed(prompts="ch"), "prompts 'ch'"),
+    "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes '2'"),
+    "no health": (changed(health=None), "health None"),
+    "unknown health": (changed(health=["fine", ""]), "health 'fine'.*choices: ok, building"),
+    "NaN in a box": (with_array("xyxy_px", np.nan), "boxes that are not finite"),
+    "no end of a box": (with_array("xyxy_px", np.inf), "boxes that are not finite"),
+    "NaN score": (with_array("score", np.nan), "scores that are not in 0 to 1"),
+    "score above 1": (with_array("score", 1.5), "scores that are not in 0 to 1"),
+    "NaN rival": (with_array("rival", np.nan), "scores that are not in 0 to 1"),
+    "negative rival": (with_array("rival", -1), "scores that are not in 0 to 1"),
+    "class beyond the prompts": (with_array("class_id", 2), "classes that are not among 2"),
+    "negative class": (with_array("class_id", -1), "classes that are not among 2"),
+}
+
+
+@pytest.mark.parametrize(("damaged", "says"), DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_answer_is_refused_with_one_line(damaged, says):
+    with pytest.raises(ValueError, match=says) as error:
+        messages.decode_answer(3, *damaged)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\x00", b"[" * 100000, b"3", b'"x"', b"[1]"])
+def test_a_header_that_is_none(data):
+    with pytest.raises(ValueError, match=r"not JSON|not an object"):
+        messages.decode_header(data)
+
+
+@pytest.mark.parametrize(
+    ("raised", "kind", "says"),
+    [
+        (ModelError("tiny.onnx: damaged\nline two"), ModelError, "tiny.onnx: damaged\nline two"),
+        (PromptError("prompt 'x': unknown"), PromptError, "prompt 'x': unknown"),
+        (RuntimeError("a\nb"), ModelProcessError, "model tiny, in its process: RuntimeError: a b"),
+    ],
+)
+def test_an_error_is_raised_again_on_the_other_side(raised, kind, says):
+    header = json.loads(messages.encode_error(raised, seq=3))
+    assert header["seq"] == 3
+    with pytest.raises(kind) as error:
+        messages.raise_error(header, "tiny")
+    assert type(error.value) is kind
+    assert str(error.value) == says
+
+
+def test_what_is_no_error_raises_none():
+    messages.raise_error({"seq": 1}, "tiny")
+
+
+def test_a_start_arrives_as_it_was_sent():
+    start = messages.Start({"tau_det": 0.3}, ["chair"], "/tmp/x", 5, 7, "info", True)
+    assert messages.Start.decode(start.encode()) == start
