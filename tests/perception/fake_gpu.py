@@ -1,8 +1,9 @@
 """Fakes of `cuda.bindings.runtime` and `tensorrt`, for tests of how they are called.
 
 The fake GPU's memory is NumPy bytes; the fake engine adds its inputs `images` and `txt_feats`
-into `boxes`. Only what edge.perception calls is here, with the names and the order of arguments
-of cuda-bindings 12.9 and TensorRT 10.3.
+into `boxes`, or has onnxruntime run its model on the CPU (`OnnxContext`). Only what
+edge.perception calls is here, with the names and the order of arguments of cuda-bindings 12.9 and
+TensorRT 10.3.
 """
 
 from __future__ import annotations
@@ -101,8 +102,8 @@ class FakeTensorrt:
 
     __version__ = "10.3.0"
 
-    def __init__(self, cuda: FakeCuda) -> None:
-        self.cuda = cuda
+    def __init__(self, cuda: FakeCuda, context: type[FakeContext] | None = None) -> None:
+        self.cuda, self.context = cuda, context or FakeContext
         self.built, self.faults, self.refuses, self.unreadable = [], [], False, 0
         self.flags = []
         self.NetworkDefinitionCreationFlag = enum.IntEnum(
@@ -144,7 +145,7 @@ class FakeTensorrt:
                 return None
             shapes = config.profiles[0].shapes if config.profiles else {}
             self.built.append(shapes)
-            return json.dumps(shapes).encode()
+            return json.dumps({"path": network.path, "shapes": shapes}).encode()
 
         return SimpleNamespace(
             create_network=create_network,
@@ -154,8 +155,12 @@ class FakeTensorrt:
         )
 
     def OnnxParser(self, network, logger):
+        def parse(path):
+            network.path = path
+            return not self.faults
+
         return SimpleNamespace(
-            parse_from_file=lambda path: not self.faults,
+            parse_from_file=parse,
             num_errors=len(self.faults),
             get_error=lambda i: SimpleNamespace(desc=lambda: self.faults[i]),
         )
@@ -167,7 +172,7 @@ class FakeTensorrt:
                 logger.log(self.ILogger.Severity.ERROR, "version mismatch")
                 return None
             return SimpleNamespace(
-                create_execution_context=lambda: FakeContext(self.cuda, json.loads(plan))
+                create_execution_context=lambda: self.context(self.cuda, **json.loads(plan))
             )
 
         return SimpleNamespace(deserialize_cuda_engine=deserialize)
@@ -176,8 +181,9 @@ class FakeTensorrt:
 class FakeContext:
     """Fake of an execution context: boxes = images + the sum of txt_feats."""
 
-    def __init__(self, cuda: FakeCuda, limits: dict) -> None:
-        self.cuda, self.limits, self.shapes, self.addresses = cuda, limits, {}, {}
+    def __init__(self, cuda: FakeCuda, path: str, shapes: dict) -> None:
+        self.cuda, self.path, self.limits = cuda, path, shapes
+        self.shapes, self.addresses = {}, {}
 
     def set_input_shape(self, name, shape):
         least, _, largest = self.limits.get(name, (shape, shape, shape))
@@ -194,4 +200,26 @@ class FakeContext:
     def execute_async_v3(self, stream_handle):
         values = {n: self.cuda.memory[p].view(np.float32) for n, p in self.addresses.items()}
         values["boxes"][:] = values["images"] + values["txt_feats"].sum()
+        return True
+
+
+class OnnxContext(FakeContext):
+    """Fake of an execution context that has onnxruntime do the work on the CPU."""
+
+    def __init__(self, cuda: FakeCuda, path: str, shapes: dict) -> None:
+        import onnxruntime
+
+        super().__init__(cuda, path, shapes)
+        self.session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+        self.outputs = [output.name for output in self.session.get_outputs()]
+
+    def get_tensor_shape(self, name):
+        feed = {n: np.zeros(shape, np.float32) for n, shape in self.shapes.items()}
+        return self.session.run([name], feed)[0].shape
+
+    def execute_async_v3(self, stream_handle):
+        memory = {n: self.cuda.memory[p].view(np.float32) for n, p in self.addresses.items()}
+        feed = {name: memory[name].reshape(shape) for name, shape in self.shapes.items()}
+        for name, array in zip(self.outputs, self.session.run(self.outputs, feed), strict=True):
+            memory[name][:] = array.ravel()
         return True

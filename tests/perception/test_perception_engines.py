@@ -16,15 +16,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_gpu import FakeCuda, FakeTensorrt
+from fake_gpu import FakeCuda, FakeTensorrt, OnnxContext
 from patience import PATIENCE_S, eventually
+from test_perception_onnx import tiny  # noqa: F401
 
+from edge import resources
 from edge.perception import binding, cuda, engine_cache, tensorrt
 from edge.perception.building import Building
 from edge.perception.engine_cache import EngineKey, obtain
 from edge.perception.model_file import ModelError
 from edge.perception.runtime import EngineOptions, open_session
 from edge.perception.tensorrt_report import Phases
+from edge.perception.text import PromptError
 
 KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "fp16", "()")
 
@@ -316,3 +319,35 @@ def test_packages_that_are_missing_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cuda.bindings", None)
     with pytest.raises(ModelError, match=r"cuda-bindings .*edge-vln\[tensorrt\]"):
         cuda.load()
+
+
+def test_a_detector_sees_the_same_through_tensorrt(
+    monkeypatch,
+    tiny,  # noqa: F811
+    make_observation,
+    caplog,
+):
+    seen = make_observation(rgb=np.full((48, 64, 3), 90, np.uint8))
+    expected = tiny(prompts=("sofa", "chair")).detect(seen)
+    fake = FakeTensorrt(FakeCuda(), OnnxContext)
+    monkeypatch.setitem(sys.modules, "tensorrt", fake)
+    monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    with caplog.at_level(logging.INFO):
+        detector = tiny(prompts=("bed",), providers=("tensorrt",), card={"precision": "fp32"})
+    assert "building engine: tiny: 0 s" in caplog.text
+    assert fake.built == [{"txt_feats": ((1, 1, 512), (1, 16, 512), (1, 256, 512))}]
+    assert len(detector.detect(seen)) == 0
+    detector.set_prompts(["sofa", "chair"])
+    found = detector.detect(seen)
+    assert found.prompts == expected.prompts
+    assert list(found.class_id) == list(expected.class_id)
+    np.testing.assert_array_equal(found.score, expected.score)
+    np.testing.assert_array_equal(found.xyxy_px, expected.xyxy_px)
+    with pytest.raises(PromptError, match="at most 256"):
+        detector.set_prompts(["chair"] * 257)
+    assert detector.prompts == ("sofa", "chair")
+    assert resources.cache_dir() / "engines" in {p.parent for p in engine_folders()}
+
+
+def engine_folders():
+    return [path.parent for path in resources.cache_dir().rglob("engine.json")]
