@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.detector import Detector
+from edge.perception.detector import Detector, Health, Progress
 from edge.perception.trial import Unfit, failure, judge, median_ms, not_finite, sample
 from edge.perception.worker import WorkerBase
 from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.swap")
 
-Make = Callable[[Perception, Sequence[str]], Detector]
+Make = Callable[[Perception, Sequence[str], Progress], Detector]
 
 _APART_NS = 200_000_000  # between two images that a model is tried on
 _LOOK_S = 0.02
@@ -36,7 +36,7 @@ class Attempt:
         previous: the detector that runs when the attempt begins.
         detector: the model once it is loaded.
         stage: what its own thread is at: `loading`, `checking`.
-        finding: what the trial found, in one line.
+        finding: what the trial found, in one line; before that, what loading is busy with.
         ready: the model was tried and looks for what the running one looks for.
         switched: it is at work, on probation.
         fault: why it cannot stay, in one line; empty while nothing speaks against it.
@@ -127,8 +127,8 @@ class Attempt:
     def _try(self) -> None:
         with self._faults():
             perception = variant(self._perception, self.model)
-            self.detector = self._make(perception, self._worker.detector.prompts)
-            self.stage = "checking"
+            self.detector = self._make(perception, self._worker.detector.prompts, self._loading)
+            self.stage, self.finding = "checking", ""
             while len(self._samples) < self._perception.swap.images:
                 if self._cancelled.wait(_LOOK_S):
                     return
@@ -139,6 +139,10 @@ class Attempt:
                 related(self.model, running), self.force,
             )  # fmt: skip
             self.ready.set()
+
+    def _loading(self, health: Health) -> None:
+        """An engine is built, which takes minutes."""
+        self.finding = ": ".join(filter(None, health))
 
     def _adapt(self) -> None:
         with self._faults():

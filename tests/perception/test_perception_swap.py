@@ -72,7 +72,7 @@ class Bench:
     """A worker, a swapper, and a loop that steps once for every image."""
 
     def __init__(self, make_observation, old, new, worker=InlineWorker, **swap):
-        self.clock_s = 0.0
+        self.clock_s, self.building = 0.0, None
         self.old, self.new, self.said, self.seq = old, new, [], 0
         self.worker = worker(old)
         self._make_observation = make_observation
@@ -82,9 +82,11 @@ class Bench:
             lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 
-    def _make(self, perception, prompts):
+    def _make(self, perception, prompts, progress):
         if isinstance(self.new, Exception):
             raise self.new
+        if self.building is not None:
+            progress(self.building)
         self.new.set_prompts(prompts)
         assert perception.detector.model == "new"
         return self.new
@@ -306,6 +308,18 @@ class Slow(Fake):
         self.begun.set()
         assert self.go.wait(PATIENCE_S)
         super().set_prompts(prompts)
+
+
+def test_an_engine_that_is_built_is_told_of(bench):
+    b = bench(Slow())
+    b.building = Health("building engine", "40 s")
+    b.swapper.request("new", False, 0)
+    assert b.new.begun.wait(PATIENCE_S)
+    status = b.swapper.status()
+    assert (status["state"], status["detail"]) == ("loading", "building engine: 40 s")
+    b.new.go.set()
+    b.until("on probation")
+    assert "building" not in b.swapper.status()["detail"]
 
 
 def test_prompts_that_change_while_it_loads_are_its_own_when_it_switches(bench):

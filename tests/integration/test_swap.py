@@ -1,0 +1,205 @@
+"""`edge models use` against a service with real ONNX models, over Zenoh."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import hashlib
+import struct
+import sys
+import threading
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from edge_processes import write_config
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
+from onnx_bytes import DETECTOR, field, graph, interface, model
+from test_perception_cards import CARD
+
+from edge import resources
+from edge.asking import OrderError
+from edge.config import load
+from edge.geometry import CameraModel
+from edge.runner import loop, open_service
+from edge.store import use
+from edge.types import Observation
+
+pytest.importorskip("onnxruntime")
+
+PLACES = ((8, 8, 40, 40), (9, 9, 41, 41), (44, 44, 60, 60))
+
+
+def constant(name: str, dims: tuple[int, ...], values) -> bytes:
+    raw = struct.pack(f"<{len(values)}f", *values)
+    shape = b"".join(field(1, n) for n in dims)
+    return shape + field(2, 1) + field(8, name) + field(9, raw)
+
+
+def node(op: str, inputs: list[str], output: str, **attributes) -> bytes:
+    body = b"".join(field(1, i) for i in inputs) + field(2, output) + field(4, op)
+    for name, value in attributes.items():
+        many = isinstance(value, list)
+        values = b"".join(field(8, v) for v in value) if many else field(3, value)
+        body += field(5, field(1, name) + values + field(20, 7 if many else 2))
+    return body
+
+
+def detector(shift: float = 0.0, bias: float = 0.0) -> bytes:
+    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in a black one."""
+    boxes = [v + shift for place in PLACES for v in place]
+    nodes = [
+        node("ReduceMean", ["images"], "mean", keepdims=0),
+        node("Div", ["zero", "mean"], "nothing"),
+        node("Add", ["box", "nothing"], "boxes"),
+        node("Transpose", ["txt_feats"], "text_t", perm=[0, 2, 1]),
+        node("MatMul", ["zeros", "text_t"], "flat"),
+        node("Add", ["flat", "bias"], "raw"),
+        node("Sigmoid", ["raw"], "scores"),
+    ]
+    tensors = [
+        constant("zero", (), [0.0]),
+        constant("bias", (), [bias]),
+        constant("box", (1, 3, 4), boxes),
+        constant("zeros", (1, 3, 512), [0.0] * 1536),
+    ]
+    return model(graph(interface(**DETECTOR), tuple(nodes), tuple(tensors)), 8, 17)
+
+
+MODELS = {
+    "first": detector(),
+    "good": detector(shift=1.0, bias=1.0),
+    "elsewhere": detector(shift=64.0),
+    "damaged": detector(),
+    "other-thing": detector(),
+}
+
+
+@pytest.fixture
+def config(tmp_path, monkeypatch, endpoint) -> Path:
+    """A configuration of `first`, cards and files of all, and a vocabulary of two words."""
+    cards = tmp_path / "cards"
+    cards.mkdir()
+    monkeypatch.setattr(resources, "data_dir", lambda kind: cards)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    resources.models_dir().mkdir(parents=True)
+    for name, data in MODELS.items():
+        digest = hashlib.sha256(data + (b"x" if name == "damaged" else b"")).hexdigest()
+        card = {**CARD, "name": name, "file": f"{name}.onnx", "sha256": digest}
+        (cards / f"{name}.yaml").write_text(yaml.safe_dump(card))
+        (resources.models_dir() / f"{name}.onnx").write_bytes(data)
+    words = tmp_path / "words.npz"
+    np.savez(words, names=np.array(["chair", "bed"]), emb=np.eye(2, 512, dtype=np.float16))
+    perception = {
+        "detector": {"kind": "onnx", "model": "first", "vocabulary": str(words), "threads": 1},
+        "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
+    }
+    return write_config(
+        tmp_path, zenoh={"endpoint": endpoint}, perception=perception, loop={"hz": 100},
+        mission={"target": "chair"},
+    )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def as_before():
+    """Opening a service sets these for the whole process."""
+    switch_s = sys.getswitchinterval()
+    yield
+    sys.setswitchinterval(switch_s)
+    gc.unfreeze()
+
+
+class Camera:
+    """A source of the same grey image; `dark`: of a black one."""
+
+    epoch, pose = 0, None
+
+    def __init__(self) -> None:
+        self.counters = Counter(received=0, observations=0)
+        self.dark = False
+
+    def poll(self) -> Observation:
+        self.counters["observations"] += 1
+        n = self.counters["observations"]
+        rgb = np.full((64, 64, 3), 0 if self.dark else 128, np.uint8)
+        camera = CameraModel.from_hfov(64, 64, 1.3)
+        return Observation(n, n * 200_000_000, np.eye(4), rgb=rgb, camera=camera)
+
+    def close(self) -> None: ...
+
+
+def asked(config: Path, name: str, force: bool = False, timeout: float = 200.0) -> int | str:
+    """What `edge models use` exits with, or the line of its error."""
+    try:
+        return use.run(argparse.Namespace(name=name, config=config, force=force, timeout=timeout))
+    except OrderError as error:
+        return str(error)
+
+
+def test_models_are_swapped_in_the_running_service(config, capsys):
+    settings, stop, seen = load(str(config)), threading.Event(), []
+    with ThreadPoolExecutor(1) as pool, open_service(settings, []) as running:
+        service, running.source = running.service, Camera()
+        swapper = service.swapper
+
+        def each() -> None:
+            probation = swapper.state == "on probation"
+            running.source.dark = probation and swapper.status()["number"] == blind
+            seen.append(service.status_dict()["detector"]["model"])
+            if job.done():
+                stop.set()
+
+        def use_one(name: str, **how) -> tuple[int | str, list[str]]:
+            nonlocal job
+            stop.clear()
+            job = pool.submit(asked, config, name, **how)
+            loop(running, stop, each=each)
+            return job.result(), capsys.readouterr().out.splitlines()
+
+        job, blind = None, 4
+        code, _ = use_one("nothing")
+        assert code.startswith("models: refused: model 'nothing': no such card (choices: damaged, ")
+        assert use_one("first")[0] == "models: refused: first runs already"
+
+        code, lines = use_one("damaged")
+        assert code == 1
+        assert lines[0] == "loading"
+        assert lines[-1].startswith("refused: ")
+        assert "damaged" in lines[-1]
+        assert lines[-1].endswith("; first goes on")
+
+        code, lines = use_one("elsewhere")
+        assert code == 1
+        assert "finds 0 of the " in lines[-1]
+        assert set(seen) == {"first"}
+
+        code, lines = use_one("elsewhere", force=True)
+        assert code == 0
+        assert lines[-1] == (
+            f"until the service stops; for good: perception.detector.model: elsewhere in {config}"
+        )
+        assert seen[-1] == "elsewhere"
+
+        code, lines = use_one("good", force=True)
+        assert code == 1
+        assert lines[-1] == (
+            "rolled back: it returns values that are not finite (3 boxes of an image); "
+            "elsewhere runs again"
+        )
+        assert seen[-1] == "elsewhere"
+        assert "good" in seen
+
+        blind = None
+        assert use_one("good", force=True)[0] == 0
+        assert service.status_dict()["swap"]["state"] == "kept"
+        assert service.status_dict()["detector"]["model"] == "good"
+
+
+def test_no_service_is_one_line(config):
+    line = asked(config, "good", timeout=0.1)
+    assert line.startswith("models: no service at tcp/127.0.0.1:")
+    assert line.endswith("start one with `edge run`")
