@@ -19,7 +19,7 @@ from edge.geometry import invert
 from edge.perception.cards import load_detector_card
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
-from edge.store.bench import figures, frames, runs, table, variants
+from edge.store.bench import figures, frames, runs, table, variants, worker
 from edge.store.bench.boxes import KIND, NAMED, NO, Found, Tally, Truth, agree, judge
 
 SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
@@ -397,7 +397,7 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     (tmp_path / "worker.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
     made = runs.Bench(tmp_path, [], [], config.DetectorOnnx(), 0.3, limit_s=0.3)
-    assert made.run(one) == "failed: not done after 0.3 s"
+    assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 
 def test_int8_for_the_cpu_is_tried_nowhere_else_and_fp32_comes_first(place):
@@ -425,3 +425,35 @@ def test_the_table_has_a_line_for_each_footnote():
     assert "100+512" in text
     assert "up to 1.5 of 2 cores busy" in text
     assert "tiny-fp32 on cuda: 3 boxes not finite" in text
+
+
+@pytest.mark.parametrize(
+    ("asked", "names"),
+    [
+        (None, ["cpu", "cuda", "ort-tensorrt", "tensorrt"]),
+        ("cuda,cpu", ["cuda", "cpu"]),
+        ("TensorrtExecutionProvider, CPUExecutionProvider", ["ort-tensorrt", "cpu"]),
+        ("tensorrt", ["tensorrt"]),
+    ],
+)
+def test_providers_by_either_of_their_names(monkeypatch, asked, names):
+    every = {name for providers in variants.PROVIDERS.values() for name in providers}
+    monkeypatch.setattr(variants, "_available", lambda: every)
+    assert variants.providers_here(asked) == names
+
+
+def test_without_a_runtime_it_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(variants, "_available", set)
+    with pytest.raises(UserError, match="pip install"):
+        variants.providers_here(None)
+
+
+def test_a_worker_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
+    def fail(job):
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr(worker, "setup", lambda *_: None)
+    monkeypatch.setattr(worker, "measure", fail)
+    (tmp_path / "job.json").write_text('{"out": "x"}')
+    assert worker.main([str(tmp_path / "job.json")]) == 1
+    assert capsys.readouterr().out == "RuntimeError: two lines\n"

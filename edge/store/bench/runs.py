@@ -60,11 +60,12 @@ class Bench:
         command = [*WORKER, str(self._job_file)]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", check=False,
+                command, stdout=subprocess.PIPE, text=True, errors="replace", check=False,
                 timeout=self._limit_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return f"failed: not done after {self._limit_s:g} s"
+            limit = "perception.swap.load_timeout_s and a bit for each frame"
+            return f"failed: not done after {self._limit_s:g} s ({limit})"
         if done.returncode or not self._out.is_file():
             return f"failed: {_reason(done)}"
         with np.load(self._out) as file:
@@ -72,8 +73,8 @@ class Bench:
 
 
 def _reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Why a worker ended: its signal, or its last line."""
+    """Why a worker ended: its signal, or its last line on stdout."""
     if done.returncode < 0:
         return f"its process was ended by signal {-done.returncode}"
-    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    lines = [line.strip() for line in done.stdout.splitlines() if line.strip()]
     return lines[-1] if lines else f"exit code {done.returncode}"

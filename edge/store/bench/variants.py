@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from edge.errors import UserError
 from edge.perception.card_types import DetectCard
 from edge.perception.cards import all_cards
+from edge.perception.runtime import TENSORRT
 
 PROVIDERS = {
     "cpu": ("CPUExecutionProvider",),
     "cuda": ("CUDAExecutionProvider",),
-    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
+    "ort-tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
+    "tensorrt": (TENSORRT,),
 }
-"""What a model can run on, by the name that tables use."""
+"""What a model can run on, by the name that tables use: TensorRT within onnxruntime, or itself."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
 # Its zero points are not 0: TensorRT refuses it, and CUDA has no kernels for it.
 _CPU_ONLY = ("int8-cpu",)
@@ -56,15 +59,11 @@ def providers_here(asked: str | None) -> list[str]:
     """Names of `PROVIDERS` that this onnxruntime has: all, or those of a comma-separated list.
 
     Raises:
-        UserError: onnxruntime is not installed, or lacks one that was asked for.
+        UserError: there is no runtime, or it lacks one that was asked for.
     """
-    try:
-        import onnxruntime
-    except ImportError:
-        raise UserError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])") from (
-            None
-        )
-    available = set(onnxruntime.get_available_providers())
+    available = _available()
+    if not available:
+        raise UserError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
     here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
     if asked is None:
         return here
@@ -78,5 +77,19 @@ def providers_here(asked: str | None) -> list[str]:
 
 
 def _short(word: str) -> str:
-    """`CPUExecutionProvider` and `cpu` are the same."""
-    return word.strip().lower().removesuffix("executionprovider")
+    """The name of a provider, which may be onnxruntime's (`CPUExecutionProvider`)."""
+    word = word.strip()
+    by_provider = {providers[0].lower(): on for on, providers in PROVIDERS.items()}
+    return by_provider.get(word.lower(), word)
+
+
+def _available() -> set[str]:
+    """Providers of the runtimes that are installed; whether they start is seen later."""
+    found = set()
+    if importlib.util.find_spec("onnxruntime") is not None:
+        import onnxruntime
+
+        found.update(onnxruntime.get_available_providers())
+    if importlib.util.find_spec("tensorrt") is not None:
+        found.add(TENSORRT)
+    return found

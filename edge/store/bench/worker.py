@@ -15,21 +15,26 @@ import numpy as np
 from edge import config, machine
 from edge.bench import resident_mb
 from edge.errors import UserError
-from edge.perception.detector import Detector, make_detector
+from edge.logs import setup
+from edge.perception.detector import Health, make_detector
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
 WARM_FRAMES = 5
-_LOOK_S = 0.2
+_REASON = 200
 
 
 def main(argv: list[str]) -> int:
-    """Do what the job says; 0, or 1 with one line on stderr."""
+    """Do what the job says; 0, or 1 with one line on stdout."""
+    setup("error")
     job = json.loads(Path(argv[0]).read_text(encoding="utf-8"))
     try:
         np.savez(job["out"], **measure(job))
     except UserError as error:
-        print(error, file=sys.stderr)
+        print(error)
+        return 1
+    except Exception as error:  # of the runtime: one row of the table
+        print(" ".join(f"{type(error).__name__}: {error}".split())[:_REASON])
         return 1
     return 0
 
@@ -52,8 +57,7 @@ def measure(job: dict) -> dict[str, np.ndarray]:
     before_mb, gpu_before_mb = resident_mb(), machine.gpu_memory_mb()
     began = time.perf_counter()
     perception = config.Perception(detector=config.DetectorOnnx(**job["detector"]))
-    detector = make_detector(perception, job["prompts"])
-    _wait_for_engine(detector)
+    detector = make_detector(perception, job["prompts"], _tell)
     for observation in seen[:WARM_FRAMES]:
         detector.detect(observation)
     load_s = time.perf_counter() - began
@@ -102,9 +106,8 @@ class _Others:
         return np.nan if busy_s is None else busy_s, time.process_time(), time.perf_counter()
 
 
-def _wait_for_engine(detector: Detector) -> None:
-    while detector.health().state == "building engine":
-        time.sleep(_LOOK_S)
+def _tell(health: Health) -> None:
+    print(f"{health.state}: {health.detail}", file=sys.stderr, flush=True)
 
 
 def _observation(seq: int, rgb: np.ndarray) -> Observation:
