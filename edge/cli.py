@@ -26,7 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
     try:
-        return int(args.handler(args))
+        return _leave(int(args.handler(args)))
     except KeyboardInterrupt:
         return 130
     except Stopped:
@@ -37,6 +37,20 @@ def main(argv: list[str] | None = None) -> int:
     except UserError as error:
         print(error, file=sys.stderr)
         return 2
+
+
+def _leave(code: int) -> int:
+    """The exit code; where a model is still being loaded, the process ends with it here and now.
+
+    Its runtime would not survive the interpreter's end under its thread, and loading may take
+    minutes (see `edge.perception.swap`).
+    """
+    if any(thread.name == "swap" for thread in threading.enumerate()):
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 def stop_on_signals(parent: int | None = None) -> threading.Event:

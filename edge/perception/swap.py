@@ -8,6 +8,7 @@ next step. A swap that fails at any point leaves the model that ran before, and 
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +18,8 @@ from edge.errors import UserError
 from edge.perception.attempt import Attempt, Make
 from edge.perception.detector import Detector, make_detector
 from edge.perception.worker import WorkerBase
+
+log = logging.getLogger("edge.swap")
 
 OVER = ("kept", "rolled back", "refused")
 _CLOSE_S = 5.0
@@ -114,13 +117,18 @@ class Swapper:
         }
 
     def close(self) -> None:
-        """The worker's detector stays; whatever else is open is closed, or, when it is still
-        being loaded, left to be closed by its thread."""
+        """The worker's detector stays; whatever else is open is closed.
+
+        A model that takes longer than `_CLOSE_S` to load is left to its thread; the process must
+        then end without the interpreter's clearing up (see `edge.cli`).
+        """
         if (attempt := self._attempt) is not None:
             self._end(attempt, attempt.previous if attempt.switched else None)
         until_s = time.monotonic() + _CLOSE_S
         for thread in self._closing:
             thread.join(max(0.0, until_s - time.monotonic()))
+        if any(thread.is_alive() for thread in self._closing):
+            log.warning("a model is still being loaded: not waited for")
 
     def _switch(self, attempt: Attempt, now_ns: int) -> None:
         if attempt.detector.prompts != self._worker.detector.prompts:

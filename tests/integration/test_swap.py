@@ -6,6 +6,7 @@ import argparse
 import gc
 import hashlib
 import struct
+import subprocess
 import sys
 import threading
 from collections import Counter
@@ -203,3 +204,28 @@ def test_no_service_is_one_line(config):
     line = asked(config, "good", timeout=0.1)
     assert line.startswith("models: no service at tcp/127.0.0.1:")
     assert line.endswith("start one with `edge run`")
+
+
+ABANDONED = """
+import atexit, threading, types
+from edge import cli
+
+def handler(args):
+    threading.Thread(target=threading.Event().wait, name=args.thread, daemon=True).start()
+    return 3
+
+args = types.SimpleNamespace(log_level="info", log_json=False, handler=handler, thread="NAME")
+cli.make_parser = lambda *_: types.SimpleNamespace(parse_args=lambda argv: args)
+atexit.register(print, "cleared up")
+raise SystemExit(cli.main([]))
+"""
+
+
+@pytest.mark.parametrize(("thread", "output"), [("swap", ""), ("other", "cleared up\n")])
+def test_a_model_that_is_still_being_loaded_does_not_spoil_the_exit(thread, output):
+    """onnxruntime aborts the process when the interpreter goes while it loads."""
+    done = subprocess.run(
+        [sys.executable, "-c", ABANDONED.replace("NAME", thread)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (3, output)

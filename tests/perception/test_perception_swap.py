@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from patience import PATIENCE_S, eventually
@@ -496,6 +496,7 @@ def test_which_boxes_count(was, now, expected):
 corners = arrays(np.float32, (4,), elements=st.integers(0, 8).map(float))
 
 
+@settings(max_examples=30)
 @given(corners, st.lists(corners, max_size=3))
 def test_iou_is_what_counting_pixels_gives(box, others):
     def cells(b):
