@@ -102,7 +102,7 @@ def make_detector(
     if perception.isolation == "process":
         from edge.perception.process.detector import ProcessDetector
 
-        return ProcessDetector(perception, prompts)
+        return ProcessDetector(perception, prompts, progress)
     return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
 
 

@@ -2,7 +2,7 @@
 
 Started in place of `edge.perception.process.serve`. With a model other than `steered` it serves
 that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
-`wait` a steered one is not ready; what else it says keeps it from loading.
+`wait` or `build` a steered one is not ready; what else it says keeps it from loading.
 """
 
 from __future__ import annotations
@@ -72,11 +72,13 @@ class Steered:
         return self._health
 
 
-def make(perception, prompts):
+def make(perception, prompts, progress):
     if perception.detector.model != "steered":
-        return make_detector(perception, prompts)
+        return make_detector(perception, prompts, progress)
     script = Path(perception.detector.vocabulary or os.devnull)
-    while (said := script.read_text()) == "wait":
+    if script.read_text() == "build":
+        progress(Health("building engine", "1 of 2"))
+    while (said := script.read_text()) in ("wait", "build"):
         time.sleep(0.01)
     if said == "exit":
         os._exit(4)

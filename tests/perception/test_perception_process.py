@@ -26,7 +26,7 @@ from patience import PATIENCE_S, eventually
 
 from edge import config, resources
 from edge.perception.cards import ModelError, card_names
-from edge.perception.detector import Health, make_detector
+from edge.perception.detector import Health, log_progress, make_detector
 from edge.perception.process import detector as process_detector
 from edge.perception.process import frames, link
 from edge.perception.process.messages import ModelProcessError
@@ -39,11 +39,11 @@ QUICK = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.
 SMALL = "mini-house-256x320-int8-cpu"
 
 
-def steered(prompts=("chair",), script=None, **process):
+def steered(prompts=("chair",), script=None, progress=log_progress, **process):
     chosen = config.DetectorOnnx(model="steered", vocabulary=script and str(script))
     rules = config.ModelProcess(**{**QUICK, "restarts": 1000, **process})
     perception = config.Perception(isolation="process", process=rules, detector=chosen)
-    return make_detector(perception, prompts)
+    return make_detector(perception, prompts, progress)
 
 
 def pid_of(detector):
@@ -158,7 +158,7 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
         descriptors.append(len(os.listdir("/proc/self/fd")))
     told = [r.getMessage() for r in caplog.records if r.name.startswith("edge.perception.process")]
     assert len([t for t in told if "started again in" in t]) == len(ends)
-    assert len([t for t in told if t.endswith("its process runs again")]) == len(ends)
+    assert len([t for t in told if t.endswith("its process runs")]) == len(ends)
     assert not any("\n" in t for t in told)
     assert descriptors[-1] <= descriptors[0]
 
@@ -258,6 +258,19 @@ def test_what_never_gets_ready_is_an_error_at_the_start(tmp_path, said, kind, sa
     with pytest.raises(kind, match=says) as error:
         steered(["nonsense"], tmp_path / "script", start_timeout_s=limit_s)
     assert type(error.value) is kind
+
+
+def test_what_is_said_of_the_loading_is_passed_on(make, tmp_path):
+    script, told = tmp_path / "script", []
+    script.write_text("build")
+
+    def progress(health):
+        told.append(health)
+        script.write_text("")
+
+    detector = make(script=script, progress=progress)
+    assert told == [Health("building engine", "1 of 2")]
+    assert detector.health() == Health()
 
 
 def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):

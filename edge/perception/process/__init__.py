@@ -5,8 +5,8 @@ The protocol, between the service (`detector.py`, `link.py`) and the model proce
  1. The service starts `python -m edge.perception.process.serve` and writes one JSON object to its
     stdin: configuration, prompts, a private folder, the frame file's descriptor (`messages.Start`).
  2. The process connects to two ZeroMQ PAIR sockets in that folder, `ipc://…/control` and
-    `ipc://…/frames`, and says {} on each: control at once, frames when its model is loaded and has
-    run once. What kept it from loading comes in place of the latter. Then the folder is removed.
+    `ipc://…/frames`. While it loads its model it says {health} on control now and then; when that
+    has run once it says {} on both, else {error, text} on control. Then the folder is removed.
  3. An image lies in the frame file (`frames.py`): memory that the service owns and alone writes,
     with no name on disk; a sequence number is written before the pixels and again after them.
  4. On `frames` the service asks {seq, hw, prompts}. The process looks at the pixels where they lie

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 
 from edge import config
 from edge.errors import UserError
-from edge.perception.detector import Health, check_rgb
+from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.process.frames import FrameFile
 from edge.perception.process.link import Link
 from edge.perception.process.messages import ModelProcessError
@@ -31,8 +31,16 @@ class ProcessDetector:
     no process `detect` raises at once.
     """
 
-    def __init__(self, perception: config.Perception, prompts: Sequence[str]) -> None:
+    def __init__(
+        self,
+        perception: config.Perception,
+        prompts: Sequence[str],
+        progress: Progress = log_progress,
+    ) -> None:
         """
+        Args:
+            progress: see `make_detector`; told at later starts too.
+
         Raises:
             ModelError, PromptError: what keeps the model from loading.
             ModelProcessError: its process cannot be started, ends, or is not ready in time.
@@ -42,6 +50,7 @@ class ProcessDetector:
         self._config = perception.process
         self._perception = perception.model_copy(update={"isolation": "thread"})
         self._prompts = self._looked_for = tuple(prompts)
+        self._progress = progress
         self._own, self._told = Health(), Health()
         self._frames = FrameFile()
         self._link: Link | None = None
@@ -142,7 +151,7 @@ class ProcessDetector:
         """
         link = Link(self._perception, self._looked_for, self.name, self._frames)
         try:
-            link.wait_ready(self._config.start_timeout_s, self._closing)
+            link.wait_ready(self._config.start_timeout_s, self._closing, self._load)
             ready_s = time.monotonic()
             self._link, self._told = link, Health()
             self._say(Health())
@@ -153,6 +162,11 @@ class ProcessDetector:
             return time.monotonic() - ready_s, link.fault
         finally:
             link.close()
+
+    def _load(self, health: Health) -> None:
+        """It is still loading."""
+        self._own = health
+        self._progress(health)
 
     def _outlook(self, pause: Pause) -> str:
         if not pause.limit:
@@ -166,5 +180,5 @@ class ProcessDetector:
         """Take on a state, and log that it changed."""
         level = {"ok": logging.INFO, "restarting": logging.WARNING}.get(health.state, logging.ERROR)
         if health != self._own:
-            log.log(level, health.detail or f"model {self.name}: its process runs again")
+            log.log(level, health.detail or f"model {self.name}: its process runs")
         self._own = health

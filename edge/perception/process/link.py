@@ -15,12 +15,14 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from typing import Any
 
 import numpy as np
 import zmq
 
 from edge import config
 from edge.logs import LEVELS, JsonFormatter
+from edge.perception.detector import Progress
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
@@ -74,30 +76,40 @@ class Link:
                 ) from None
             self._stack = stack.pop_all()
 
-    def wait_ready(self, timeout_s: float, closing: threading.Event) -> None:
+    def wait_ready(self, timeout_s: float, closing: threading.Event, progress: Progress) -> None:
         """Until the model is loaded and has run once.
+
+        Args:
+            timeout_s: how long it may say nothing.
+            progress: told what it says of the loading.
 
         Raises:
             ModelError, PromptError: what kept the model from loading, in the same words as where
                 it is loaded in this process.
-            ModelProcessError: it ended, takes longer than `timeout_s`, or `closing` was set.
+            ModelProcessError: it ended, took too long, or `closing` was set.
         """
-        deadline_s = time.monotonic() + timeout_s
-        for socket in (self._control, self._images):
-            said = None
-            while said is None:
-                code = self._process.poll()  # before: what it said at the end is still to be heard
-                if (said := _receive(socket)) is not None:
-                    break
-                if closing.is_set():
-                    raise self.give_up("told to end while it was started")
-                if time.monotonic() >= deadline_s:
-                    limit = "perception.process.start_timeout_s"
-                    raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
-                if code is not None:
-                    raise self.give_up(f"{_how(code)} before it was ready")
-            messages.raise_error(messages.decode_header(said[0]), self.name)
+        while "health" in (header := self._hear(self._control, timeout_s, closing)):
+            progress(messages.decode_health(header))
+        messages.raise_error(header, self.name)
+        self._hear(self._images, timeout_s, closing)
         self._drop_folder()
+
+    def _hear(
+        self, socket: zmq.Socket[bytes], timeout_s: float, closing: threading.Event
+    ) -> dict[str, Any]:
+        """What a process says that is not yet ready; see `wait_ready`."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            code = self._process.poll()  # before: what it said at its end is still to be heard
+            if (said := _receive(socket)) is not None:
+                return messages.decode_header(said[0])
+            if closing.is_set():
+                raise self.give_up("told to end while it was started")
+            if time.monotonic() >= deadline_s:
+                limit = "perception.process.start_timeout_s"
+                raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
+            if code is not None:
+                raise self.give_up(f"{_how(code)} before it was ready")
 
     def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> messages.Answer:
         """Have it look for the prompts in an image.

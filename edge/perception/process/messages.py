@@ -144,11 +144,21 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         raise ValueError(f"classes that are not among {len(prompts)} prompts")
     return Answer(
         xyxy, score, class_id, rival if header.get("rival") is True else None, tuple(prompts),
-        _health(header.get("health")), invalid,
+        decode_health(header), invalid,
     )  # fmt: skip
 
 
-def _health(told: Any) -> Health:
+def encode_health(health: Health) -> bytes:
+    """How a detector is that is being made."""
+    return json.dumps({"health": health}).encode()
+
+
+def decode_health(header: dict[str, Any]) -> Health:
+    """
+    Raises:
+        ValueError: it is none.
+    """
+    told = header.get("health")
     if not isinstance(told, list) or len(told) != 2 or not all(isinstance(t, str) for t in told):
         raise ValueError(f"health {told!r:.40}")
     if told[0] not in _STATES:

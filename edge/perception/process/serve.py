@@ -17,14 +17,14 @@ import numpy as np
 import zmq
 
 from edge import config, logs
-from edge.perception.detector import Detector, make_detector
+from edge.perception.detector import Detector, Health, Progress, make_detector
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameView
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
 
-Make = Callable[[config.Perception, Sequence[str]], Detector]
+Make = Callable[[config.Perception, Sequence[str], Progress], Detector]
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _FIRST_TO_GO = "1000"  # for the kernel when memory runs out: the robot can do without this process
@@ -46,14 +46,21 @@ def main(make: Make = make_detector) -> int:
     with zmq.Context() as context:
         control = _connect(context, start.folder, "control")
         images = _connect(context, start.folder, "frames")
-        control.send(b"{}")
+        speaking = threading.Lock()
+
+        def progress(health: Health) -> None:  # from any thread, but only until `make` returns
+            with speaking:
+                control.send(messages.encode_health(health))
+
         try:
-            detector = make(config.Perception.model_validate(start.perception), start.prompts)
+            perception = config.Perception.model_validate(start.perception)
+            detector = make(perception, start.prompts, progress)
             _run_empty(detector)
         except Exception as error:
-            images.send(messages.encode_error(error))
+            control.send(messages.encode_error(error))
             return 1  # once that has been sent, at most _LINGER_MS later
         images.send(b"{}")
+        control.send(b"{}")
         threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
         try:
             answer_images(images, detector, FrameView(start.frames_fd))
