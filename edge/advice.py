@@ -166,6 +166,12 @@ class Advisers:
         self._round += 1
         self.advice.similarity = self.advice.choice = None
 
+    def names(self) -> list[str]:
+        """What runs, for people."""
+        workers = (self._similarity, self._choice)
+        running = [self._from_detections] if self._from_detections is not None else []
+        return running + [worker.name for worker in workers if worker is not None]
+
     def status(self) -> dict[str, object]:
         """For the status message: model, counts and newest answer of each scorer that runs."""
         said: dict[str, object] = {}

@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import shutil
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from dataclasses import asdict, dataclass
 from importlib import import_module, metadata, util
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
 from edge import machine, resources
 from edge.config import Config, load
@@ -29,6 +31,7 @@ MIN_CORES = 2
 MIN_SHM_MB = 64
 MIN_FREE_MB = 500
 LOOPBACK_S = 5.0
+SERVER_S = 2.0
 CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap")
 TEGRA_RELEASE = Path("/etc/nv_tegra_release")
 SHM = Path("/dev/shm")
@@ -297,6 +300,7 @@ def _split(error: Exception) -> tuple[str, str]:
 
 def check_models(config: Config) -> Iterator[Finding]:
     """Every card's file; the configured one must be there and whole."""
+    from edge.perception.card_types import SimilarityCard
     from edge.perception.cards import ModelError, card_names, load_card, verify_model
 
     detector = config.perception.detector
@@ -309,6 +313,8 @@ def check_models(config: Config) -> Iterator[Finding]:
     for name in names:
         try:
             card = load_card(name)
+            if isinstance(card, SimilarityCard):  # it has no file, but names cards that do
+                continue
             verify_model(card)
         except ModelError as error:
             yield Finding("fail" if name == needed else "warn", *_split(error))
@@ -343,18 +349,52 @@ def _targets(config: Config) -> tuple[str, ...]:
 
 
 def check_vocabulary(config: Config) -> Iterator[Finding]:
-    from edge.perception.text import PromptError, TextEmbeddings
+    """The text encoder of the configured detector knows the mission's targets."""
+    from edge.perception.cards import load_detector_card
+    from edge.perception.text import TextEmbeddings, TextEncoder, make_text_encoder
 
     detector = config.perception.detector
-    configured = detector.vocabulary if detector.kind == "onnx" else None
+    encoder: TextEncoder
     try:
-        words = TextEmbeddings(configured)
         if detector.kind == "onnx":
-            words.embed(_targets(config))
-    except PromptError as error:
+            encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+            encoder.embed(_targets(config))
+        else:
+            encoder = TextEmbeddings(None)
+    except UserError as error:
         yield Finding("fail" if detector.kind == "onnx" else "warn", *_split(error))
     else:
-        yield Finding("ok", f"vocabulary of text embeddings: {words.path}")
+        yield Finding("ok", f"text embeddings: {encoder!r}")
+
+
+def check_scorers(config: Config) -> Iterator[Finding]:
+    """Configured scorers can be made; where a server is to answer, something listens."""
+    from edge.advice import make_advisers
+
+    try:
+        advisers = make_advisers(config, _targets(config))
+    except UserError as error:
+        yield Finding("fail", *_split(error))
+        return
+    if advisers is None:
+        return
+    names = advisers.names()
+    advisers.close()
+    yield Finding("ok", f"scorers: {', '.join(names)}")
+    choice = config.perception.choice
+    if choice.kind != "none" and not _listens(choice.url):
+        todo = "start the server or correct perception.choice.url; the service goes without it"
+        yield Finding("warn", f"nothing listens at {choice.url}", todo)
+
+
+def _listens(url: str) -> bool:
+    parts = urlsplit(url)
+    port = parts.port or {"http": 80, "https": 443}[parts.scheme]
+    try:
+        socket.create_connection((parts.hostname, port), SERVER_S).close()
+    except (OSError, UnicodeError):  # UnicodeError: a label no host name may have
+        return False
+    return True
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
@@ -382,5 +422,6 @@ CHECKS: tuple[Check, ...] = (
     check_models,
     check_mission,
     check_vocabulary,
+    check_scorers,
     check_worlds,
 )

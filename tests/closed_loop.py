@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from edge.advice import make_advisers
 from edge.config import Config
 from edge.geometry import SE2
 from edge.mission.brief import prepare
@@ -58,7 +59,9 @@ class ClosedLoop:
         self.labels = tuple(o.label for o in self.world.objects)
         brief = prepare(config.mission)
         worker = InlineWorker(make_detector(config.perception, brief.targets))
-        self.service = Service(config, brief, worker, [self.notes, *self.sinks])
+        self.advisers = make_advisers(config, brief.targets)
+        sinks = [self.notes, *self.sinks]
+        self.service = Service(config, brief, worker, sinks, advisers=self.advisers)
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
@@ -98,6 +101,11 @@ class ClosedLoop:
         while self.drive.motion.stamp_ns < end_ns and not self.service.status.done:
             self.step()
         return self
+
+    def close(self) -> None:
+        """Needed where scorers run beside the loop."""
+        if self.advisers is not None:
+            self.advisers.close()
 
     def distance_m(self, label: str) -> float:
         """True distance to the nearest footprint of that label."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import socket
 
 import numpy as np
 import pytest
@@ -178,11 +179,37 @@ def test_vocabulary(monkeypatch, tmp_path):
     assert levels(doctor.check_vocabulary) == ["warn"]
     assert levels(doctor.check_vocabulary, ONNX) == ["fail"]
     path = tmp_path / "words.npz"
-    np.savez(path, names=np.array(["chair"]), emb=np.ones((1, 4), np.float16))
+    np.savez(path, names=np.array(["chair"]), emb=np.ones((1, 512), np.float16))
     monkeypatch.setenv("EDGE_VOCABULARY", str(path))
-    assert levels(doctor.check_vocabulary, ONNX) == ["ok"]
-    absent = parse({**ONNX.model_dump(exclude={"path"}), "mission": {"target": "zebra crossing"}})
-    assert levels(doctor.check_vocabulary, absent) == ["fail"]
+    detector = {"kind": "onnx", "model": "yolo-world-s-256x320-int8-cpu"}
+    for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
+        settings = parse({"perception": {"detector": detector}, "mission": {"target": target}})
+        assert levels(doctor.check_vocabulary, settings) == [level]
+
+
+@pytest.mark.parametrize(
+    ("perception", "expected", "words"),
+    [
+        ({}, [], ""),
+        ({"similarity": "made-up"}, ["fail"], "perception.similarity: model 'made-up': no such"),
+        ({"similarity": "yolo-world-s-256x320-int8-cpu"}, ["fail"], "not 'similarity'"),
+        ({"choice": {"kind": "text", "url": "nowhere", "model": "m"}}, ["fail"], "URL of a chat"),
+    ],
+)
+def test_scorers(perception, expected, words):
+    findings = list(doctor.check_scorers(parse({"perception": perception})))
+    assert [finding.level for finding in findings] == expected
+    assert all(words in finding.what and finding.what.isprintable() for finding in findings)
+
+
+def test_a_choice_scorers_server_is_looked_for():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
+        settings = parse({"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}})
+        assert levels(doctor.check_scorers, settings) == ["ok"]
+    found = list(doctor.check_scorers(settings))
+    assert [finding.level for finding in found] == ["ok", "warn"]
+    assert url in found[1].what
 
 
 def test_worlds(monkeypatch):
