@@ -48,6 +48,8 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
         raise ExportError(
             f"{card.path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
         )
+    if args.weights is None and card.derived_from is None:
+        raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
     text = _prompts(card, args)
     if card.derived_from is None:
         return _export_fp32(card, args, text)
@@ -57,7 +59,8 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
             f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
             "camera, or render some with exporters.render_calibration"
         )
-    _export_fp32(fp32, args, text)
+    if args.weights is not None:
+        _export_fp32(fp32, args, text)
     return _export_derived(card, fp32, args, text)
 
 
@@ -65,6 +68,8 @@ def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
     """Household words of a vocabulary file, or the COCO names inside the checkpoint."""
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
+    if args.weights is None:
+        raise ExportError(f"{card.name}: --vocabulary is missing; name an .npz of text embeddings")
     from exporters.yolo_world import coco_prompts
 
     return coco_prompts(args.weights, card.weights_sha256[0])
@@ -159,12 +164,20 @@ def _write_sidecar(
         "sha256": sha256_of(out),
         "bytes": out.stat().st_size,
         "parity": card_parity(report, reference) if report else None,
-        "weights_sha256": card.weights_sha256[0],
+        "weights_sha256": next(iter(card.weights_sha256), None),
         "calibration_sha256": calibration,
-        "tools": {tool: importlib.metadata.version(tool) for tool in TOOLS},
+        "tools": {tool: _version(tool) for tool in TOOLS},
     }
     write_json(out.with_name(out.name + ".json"), content)
     print(f"{card.file} sha256 {content['sha256']}")
+
+
+def _version(tool: str) -> str | None:
+    """None for what is not installed; torch is only needed for FP32."""
+    try:
+        return importlib.metadata.version(tool)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -172,7 +185,7 @@ def main(argv: list[str] | None = None) -> int:
         prog="python -m exporters", description="make a card's model file from its weights"
     )
     parser.add_argument("card", help="a card's name, such as yolo-world-s-256x320-int8-cpu")
-    parser.add_argument("--weights", type=Path, required=True, help="the .pt file")
+    parser.add_argument("--weights", type=Path, help="the .pt file; default: the cache's FP32")
     parser.add_argument("--calibration", type=Path, help="folder of images (all but fp32 need it)")
     parser.add_argument(
         "--validation",

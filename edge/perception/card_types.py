@@ -141,10 +141,6 @@ class _FileCard(BaseCard):
         """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
         return _locate(self.file)
 
-    @property
-    def sidecar(self) -> Path:
-        return self.path.with_name(self.file + ".json")
-
     def weights_sources(self) -> tuple[Source, ...]:
         """The sources of what the model is made from."""
         return tuple(s for s in self.sources if s.sha256 not in self._own_hashes())

@@ -140,17 +140,37 @@ def verify_model(card: FileCard) -> Path:
     todo = how_to_get(card)
     if not card.path.is_file():
         raise ModelError(f"{card.path}: model {card.name} is not there; {todo}")
-    expected, size = _expected(card, todo)
-    found_size = card.path.stat().st_size
-    if size is not None and found_size != size:
-        what = "truncated" if found_size < size else "longer than it was made"
-        raise ModelError(f"{card.path}: {what}: {found_size} of {size} bytes; {todo}")
-    if remembered_sha256(card.path) != expected:
+    if not verify_file(card, card.path):
         raise ModelError(
-            f"{card.path}: damaged or another model: sha256 is not {expected[:12]}…; {todo}"
+            f"{_sidecar(card.path)}: no sha256 to check the model against; {how_to_get(card)}"
         )
-    check_file(card.path, card)
     return card.path
+
+
+def verify_file(card: FileCard, path: Path) -> bool:
+    """Whether a hash was there to compare; else as `verify_model`, for any file.
+
+    Raises:
+        ModelError: the file is not there or not what the card says; see `verify_model`.
+    """
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
+    expected, size = _expected(card, path)
+    if expected is not None:
+        _compare(card, path, expected, size)
+    check_file(path, card)
+    return expected is not None
+
+
+def _compare(card: FileCard, path: Path, expected: str, size: int | None) -> None:
+    found = path.stat().st_size
+    if size is not None and found != size:
+        what = "truncated" if found < size else "longer than it was made"
+        raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
+    if remembered_sha256(path) != expected:
+        raise ModelError(
+            f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
+        )
 
 
 def how_to_get(card: FileCard) -> str:
@@ -162,23 +182,31 @@ def how_to_get(card: FileCard) -> str:
     return f"run `edge models export {card.name}`"
 
 
-def _expected(card: FileCard, todo: str) -> tuple[str, int | None]:
-    """(sha256, size in bytes if known) from the card, else from the sidecar of the export."""
+def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
+    """(sha256, size in bytes) from the card, else from what the export put beside the file."""
     if card.sha256 is not None:
         return card.sha256, None
+    made = _made(path)
+    digest, size = made.get("sha256"), made.get("bytes")
+    return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
+
+
+def _sidecar(path: Path) -> Path:
+    """What an export says of the file that it made."""
+    return path.with_name(path.name + ".json")
+
+
+def _made(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(card.sidecar.read_text(encoding="utf-8"))
-        expected, size = str(data["sha256"]), data.get("bytes")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ModelError(
-            f"{card.sidecar}: no sha256 to check the model against ({type(error).__name__}); {todo}"
-        ) from None
-    return expected, int(size) if isinstance(size, int) else None
+        data = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
 
 
 def made_parity(card: FileCard) -> Parity | None:
     """The parity that the export wrote beside the model, None where there is none."""
     try:
-        return Parity.model_validate(json.loads(card.sidecar.read_text(encoding="utf-8"))["parity"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return Parity.model_validate(_made(card.path).get("parity"))
+    except ValidationError:
         return None

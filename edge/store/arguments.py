@@ -41,14 +41,15 @@ def _export(action: argparse.ArgumentParser) -> None:
 
 
 def _quantize(action: argparse.ArgumentParser) -> None:
-    action.add_argument("name", help=_CARD)
-    action.add_argument("--calibration", type=Path, help="folder of images (int8 models)")
-    action.add_argument("--vocabulary", type=Path, help="text embeddings (.npz)")
+    option = action.add_argument
+    option("name", help=_CARD)
+    option("--calibration", type=Path, required=True, metavar="DIR", help="folder of pictures")
+    option("--vocabulary", type=Path, help="text embeddings (.npz); default: as `edge run` has")
 
 
 def _check(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", nargs="?", help=f"{_CARD}; default: all whose file is there")
-    action.add_argument("--file", type=Path, help="check this file against the card")
+    action.add_argument("--file", type=Path, help="hold this file against the card")
 
 
 def _bench(action: argparse.ArgumentParser) -> None:

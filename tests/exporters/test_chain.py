@@ -111,3 +111,18 @@ def test_int8_without_images_says_so(weights, tmp_path, capsys):
 
     assert main([NAME, "--weights", str(weights), "--cache", str(tmp_path)]) == 1
     assert "--calibration is missing" in capsys.readouterr().err
+
+
+def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(cache, vocabulary, photos, capsys):
+    from exporters.__main__ import main
+
+    name = NAME.replace("int8-cpu", "fp16")
+    options = ["--calibration", photos, "--cache", cache, "--no-gate"]
+    words = [str(word) for word in (name, *options)]
+    assert main(words) == 1
+    assert "--vocabulary is missing" in capsys.readouterr().err
+    assert main([*words, "--vocabulary", str(vocabulary)]) == 0
+    assert (cache / f"{name}.onnx.json").is_file()
+    original = NAME.replace("int8-cpu", "fp32")
+    assert main([original, "--cache", str(cache)]) == 1
+    assert "--weights is missing" in capsys.readouterr().err

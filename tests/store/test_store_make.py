@@ -1,0 +1,84 @@
+"""`edge models export` and `quantize`: what they ask for, and what they tell the exporter."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge import resources
+from edge.cli import main
+from edge.perception.cards import load_card
+from edge.store import export
+from edge.store.places import weights_path
+
+ORIGINAL = {
+    "name": "big", "family": "f", "task": "detect", "file": "big.onnx", "sha256": None,
+    "sources": [{"kind": "url", "url": "https://example.org/w.pt", "sha256": "0" * 64}],
+    "license": "MIT", "input": {"height": 64, "width": 64}, "precision": "fp32",
+    "derived_from": None, "text_dim": 8, "parity": None,
+    "preprocess": {"color": "rgb", "scale": 1.0, "letterbox_pad": 0},
+}  # fmt: skip
+DERIVED = {**ORIGINAL, "name": "small", "file": "small.onnx", "derived_from": "big"}
+SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
+
+
+@pytest.fixture
+def started(store, monkeypatch):
+    """The command lines of the exporters that would have been started."""
+    for card in (ORIGINAL, DERIVED, SCORER):
+        store(card)
+    lines = []
+
+    class Done:
+        returncode = 0
+
+    monkeypatch.setattr(export, "need_modules", lambda *_: None)
+    monkeypatch.setattr("edge.store.quantize.need_modules", lambda *_: None)
+    monkeypatch.setattr(export.subprocess, "run", lambda line, **_: lines.append(line) or Done)
+    return lines
+
+
+def test_no_weights_here(started, capsys):
+    assert main(["models", "export", "small"]) == 2
+    assert "run `edge models pull small`" in capsys.readouterr().err
+    assert started == []
+
+
+def test_weights_that_were_pulled_are_exported(started):
+    path = weights_path(load_card("small").sources[0])
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"weights")
+    assert main(["models", "export", "small", "--calibration", "pictures"]) == 0
+    (line,) = started
+    assert line[1:] == [
+        "-m", "exporters", "small", "--weights", str(path), "--calibration", "pictures",
+        "--cache", str(resources.models_dir()),
+    ]  # fmt: skip
+
+
+def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
+    monkeypatch.setattr("edge.store.quantize.verify_model", lambda card: None)
+    words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
+    assert main(["models", "quantize", "small", *words]) == 0
+    (line,) = started
+    assert line[2:-2] == ["exporters", "small", *words]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("big", "is not derived from another model"),
+        ("small", "big.onnx: model big is not there"),
+        ("s", "has no file of its own, it uses big"),
+        ("none", "no such card"),
+    ],
+)
+def test_what_cannot_be_quantized(started, capsys, name, message):
+    assert main(["models", "quantize", name, "--calibration", "pictures"]) == 2
+    assert message in capsys.readouterr().err
+    assert started == []
+
+
+def test_what_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setattr(export.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(export.ModelError, match=r"exporters, torch not installed here: pip inst"):
+        export.need_modules("export", ("torch",))
