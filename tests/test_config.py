@@ -76,6 +76,10 @@ FAULTS = [
     ({"robot": {"name": "a b"}}, "f.yaml: robot.name: "),
     ({"mission": {"target": ""}}, "f.yaml: mission.target: "),
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
+    (
+        {"perception": {"isolation": "process", "detector": {"kind": "sim"}}},
+        "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx, sim runs",
+    ),
     ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]

@@ -1,0 +1,173 @@
+"""The service while its model's process is killed, stopped and brought back."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from patience import PATIENCE_S
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
+from fake_model_process import __file__ as fake
+
+from edge.config import ModelProcess, parse
+from edge.geometry import CameraModel
+from edge.perception.process import link
+from edge.runner import Running, loop, open_service
+from edge.types import Observation
+
+TICKS = 10  # with an image each, that the loop makes while there is no model
+RATE_HZ = 30.0
+
+
+class Camera:
+    """A source of grey images with an empty floor, as many as are asked for."""
+
+    epoch, pose = 0, None
+
+    def __init__(self) -> None:
+        self.counters = Counter(received=0, observations=0)
+
+    def poll(self) -> Observation:
+        self.counters["observations"] += 1
+        n = self.counters["observations"]
+        rgb = np.full((64, 64, 3), 128, np.uint8)
+        depth = np.full((64, 64), 2.0, np.float32)
+        camera = CameraModel.from_hfov(64, 64, 1.3)
+        stamp_ns = int(n * 1e9 / RATE_HZ)
+        return Observation(n, stamp_ns, np.eye(4), rgb=rgb, depth_m=depth, camera=camera)
+
+    def close(self) -> None: ...
+
+
+class Life:
+    """The loop under way, one step of a story at a time."""
+
+    def __init__(self, running: Running) -> None:
+        self.running, self.stop = running, threading.Event()
+        self.detector = running.worker.detector
+
+    def until(self, what: Callable[[], object], ticks: int = 0) -> int:
+        """Have the loop go on until something is true, and then for so many ticks; all ticks."""
+        made, left, deadline_s = 0, ticks, time.monotonic() + PATIENCE_S
+
+        def each() -> None:
+            nonlocal made, left
+            made += 1
+            if what() and (left := left - 1) < 0:
+                self.stop.set()
+            assert time.monotonic() < deadline_s, "it did not happen"
+
+        self.stop.clear()
+        loop(self.running, self.stop, each=each)
+        return made
+
+    def until_it_sees(self) -> int:
+        """Until an image that is yet to come was looked at, or none will be; the ticks."""
+        stats, done = self.running.worker.stats, self.running.worker.stats.done + 1
+        return self.until(lambda: stats.done > done or self.state() == "degraded")
+
+    def images(self) -> int:
+        """How many the loop has taken so far."""
+        return self.running.source.counters["observations"]
+
+    def status(self) -> dict:
+        return self.running.service.status_dict()["detector"]
+
+    def state(self) -> str:
+        return self.detector.health().state
+
+    def model(self) -> psutil.Process:
+        """The model's process."""
+        mine = [c for c in psutil.Process().children() if fake in c.cmdline()]
+        assert len(mine) == 1
+        return mine[0]
+
+
+@pytest.fixture
+def live(endpoint, tmp_path, monkeypatch) -> Iterator[Callable]:
+    """live(**process): a service whose model's process is a fake; `script` says what it does."""
+    monkeypatch.setattr(link, "PROGRAM", (sys.executable, fake))
+    switch_s, script = sys.getswitchinterval(), tmp_path / "script"
+    script.write_text("")
+
+    @contextmanager
+    def start(**process: object) -> Iterator[tuple[Life, Path]]:
+        perception = {
+            "isolation": "process",
+            "process": process,
+            "detector": {"kind": "onnx", "model": "steered", "vocabulary": str(script)},
+        }
+        config = parse({
+            "zenoh": {"endpoint": endpoint}, "perception": perception,
+            "loop": {"hz": RATE_HZ}, "mission": {"target": "chair", "time_limit_s": 1e6},
+        })  # fmt: skip
+        with open_service(config, []) as running:
+            zenoh, running.source = running.source, Camera()
+            yield Life(running), script
+            running.source = zenoh
+        assert not [c for c in psutil.Process().children() if fake in c.cmdline()]
+
+    yield start
+    sys.setswitchinterval(switch_s)
+    gc.unfreeze()
+
+
+PATIENT = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.01}
+
+
+def test_loop_and_map_go_on_until_the_limit_and_beyond(live):
+    kills = 3
+    with live(**PATIENT, restarts=kills - 1, window_s=1e6) as (life, script):
+        for number in range(1, kills + 1):
+            life.until_it_sees()
+            script.write_text("wait")
+            before, state = life.images(), "degraded" if number == kills else "restarting"
+            life.model().kill()
+            life.until(lambda state=state: life.state() == state, TICKS)
+            assert life.images() - before >= TICKS
+            assert life.status()["state"] == state
+            script.write_text("")
+        assert "ended too often (perception.process.restarts: 2)" in life.status()["detail"]
+        assert life.status()["failures"].keys() == {"ModelProcessError"}
+        assert not life.running.service.status.done
+
+
+def test_loop_and_map_go_on_while_the_process_hangs(live):
+    with live(**PATIENT) as (life, _):
+        life.until_it_sees()
+        process = life.model()
+        process.suspend()
+        before = life.images()
+        life.until(lambda: True, TICKS)
+        assert life.images() - before >= TICKS
+        process.resume()
+        life.until_it_sees()
+        assert life.model().pid == process.pid
+
+
+@pytest.mark.slow
+def test_ten_kills_in_a_minute(live):
+    """With the rules as they are by default: the loop at its rate, then `degraded`."""
+    with live(start_timeout_s=PATIENCE_S) as (life, _):
+        life.until_it_sees()
+        began_s = time.monotonic()
+        before_hz = life.until(lambda: True, 150) / (time.monotonic() - began_s)
+        kills, ticks, began_s = 0, 0, time.monotonic()
+        while life.state() != "degraded":
+            life.model().kill()
+            kills += 1
+            ticks += life.until_it_sees()
+        took_s = time.monotonic() - began_s
+        print(f"{before_hz:.1f} Hz; {ticks / took_s:.1f} Hz over {kills} kills in {took_s:.0f} s")
+        assert kills == ModelProcess().restarts + 1
+        assert ticks / took_s > 0.8 * before_hz
