@@ -15,6 +15,7 @@ from edge.perception.model_file import remembered_sha256
 from edge.store import index
 from edge.store.download import LIMITS, Limits, download
 from edge.store.local import copy_from, extract
+from edge.store.made import take_made
 from edge.store.part import FetchError, Part
 from edge.store.places import source_file_name, weights_path
 
@@ -84,13 +85,15 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
     """
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: comes with edge-vln: {card.path}"]
-    files = wanted(card)
-    if not files:
+    files, lines = wanted(card), []
+    if card.sha256 is None and (path := _made_elsewhere(card, where)):
+        lines.append(f"{card.name}: model: {path}")
+        files = [file for file in files if file.what != "weights"]
+    elif not files:
         raise ModelError(
             f"model {card.name!r}: its card names no sources; `edge models export {card.name}` "
-            "makes it"
+            "makes it, and --from FOLDER brings one that was exported elsewhere"
         )
-    lines = []
     for file in files:
         if file.target.is_file() and remembered_sha256(file.target) == file.sha256:
             lines.append(f"{card.name}: {file.what}: was here already: {file.target}")
@@ -101,6 +104,17 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
         pictures = " --calibration PICTURES" if card.derived_from else ""
         lines.append(f"{card.name}: next: edge models export {card.name}{pictures}")
     return lines
+
+
+def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
+    """The model from the first place that has an export of it."""
+    for place in where.places:
+        try:
+            if path := take_made(card, place, where.offline, where.limits):
+                return path
+        except FetchError as error:
+            print(f"{card.name}: {error}", file=sys.stderr)
+    return None
 
 
 def wanted(card: FileCard) -> list[Wanted]:

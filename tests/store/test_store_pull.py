@@ -292,3 +292,33 @@ def test_a_folder_that_lacks_it(store, tmp_path, capsys, name, content, message)
     assert main(["models", "pull", "tiny", "--offline", "--from", str(tmp_path / "none")]) == 2
     assert "no such file or folder" in capsys.readouterr().err
     assert pulled() == {}
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
+    store, server, tmp_path, remote
+):
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    said = json.dumps({"sha256": sha(MODEL), "bytes": len(MODEL), "parity": None}).encode()
+    for name, content in (("tiny.onnx", MODEL), ("tiny.onnx.json", said)):
+        (folder / name).write_bytes(content)
+        server.put(f"/stick/{name}", content)
+    store(card(url(GONE)))
+    place = server.url("/stick/") if remote else str(folder)
+    assert main(["models", "pull", "tiny", "--from", place]) == 0
+    assert pulled().keys() == {"tiny.onnx", "tiny.onnx.json"}
+    assert pulled()["tiny.onnx"] == MODEL
+    assert json.loads(pulled()["tiny.onnx.json"])["bytes"] == len(MODEL)
+
+
+@pytest.mark.parametrize("said", [b"", b"[]", b'{"sha256": 3}', b'{"sha256": "%s"}' % (b"0" * 64)])
+def test_a_model_that_is_not_what_its_export_said_stays_there(store, tmp_path, capsys, said):
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    (folder / "tiny.onnx").write_bytes(MODEL)
+    (folder / "tiny.onnx.json").write_bytes(said)
+    store(card(url("https://example.org/w.pt")))
+    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == 2
+    assert ("tiny.onnx: sha256 is" in capsys.readouterr().err) == (b"000" in said)
+    assert pulled() == {}

@@ -1,0 +1,61 @@
+"""Models that were exported on another machine: the ONNX file and what the export said of it.
+
+A robot needs no torch this way: `edge models export` on a workstation, its cache's `models`
+folder on a stick, `edge models pull NAME --from FOLDER` here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from pathlib import Path
+from urllib.parse import urljoin
+
+from edge import resources
+from edge.perception.card_types import FileCard
+from edge.store import index
+from edge.store.download import LIMITS, Limits, download, read_page
+from edge.store.local import copy_from
+from edge.store.part import FetchError, Part
+
+
+def take_made(card: FileCard, place: str, offline: bool, limits: Limits = LIMITS) -> Path | None:
+    """Bring a model that was made elsewhere into the cache; None where the place has none.
+
+    Args:
+        place: a folder, or the address of one (which ends in a slash).
+
+    Raises:
+        FetchError: it has one that is not what the export said.
+    """
+    remote = place.startswith(("http://", "https://"))
+    if remote and (offline or not place.endswith("/")):
+        return None
+    said = _read(place, f"{card.file}.json", remote, limits)
+    sha256, size = said.get("sha256"), said.get("bytes")
+    if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
+        return None
+    target = resources.models_dir() / card.file
+    with Part(target, sha256, size if isinstance(size, int) else None) as part:
+        if remote:
+            download(urljoin(place, card.file), part, limits)
+        else:
+            copy_from(index.local_path(place) / card.file, part, ())
+    sidecar = target.with_name(f"{target.name}.json")
+    half = sidecar.with_name(f".{sidecar.name}.part")
+    half.write_text(json.dumps(said, indent=2) + "\n", encoding="utf-8")
+    half.replace(sidecar)
+    return target
+
+
+def _read(place: str, name: str, remote: bool, limits: Limits) -> dict:
+    """What an export said, empty where it said nothing."""
+    with contextlib.suppress(FetchError, OSError, ValueError, RecursionError):
+        if remote:
+            content = read_page(urljoin(place, name), "application/json", limits)[2]
+        else:
+            content = (index.local_path(place) / name).read_bytes()
+        data = json.loads(content)
+        return data if isinstance(data, dict) else {}
+    return {}
