@@ -66,6 +66,7 @@ def tensor_session(model: onnx.ModelProto, names: list[str]) -> onnxruntime.Infe
     )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     return onnxruntime.InferenceSession(
         augmented.SerializeToString(), options, providers=["CPUExecutionProvider"]
     )

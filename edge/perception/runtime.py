@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,8 +140,7 @@ def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[st
     try:
         session = ort.InferenceSession(str(path), options, providers=providers)
     except Exception as error:  # onnxruntime raises many types of its own
-        reason = str(error).splitlines()[0][:200]
-        raise ModelError(f"{path}: onnxruntime cannot load it: {reason}") from None
+        raise ModelError(f"{path}: onnxruntime cannot load it: {_reason(error)}") from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.
     if missing := [p for p, _ in providers if p not in session.get_providers()]:
         raise ModelError(
@@ -149,6 +149,15 @@ def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[st
             "perception.detector.providers"
         )
     return session
+
+
+def _reason(error: Exception) -> str:
+    """What onnxruntime means, without the path and the place in its source that come before."""
+    text = " ".join(str(error).split())
+    text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
+    text = re.sub(r"^.* failed: ?", "", text)
+    text = re.sub(r"/onnxruntime_src/\S+:\d+ .*?\) ", "", text)
+    return text.rpartition(", Error ")[2][:200]
 
 
 def provider_options(

@@ -28,9 +28,8 @@ def engine(precision="fp32", **more):
     return EngineOptions("tiny", precision, SHAPES, **more)
 
 
-@pytest.fixture
-def doubles(tmp_path):
-    """A session whose `twice` is `fresh` + `fixed`, (1, 4)."""
+def save_adder(folder, op="Add", opset=17, ir=8):
+    """A model whose `twice` is `fresh` + `fixed`, (1, 4)."""
     onnx = pytest.importorskip("onnx")
     from onnx import TensorProto, helper
 
@@ -38,12 +37,18 @@ def doubles(tmp_path):
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4])
         for name in ("fresh", "fixed", "twice")
     )
-    node = helper.make_node("Add", ["fresh", "fixed"], ["twice"])
-    graph = helper.make_graph([node], "doubles", [fresh, fixed], [twice])
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    path = tmp_path / "doubles.onnx"
+    node = helper.make_node(op, ["fresh", "fixed"], ["twice"])
+    graph = helper.make_graph([node], "adds", [fresh, fixed], [twice])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=ir)
+    path = folder / "adds.onnx"
     onnx.save(model, path)
-    return open_session(path, [CPU], threads=1)
+    return path
+
+
+@pytest.fixture
+def adds(tmp_path):
+    """A session of `save_adder`'s model."""
+    return open_session(save_adder(tmp_path), [CPU], threads=1)
 
 
 @pytest.mark.parametrize(
@@ -68,6 +73,22 @@ def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
     with pytest.raises(ModelError, match="onnxruntime cannot load it") as error:
         open_session(tmp_path / "tiny.onnx", [CPU], 1)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"op": "NoSuchOperator"}, "load it: No Op registered for NoSuchOperator"),
+        ({"ir": 99}, "load it: Unsupported model IR version: 99"),
+        ({"opset": 99}, r"load it: ONNX Runtime only .*Opset 99"),
+    ],
+)
+def test_a_model_that_onnxruntime_cannot_run_is_one_line(tmp_path, change, says):
+    path = save_adder(tmp_path, **change)
+    with pytest.raises(ModelError, match=says) as error:
+        open_session(path, [CPU], 1)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400
 
 
 def test_providers_without_options_are_told_nothing():
@@ -189,17 +210,17 @@ def make_device(session, arrays, outputs):
 
 
 @pytest.mark.parametrize("make", [make_host, make_device])
-def test_what_is_live_is_read_before_every_run(doubles, make):
+def test_what_is_live_is_read_before_every_run(adds, make):
     arrays = feeds()
-    bound = make(doubles, arrays, {"twice": (1, 4)})
+    bound = make(adds, arrays, {"twice": (1, 4)})
     np.testing.assert_array_equal(bound.run()[0], [[11, 22, 33, 44]])
     arrays["fresh"][:] = -1
     np.testing.assert_array_equal(bound.run()[0], [[9, 19, 29, 39]])
 
 
-def test_on_the_cpu_nothing_is_copied_or_allocated(doubles):
+def test_on_the_cpu_nothing_is_copied_or_allocated(adds):
     arrays = feeds()
-    bound = make_host(doubles, arrays, {"twice": (1, 4)})
+    bound = make_host(adds, arrays, {"twice": (1, 4)})
     first = bound.run()[0]
     arrays["fixed"][:] = 0  # read in place, too
     assert bound.run()[0] is first
