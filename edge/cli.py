@@ -25,8 +25,13 @@ def main(argv: list[str] | None = None) -> int:
     handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
+    return _leave(_outcome(args))
+
+
+def _outcome(args: argparse.Namespace) -> int:
+    """The exit code of a command, its errors told."""
     try:
-        return _leave(int(args.handler(args)))
+        return int(args.handler(args))
     except KeyboardInterrupt:
         return 130
     except Stopped:

@@ -65,7 +65,8 @@ class Attempt:
         if self.switched:
             return f"{len(self._latencies_ns)} of {self._perception.swap.probation} images"
         if self.stage == "checking" and not self.ready.is_set():
-            return f"{len(self._samples)} of {self._perception.swap.images} images at hand"
+            n, wanted = len(self._samples), self._perception.swap.images
+            return f"{n} of {wanted} images at hand" if n < wanted else f"tried on {n} images"
         return ""
 
     def adapt(self) -> None:

@@ -111,7 +111,7 @@ def not_finite(detector: Detector, before: int, found: Detections) -> str:
     Args:
         before: `invalid_boxes` before it detected.
     """
-    if invalid := detector.invalid_boxes - before:
+    if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns values that are not finite ({invalid} boxes of an image)"
     if not (np.isfinite(found.xyxy_px).all() and np.isfinite(found.score).all()):
         return "it returns boxes or scores that are not finite"
