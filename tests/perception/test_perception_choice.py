@@ -147,6 +147,11 @@ def test_what_stands_before_a_frontier_hides_it(make_observation, depth_m, seen)
     assert bool(marks_of(make_observation(depth_m=depth), (3.0, 0.0))) == seen
 
 
+def test_a_depth_image_of_another_size_hides_nothing(make_observation):
+    depth = np.full((32, 40), 1.0, np.float32)
+    assert marks_of(make_observation(depth_m=depth), (3.0, 0.0))
+
+
 def test_letters_go_from_left_to_right_to_the_nearest(make_observation):
     ring = [(4.0 + 0.1 * i, y) for i, y in enumerate(np.linspace(-1.5, 1.5, 12))]
     marks = marks_of(make_observation(), (2.5, 0.0), *ring)

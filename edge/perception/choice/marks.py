@@ -41,8 +41,9 @@ def visible_marks(
     v = camera.fy_px * y[seen] / z[seen] + camera.cy_px
     column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
     inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    if observation.depth_m is not None:
-        depth_m = observation.depth_m[row[inside], column[inside]]
+    depth = observation.depth_m
+    if depth is not None and depth.shape == (camera.height_px, camera.width_px):
+        depth_m = depth[row[inside], column[inside]]
         allowed_m = z[seen[inside]] * (1.0 - OCCLUDED_SHARE) - OCCLUDED_M
         # NaN and 0 mean that nothing returned.
         inside[inside] = ~((depth_m > 0.0) & (depth_m < allowed_m))

@@ -1,0 +1,120 @@
+"""The choice scorer with a real language model behind a real OpenAI-compatible server.
+
+Needs what `test_edge_llm.py` needs. What so small a model makes of a view is printed, not asserted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from closed_loop import ClosedLoop
+from llm_process import PATIENCE_S, serving_llm
+from patience import eventually
+
+from edge.chat import ChatError
+from edge.config import ChoiceOpenai, ChoiceText, parse
+from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
+from edge.perception.choice.scorer import ChoiceScorer, make_choice
+from edge.types import Observation
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+
+SEEN = (Sighting("bed", 0.5, 2.1), Sighting("lamp", 0.1, 3.0))
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    with serving_llm() as (url, _):
+        yield url
+
+
+def view(target: str, n_marks: int, seen: tuple[Sighting, ...] = SEEN, rgb=None) -> View:
+    bearings = np.linspace(0.6, -0.6, n_marks)
+    marks = tuple(Mark(i, 10.0 + 30 * i, 40.0, float(b), 2.0 + i) for i, b in enumerate(bearings))
+    return View(Observation(0, 0, np.eye(4), rgb=rgb), target, marks, seen)
+
+
+def put_to(scorer: ChoiceScorer, question: View) -> Choice:
+    choice = scorer.answer(scorer.look(question))
+    assert choice is not None
+    return choice
+
+
+@pytest.fixture(scope="module")
+def scorer(url: str) -> ChoiceScorer:
+    return make_choice(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
+
+
+@pytest.mark.parametrize("n_marks", [1, 3, MAX_MARKS])
+@pytest.mark.parametrize("target", ["chair", "tall white trash can"])
+def test_probabilities_over_the_letters(scorer, target, n_marks, capsys):
+    choice = put_to(scorer, view(target, n_marks))
+    assert choice.ids == tuple(range(n_marks))
+    assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
+    assert (choice.p > 0).all()
+    assert 0.0 < choice.scene < 1.0
+    assert (choice.value < choice.p).all()
+    again = put_to(scorer, view(target, n_marks))
+    # A prompt that is kept is computed in other batches than a new one.
+    np.testing.assert_allclose(again.p, choice.p, atol=0.05)
+    with capsys.disabled():
+        ways = " ".join(f"{p:.2f}" for p in choice.p)
+        print(f"\n{target}: {ways}, elsewhere {choice.elsewhere:.2f}, scene {choice.scene:.2f}")
+
+
+def test_what_was_seen_matters(scorer):
+    several = [put_to(scorer, view("chair", 3, seen)) for seen in ((), SEEN, SEEN[::-1])]
+    assert len({choice.scene for choice in several}) == 3
+
+
+def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monkeypatch):
+    timings = []
+    read = scorer._client._likeliest
+
+    def note(reply):
+        timings.append(json.loads(reply.body)["timings"])
+        return read(reply)
+
+    monkeypatch.setattr(scorer._client, "_likeliest", note)
+    put_to(scorer, view("piano", 5, (Sighting("stove", 0.0, 4.0),)))
+    _, second = timings
+    assert second["cache_n"] > second["prompt_n"]
+
+
+def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
+    blind = make_choice(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
+    with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
+        put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))
+    assert "\n" not in str(raised.value)
+
+
+def test_the_robot_goes_on_when_the_server_is_killed():
+    with serving_llm() as (url, server):
+        choice = {"kind": "text", "url": url, "model": "default", "time_limit_s": PATIENCE_S}
+        loop = ClosedLoop(
+            parse(
+                {
+                    "loop": {"lockstep": False},
+                    "sim": {"lockstep": True},
+                    "mission": {"target": "television"},
+                    "perception": {"choice": choice},
+                }
+            )
+        )
+        while loop.advisers.advice.choice is None and not loop.service.status.done:
+            loop.step()
+            worker = loop.advisers._choice
+            if worker.stats.asked:
+                eventually(lambda w=worker: w.idle)
+        assert loop.advisers.advice.choice is not None
+        server.kill()
+        server.wait()
+        loop.run(240)
+        assert loop.service.status.phase == "reached"
+        status = loop.service.status_dict()["scorers"]["choice"]
+        assert status["answered"] >= 1
+        assert status["failed"] == 0 or url in status["last_error"]
+        loop.close()
