@@ -138,7 +138,8 @@ def _open_onnxruntime(
 
 def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]]) -> Any:
     try:
-        session = ort.InferenceSession(str(path), options, providers=providers)
+        # Its fallback would print, and go on with other providers than those named.
+        session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
     except Exception as error:  # onnxruntime raises many types of its own
         raise ModelError(f"{path}: onnxruntime cannot load it: {_reason(error)}") from None
     # A provider that fails to start is only logged by onnxruntime, which then uses the CPU.

@@ -138,7 +138,7 @@ class FakeOrt:
         def add_session_config_entry(self, *_):
             pass
 
-    def InferenceSession(self, path, options, providers):
+    def InferenceSession(self, path, options, providers, enable_fallback):
         told = dict(providers)[ORT_TENSORRT]
         folder = Path(told["trt_engine_cache_path"])
         self.sessions.append((folder, sorted(p.name for p in folder.iterdir())))

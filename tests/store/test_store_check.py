@@ -134,6 +134,15 @@ def test_an_unsound_model_is_one_line(put, capsys, task, change, message):
     assert len(errors) == 1
 
 
+def test_what_onnxruntime_says_in_no_known_letters_is_one_line(put, capfd):
+    path = put("detect")
+    path.write_bytes(path.read_bytes().replace(b"Sigmoid", b"Sig\xd3oid"))
+    assert main(["models", "check", "detect", "--file", str(path.rename(f"{path}.bad"))]) == 1
+    out, err = capfd.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "onnxruntime cannot load it" in err
+
+
 def test_the_others_are_still_checked(put, capsys):
     put("detect", digest="0" * 64)
     put("text")
