@@ -36,6 +36,7 @@ RECIPES = {
         ),
         not_fp16=(_YOLO_HEAD,),
     ),
+    "mini-house": Recipe(not_int8=(r"^/(?!trunk/|neck/|heads\.)",)),  # as _YOLO_HEAD
 }
 """By family, as the cards name it."""
 

@@ -1,0 +1,292 @@
+"""How good a small detector is on houses that training never saw.
+
+    python -m exporters.mini.evaluate MODEL.onnx [--text TEXT.onnx] [--sheet PICTURE.png]
+
+Average precision at IoU 0.5 per category, over things of at least 12 px and half visible; whether
+an attribute phrase scores higher on the right one of two things of a kind in one view; latency.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from exporters.files import ExportError
+from exporters.mini import looks
+from exporters.mini.houses import HELD_OUT
+from exporters.mini.views import Frames, make_frames
+
+SEEDS = range(HELD_OUT, HELD_OUT + 100)
+PER_HOUSE = 6
+MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
+IOU = 0.5
+MIN_SCORE = 0.01
+DEPLOYED = 0.25
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was measured.
+
+    Attributes:
+        ap50: by category.
+        things: how many count, by category.
+        pairs: (right, asked) by "color", "size".
+        phrases: scores (right one, wrong one) of each question.
+        latency_ms: median and 95th percentile on 2 threads, 8 phrases.
+    """
+
+    ap50: dict[str, float]
+    things: dict[str, int]
+    pairs: dict[str, tuple[int, int]]
+    phrases: np.ndarray
+    latency_ms: tuple[float, float]
+
+    @property
+    def map50(self) -> float:
+        return float(np.mean(list(self.ap50.values())))
+
+    def pair_share(self, kind: str | None = None) -> float:
+        """Share of attribute questions that the right one of two won."""
+        kinds = [kind] if kind else list(self.pairs)
+        right, asked = np.sum([self.pairs[k] for k in kinds], axis=0)
+        return float(right / max(1, asked))
+
+    def summary(self) -> dict[str, float | int]:
+        right, wrong = (self.phrases.T > DEPLOYED).mean(1) if len(self.phrases) else (0.0, 0.0)
+        return {
+            "ap50": round(self.map50, 3),
+            "categories": len(self.ap50),
+            "things": sum(self.things.values()),
+            "pairs_told_apart": round(self.pair_share(), 3),
+            "color_pairs": round(self.pair_share("color"), 3),
+            "size_pairs": round(self.pair_share("size"), 3),
+            "questions": sum(asked for _, asked in self.pairs.values()),
+            "right_above_0.25": round(float(right), 3),
+            "wrong_below_0.25": round(1.0 - float(wrong), 3),
+        }
+
+    def table(self) -> str:
+        rows = [f"{v:6.3f}  {self.things[k]:5d}  {k}" for k, v in
+                sorted(self.ap50.items(), key=lambda kv: kv[1])]  # fmt: skip
+        rows += [f"{name:24s} {value}" for name, value in self.summary().items()]
+        rows.append("session ms, median / 95 %: {:.2f} / {:.2f}".format(*self.latency_ms))
+        return "\n".join(rows)
+
+
+def held_out_frames(folder: Path) -> Frames:
+    """The test set; rendered the first time."""
+    return make_frames(SEEDS, PER_HOUSE, folder)
+
+
+def as_input(rgb: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 → (1, 3, h, w) float32 in 0..1."""
+    return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255.0)
+
+
+def open_model(path: Path, threads: int = 2) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises many types of its own
+        raise ExportError(f"{path}: cannot be loaded: {str(error).splitlines()[0]}") from None
+
+
+def measure(model: Path, text: Path, frames: Frames) -> Report:
+    """Run the whole test set."""
+    detector, encoder = open_model(model), open_model(text, 1)
+    categories = np.zeros((len(looks.CATEGORIES), 3), np.int64)
+    categories[:, 0] = np.arange(1, 1 + len(categories))
+    found: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    things: dict[int, int] = defaultdict(int)
+    pairs = {"color": [0, 0], "size": [0, 0]}
+    phrases: list[tuple[float, float]] = []
+    for index in range(len(frames)):
+        objects = frames.of(index)
+        questions = _questions(objects)
+        tokens = np.concatenate([categories, *(q.phrase[None] for q in questions)])
+        rows = encoder.run(None, {"tokens": tokens})[0][None]
+        feed = {"images": as_input(frames.rgb[index]), "txt_feats": rows}
+        boxes, scores = (out[0] for out in detector.run(None, feed))
+        counts = _counts(objects)
+        for c in range(len(categories)):
+            things[c] += int((counts & (objects["category"] == c + 1)).sum())
+            found[c] += _match(boxes, scores[:, c], objects, counts, c + 1)
+        for k, question in enumerate(questions):
+            score = scores[:, len(categories) + k]
+            right, wrong = (
+                _score_at(boxes, score, objects["box"][i]) for i in (question.right, question.wrong)
+            )
+            pairs[question.kind][0] += right > wrong
+            pairs[question.kind][1] += 1
+            phrases.append((right, wrong))
+    ap = {looks.CATEGORIES[c]: _average_precision(found[c], n) for c, n in things.items() if n}
+    return Report(
+        ap,
+        {looks.CATEGORIES[c]: n for c, n in things.items() if n},
+        {k: (v[0], v[1]) for k, v in pairs.items()},
+        np.array(phrases).reshape(-1, 2),
+        _latency(detector, frames, rows[:, :8]),
+    )
+
+
+@dataclass(frozen=True)
+class _Question:
+    """A phrase that fits one (`right`) and not the other (`wrong`) of two things of a kind."""
+
+    kind: str
+    phrase: np.ndarray
+    right: int
+    wrong: int
+
+
+def _counts(objects: np.ndarray) -> np.ndarray:
+    """(o,) bool: large and visible enough to be measured."""
+    box = objects["box"]
+    side = np.minimum(box[:, 2] - box[:, 0], box[:, 3] - box[:, 1])
+    return (side >= MIN_SIDE_PX) & (objects["visible"] >= MIN_VISIBLE)
+
+
+def _questions(objects: np.ndarray) -> list[_Question]:
+    questions = []
+    usable = np.flatnonzero(_counts(objects))
+    for i in usable:
+        for j in usable:
+            if i == j or objects["category"][i] != objects["category"][j]:
+                continue
+            for kind, place in (("color", 1), ("size", 2)):
+                yes, no = objects[kind][i], objects[kind][j]
+                for word in np.flatnonzero((yes[1:] == looks.YES) & (no[1:] == looks.NO)) + 1:
+                    phrase = np.zeros(3, np.int64)
+                    phrase[0], phrase[place] = objects["category"][i], word
+                    questions.append(_Question(kind, phrase, int(i), int(j)))
+    return questions
+
+
+def _iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n, m) of boxes (n, 4) and (m, 4)."""
+    low = np.maximum(a[:, None, :2], b[None, :, :2])
+    wh = (np.minimum(a[:, None, 2:], b[None, :, 2:]) - low).clip(0)
+    inter = wh.prod(-1)
+    area_a, area_b = ((x[:, 2:] - x[:, :2]).clip(0).prod(-1) for x in (a, b))
+    return inter / (area_a[:, None] + area_b[None] - inter + 1e-9)
+
+
+def _score_at(boxes: np.ndarray, scores: np.ndarray, box: np.ndarray) -> float:
+    """The best score of any anchor whose box is this one."""
+    on = _iou(boxes, box[None])[:, 0] >= IOU
+    return float(scores[on].max()) if on.any() else 0.0
+
+
+def _match(
+    boxes: np.ndarray, scores: np.ndarray, objects: np.ndarray, counts: np.ndarray, category: int
+) -> list[tuple[float, int]]:
+    """(score, 1 right / 0 wrong) of each detection; those on things that do not count are left
+    out, and so are those on kinds of the category or its broader name."""
+    keep = np.flatnonzero(scores > MIN_SCORE)
+    keep = keep[np.argsort(-scores[keep], kind="stable")][:300]
+    kept: list[int] = []
+    overlap = _iou(boxes[keep], boxes[keep])
+    for n in range(len(keep)):
+        if not kept or overlap[n, kept].max() <= IOU:
+            kept.append(n)
+    chosen = keep[kept]
+    answers = looks.KINDS[objects["category"], category]
+    mine = np.flatnonzero((answers == looks.YES) & counts)
+    other = np.flatnonzero(((answers == looks.YES) & ~counts) | (answers == looks.UNSURE))
+    on_mine = _iou(boxes[chosen], objects["box"][mine])
+    on_other = _iou(boxes[chosen], objects["box"][other])
+    taken = np.zeros(len(mine), bool)
+    result = []
+    for row, index in enumerate(chosen):
+        free = np.where(taken, 0.0, on_mine[row])
+        if len(mine) and free.max() >= IOU:
+            taken[free.argmax()] = True
+            result.append((float(scores[index]), 1))
+        elif not (len(other) and on_other[row].max() >= IOU):
+            result.append((float(scores[index]), 0))
+    return result
+
+
+def _average_precision(found: list[tuple[float, int]], count: int) -> float:
+    """Area under the precision envelope over recall (COCO's, without the 101 points)."""
+    if not found:
+        return 0.0
+    right = np.array([hit for _, hit in sorted(found, key=lambda f: -f[0])])
+    hits = np.cumsum(right)
+    recall, precision = hits / count, hits / np.arange(1, 1 + len(hits))
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((np.diff(recall, prepend=0.0) * envelope).sum())
+
+
+def _latency(
+    detector: onnxruntime.InferenceSession, frames: Frames, rows: np.ndarray, runs: int = 150
+) -> tuple[float, float]:
+    times = []
+    for index in range(runs):
+        feed = {"images": as_input(frames.rgb[index % len(frames)]), "txt_feats": rows}
+        start = time.perf_counter()
+        detector.run(None, feed)
+        times.append(1e3 * (time.perf_counter() - start))
+    return float(np.median(times)), float(np.percentile(times, 95))
+
+
+def sheet(model: Path, text: Path, frames: Frames, count: int = 12) -> np.ndarray:
+    """A contact sheet (h, w, 3) uint8: what the model sees above the deployed threshold."""
+    detector, encoder = open_model(model), open_model(text, 1)
+    tokens = np.zeros((len(looks.CATEGORIES), 3), np.int64)
+    tokens[:, 0] = np.arange(1, 1 + len(tokens))
+    rows = encoder.run(None, {"tokens": tokens})[0][None]
+    tiles = []
+    for index in np.linspace(0, len(frames) - 1, count).astype(int):
+        feed = {"images": as_input(frames.rgb[index]), "txt_feats": rows}
+        boxes, scores = (out[0] for out in detector.run(None, feed))
+        tile = cv2.resize(frames.rgb[index], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+        for c, word in enumerate(looks.CATEGORIES):
+            left = np.flatnonzero(scores[:, c] > DEPLOYED)
+            while len(left):
+                best = left[scores[left, c].argmax()]
+                x0, y0, x1, y1 = (int(v) for v in 2 * boxes[best])
+                cv2.rectangle(tile, (x0, y0), (x1, y1), (255, 40, 40), 1)
+                label = f"{word} {scores[best, c]:.2f}"
+                cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (0, 0, 0), 3)
+                cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (255, 255, 0), 1)
+                left = left[_iou(boxes[left], boxes[best : best + 1])[:, 0] <= IOU]
+        tiles.append(tile)
+    return np.vstack([np.hstack(tiles[i : i + 3]) for i in range(0, len(tiles) - 2, 3)])
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m exporters.mini.evaluate")
+    parser.add_argument("model", type=Path)
+    parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx beside the model")
+    parser.add_argument("--data", type=Path, help="folder that keeps the rendered test set")
+    parser.add_argument("--sheet", type=Path, help="also write a contact sheet here")
+    args = parser.parse_args(argv)
+    text = args.text or args.model.with_name("mini-house-text.onnx")
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            frames = held_out_frames(args.data or Path(scratch))
+            print(measure(args.model, text, frames).table())
+            if args.sheet:
+                cv2.imwrite(str(args.sheet), sheet(args.model, text, frames)[..., ::-1])
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,332 @@
+"""Random houses for training and for evaluation: layouts, furniture, colours and sizes.
+
+    house, things = random_house(seed)
+
+The same seed gives the same house. Seeds from `HELD_OUT` on are for evaluation only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.sim import assemblies
+from edge.sim.house import FLOORS, House, Opening, Room, Thing, Wall
+from exporters.mini import looks
+
+HELD_OUT = 100_000
+"""Training uses seeds below, evaluation this one and those after it."""
+
+ROOMS: dict[str, tuple[str, ...]] = {
+    "living room": (
+        "sofa", "armchair", "coffee table", "tv stand", "bookshelf", "rug", "plant", "lamp",
+        "picture", "cabinet",
+    ),
+    "kitchen": ("table", "chair", "chair", "refrigerator", "oven", "sink", "cabinet", "trash can"),
+    "bedroom": ("bed", "nightstand", "wardrobe", "dresser", "rug", "lamp", "picture", "armchair"),
+    "bathroom": ("toilet", "bathtub", "sink", "washing machine", "cabinet", "trash can"),
+    "office": ("desk", "chair", "bookshelf", "desk", "lamp", "cabinet", "trash can", "stool"),
+}  # fmt: skip
+FREE = {"coffee table", "table", "chair", "stool", "ball", "box", "suitcase", "backpack",
+        "trash can", "plant", "pillar", "rug", "armchair", "lamp"}  # fmt: skip
+"""What may also stand away from the walls, at any angle."""
+SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
+ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
+USUAL_ON = {"tv stand": "television", "desk": "laptop"}
+EXTRA = (
+    *assemblies.CATEGORIES,
+    "desk", "coffee table", "dresser", "door", "door", "tv stand", "stool", "suitcase", "vase",
+)  # fmt: skip
+"""Where random things are drawn from: hard ones come more often."""
+
+FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
+                (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
+WALL_COLORS = ((226, 222, 212), (214, 220, 210), (208, 214, 222), (222, 214, 198), (228, 220, 200),
+               (222, 204, 204), (196, 206, 196), (178, 190, 206), (238, 238, 236))  # fmt: skip
+_GAP_M = 0.05
+_MIN_SPAN_M = 3.2
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What there is to say about one thing of a house, in the order of its objects."""
+
+    category: int
+    color: np.ndarray
+    size: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class _Rect:
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
+class _Builder:
+    """Puts things into rooms where they do not overlap."""
+
+    def __init__(self, rng: np.random.Generator, height_m: float) -> None:
+        self.rng, self.height_m = rng, height_m
+        self.things: list[Thing] = []
+        self.looks: list[Look] = []
+        self._taken: list[tuple[float, float, float]] = []
+        self._rugs: list[tuple[float, float, float]] = []
+
+    def chance(self, p: float) -> bool:
+        return bool(self.rng.random() < p)
+
+    def pick(self, choices):
+        return choices[int(self.rng.integers(len(choices)))]
+
+    def look(self, category: str, z_m: float = 0.0):
+        """(size, colour, style) of a new thing that fits under the ceiling."""
+        rng, kind = self.rng, assemblies.CATEGORIES[category]
+        size = np.array(kind.size_m) * rng.uniform(0.94, 1.06, 3)
+        style = None
+        if not self.chance(0.45):
+            style = self.pick(looks.styles_of(category))
+            w0, w1, h0, h1 = looks.STYLES[style]
+            wide, high = rng.uniform(w0, w1), rng.uniform(h0, h1)
+            both = (wide > 1.0 and high > 1.0) or (wide < 1.0 and high < 1.0)
+            factors = np.array([wide if both else 1.0, wide, high if not both else wide])
+            if size[2] * factors[2] + z_m > self.height_m - 0.05:
+                style = None
+            else:
+                size = size * factors
+        size[2] = min(size[2], self.height_m - 0.05 - z_m)
+        usual = self.chance(0.5)
+        base = self.pick(kind.colors) if usual else looks.PALETTE[self.pick(looks.COLORS)]
+        jitter = rng.uniform(0.88, 1.12) + rng.uniform(-0.05, 0.05, 3)
+        color = np.clip(np.array(base) * jitter + rng.uniform(-6, 6), 4, 250)
+        return tuple(map(float, size)), tuple(map(float, color)), style
+
+    def add(self, category: str, at, yaw_deg: float, look, z_m: float = 0.0) -> None:
+        size, color, style = look
+        self.things.append(
+            Thing(category=category, at=at, z_m=z_m, yaw_deg=yaw_deg, size=size, color=color)
+        )
+        colors = looks.color_answers(color) if looks.has_color(category) else looks.unsure_color()
+        index = list(assemblies.CATEGORIES).index(category) + 1
+        self.looks.append(Look(index, colors, looks.size_answers(style, category)))
+
+    def free(self, x: float, y: float, reach: float) -> bool:
+        return all(math.hypot(x - a, y - b) > reach + r for a, b, r in self._taken)
+
+    def take(self, x: float, y: float, reach: float) -> None:
+        self._taken.append((x, y, reach))
+
+    def by_wall(self, category: str, room: _Rect, look=None) -> bool:
+        """Against a random wall, facing into the room."""
+        look = look or self.look(category)
+        depth, width = look[0][0], look[0][1]
+        for _ in range(12):
+            side = int(self.rng.integers(4))
+            span = (room.x1 - room.x0) if side % 2 else (room.y1 - room.y0)
+            if width > span - 0.3:
+                continue
+            along = self.rng.uniform(0.5 * width + 0.1, span - 0.5 * width - 0.1)
+            off = 0.5 * depth + 0.07 + self.rng.uniform(0, 0.08)
+            x, y, yaw = (
+                (room.x0 + off, room.y0 + along, 0.0),
+                (room.x0 + along, room.y0 + off, 90.0),
+                (room.x1 - off, room.y0 + along, 180.0),
+                (room.x0 + along, room.y1 - off, -90.0),
+            )[side]
+            if self._place(category, x, y, yaw + self.rng.uniform(-4, 4), look):
+                return True
+        return False
+
+    def in_middle(self, category: str, room: _Rect, look=None) -> bool:
+        look = look or self.look(category)
+        reach = 0.5 * max(look[0][0], look[0][1])
+        if min(room.x1 - room.x0, room.y1 - room.y0) < 2 * reach + 0.6:
+            return False
+        for _ in range(12):
+            x = self.rng.uniform(room.x0 + reach + 0.15, room.x1 - reach - 0.15)
+            y = self.rng.uniform(room.y0 + reach + 0.15, room.y1 - reach - 0.15)
+            if self._place(category, x, y, self.rng.uniform(-180, 180), look):
+                return True
+        return False
+
+    def _place(self, category: str, x: float, y: float, yaw_deg: float, look) -> bool:
+        size = look[0]
+        if category == "rug":  # things stand on rugs, but rugs not on each other
+            reach = 0.5 * max(size[:2])
+            if any(math.hypot(x - a, y - b) < reach + r for a, b, r in self._rugs):
+                return False
+            self._rugs.append((x, y, reach))
+            self.add(category, (x, y), yaw_deg, look)
+            return True
+        # Long things are a row of discs along their width.
+        radius = 0.5 * size[0] + _GAP_M
+        steps = max(1, math.ceil(size[1] / max(0.3, size[0])))
+        yaw = math.radians(yaw_deg)
+        spots = []
+        for k in range(steps):
+            off = ((k + 0.5) / steps - 0.5) * size[1]
+            reach = max(radius, 0.5 * size[1] / steps + _GAP_M)
+            spots.append((x - math.sin(yaw) * off, y + math.cos(yaw) * off, reach))
+        if not all(self.free(*spot) for spot in spots):
+            return False
+        for spot in spots:
+            self.take(*spot)
+        self.add(category, (x, y), yaw_deg, look)
+        if category in SUPPORTS and self.chance(0.65) and size[2] < 1.5:
+            self.on_top(category, x, y, yaw_deg, size)
+        return True
+
+    def on_top(self, support: str, x: float, y: float, yaw_deg: float, size) -> None:
+        usual = USUAL_ON.get(support)
+        category = usual if usual and self.chance(0.6) else self.pick(ON_TOP)
+        look = self.look(category, size[2])
+        need = look[0]
+        if need[0] > size[0] * 1.3 or need[1] > size[1] * 1.1 or need[2] > 1.2:
+            return
+        slack = max(0.0, 0.5 * (size[1] - need[1]))
+        off, yaw = self.rng.uniform(-slack, slack), math.radians(yaw_deg)
+        at = (x - math.sin(yaw) * off, y + math.cos(yaw) * off)
+        turn = self.rng.uniform(-25, 25) if category != "vase" else 0.0
+        self.add(category, at, yaw_deg + turn, look, z_m=size[2])
+
+    def hang(self, room: _Rect) -> None:
+        """A picture on a wall."""
+        look = self.look("picture", 1.6)
+        side = int(self.rng.integers(4))
+        span = (room.x1 - room.x0) if side % 2 else (room.y1 - room.y0)
+        if look[0][1] > span - 0.4:
+            return
+        along = self.rng.uniform(0.5 * look[0][1] + 0.1, span - 0.5 * look[0][1] - 0.1)
+        off = 0.06 + 0.5 * look[0][0] + 0.01
+        x, y, yaw = (
+            (room.x0 + off, room.y0 + along, 0.0),
+            (room.x0 + along, room.y0 + off, 90.0),
+            (room.x1 - off, room.y0 + along, 180.0),
+            (room.x0 + along, room.y1 - off, -90.0),
+        )[side]
+        self.add("picture", (x, y), yaw, look, z_m=float(self.rng.uniform(1.0, 1.55)))
+
+    def put(self, category: str, room: _Rect, look=None) -> None:
+        """Wherever a thing of this kind belongs."""
+        if category == "picture":
+            self.hang(room)
+        elif category in ("rug", "pillar") or (category in FREE and self.chance(0.6)):
+            self.in_middle(category, room, look)
+        elif category in ("laptop", "microwave", "television", "vase") and self.chance(0.85):
+            self.by_wall(self.pick(SUPPORTS), room)
+        else:
+            self.by_wall(category, room, look)
+
+    def leaf(self, x: float, y: float, along_deg: float, width_m: float) -> None:
+        """A door in its frame: shut, or open about one edge."""
+        size, color, style = self.look("door")
+        fits = style in (None, "tall", "short")
+        size = (size[0], width_m if fits else size[1], size[2])
+        open_deg = 0.0 if self.chance(0.35) else float(self.rng.uniform(50, 115))
+        turn = open_deg * self.pick((1.0, -1.0))
+        a, t = math.radians(along_deg), math.radians(along_deg + turn)
+        hinge = (x - 0.5 * width_m * math.cos(a), y - 0.5 * width_m * math.sin(a))
+        at = (hinge[0] + 0.5 * size[1] * math.cos(t), hinge[1] + 0.5 * size[1] * math.sin(t))
+        # The leaf's width runs along its own y, so its front looks along the wall's normal.
+        self.add("door", at, math.degrees(t) - 90.0, (size, color, style))
+
+
+def random_house(seed: int) -> tuple[House, list[Look]]:
+    """A house and what its objects look like; `looks[k]` belongs to `house.objects[k]`."""
+    rng = np.random.default_rng([7, seed])
+    height = float(rng.uniform(2.45, 3.0))
+    b = _Builder(rng, height)
+    w, h = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
+    rects, walls = _split(b, _Rect(0.0, 0.0, w, h))
+    walls += _outer_walls(b, w, h)
+    rooms = []
+    for k, rect in enumerate(rects):
+        kind = b.pick(tuple(ROOMS))
+        paint = np.array(b.pick(FLOOR_COLORS)) * rng.uniform(0.75, 1.15) + rng.uniform(-10, 10, 3)
+        color = tuple(float(c) for c in np.clip(paint, 5, 250))
+        floor = b.pick(tuple(FLOORS))
+        rooms.append(
+            Room(name=f"{kind} {k}", rect=(rect.x0, rect.y0, rect.x1, rect.y1), floor=floor,
+                 color=color)
+        )  # fmt: skip
+        _fill(b, rect, kind)
+    house = House(
+        name=f"random-{seed}",
+        start=(0.5 * w, 0.5 * h, 0.0),
+        wall_height_m=height,
+        rooms=tuple(rooms),
+        walls=tuple(walls),
+        objects=tuple(b.things),
+    )
+    return house, b.looks
+
+
+def _fill(b: _Builder, rect: _Rect, kind: str) -> None:
+    wanted = list(ROOMS[kind])
+    b.rng.shuffle(wanted)
+    area = (rect.x1 - rect.x0) * (rect.y1 - rect.y0)
+    wanted = wanted[: max(4, int(area / 1.8))]
+    wanted += [b.pick(EXTRA) for _ in range(int(b.rng.integers(2, 7)))]
+    if b.chance(0.25):
+        wanted.append("picture")
+    for category in wanted:
+        b.put(category, rect)
+        if b.chance(0.4) and category != "picture":
+            b.put(category, rect)  # of the same kind, with looks of its own
+
+
+def _paint(b: _Builder) -> tuple[float, float, float]:
+    color = np.array(b.pick(WALL_COLORS)) * b.rng.uniform(0.8, 1.06)
+    if b.chance(0.12):
+        color = np.array(looks.PALETTE[b.pick(looks.COLORS)])
+    return tuple(float(c) for c in np.clip(color + b.rng.uniform(-6, 6, 3), 5, 250))
+
+
+def _split(b: _Builder, whole: _Rect) -> tuple[list[_Rect], list[Wall]]:
+    """Halve the largest room one to four times, with a doorway in each new wall."""
+    rects, walls = [whole], []
+    for _ in range(int(b.rng.integers(1, 5))):
+        rects.sort(key=lambda r: (r.x1 - r.x0) * (r.y1 - r.y0))
+        r = rects.pop()
+        span_x, span_y = r.x1 - r.x0, r.y1 - r.y0
+        if max(span_x, span_y) < 2 * 0.5 * _MIN_SPAN_M + _MIN_SPAN_M * 0.5:
+            rects.append(r)
+            break
+        f = float(b.rng.uniform(0.38, 0.62))
+        door_w = float(b.rng.uniform(0.8, 1.2))
+        if span_x >= span_y:
+            x = r.x0 + f * span_x
+            start, end, length, along = (x, r.y0), (x, r.y1), span_y, 90.0
+            rects += [_Rect(r.x0, r.y0, x, r.y1), _Rect(x, r.y0, r.x1, r.y1)]
+        else:
+            y = r.y0 + f * span_y
+            start, end, length, along = (r.x0, y), (r.x1, y), span_x, 0.0
+            rects += [_Rect(r.x0, r.y0, r.x1, y), _Rect(r.x0, y, r.x1, r.y1)]
+        at = float(b.rng.uniform(door_w, length - door_w))
+        opening = Opening(at_m=at, width_m=door_w, height_m=float(b.rng.uniform(2.0, 2.2)))
+        walls.append(Wall(start=start, end=end, color=_paint(b), openings=(opening,)))
+        place = (start[0], start[1] + at) if along else (start[0] + at, start[1])
+        if b.chance(0.6):
+            b.leaf(*place, along, door_w - 0.06)
+        b.take(*place, 0.5 * door_w + 0.25)
+    return rects, walls
+
+
+def _outer_walls(b: _Builder, w: float, h: float) -> list[Wall]:
+    corners = ((0.0, 0.0), (w, 0.0), (w, h), (0.0, h))
+    walls = []
+    for k in range(4):
+        start, end = corners[k], corners[(k + 1) % 4]
+        length = math.dist(start, end)
+        openings = []
+        if b.chance(0.6):
+            width = float(b.rng.uniform(0.9, 1.8))
+            at = float(b.rng.uniform(width, length - width))
+            sill = float(b.rng.uniform(0.8, 1.2))
+            height = float(b.rng.uniform(0.9, 1.2))
+            openings.append(Opening(at_m=at, width_m=width, height_m=height, sill_m=sill))
+        walls.append(Wall(start=start, end=end, color=_paint(b), openings=tuple(openings)))
+    return walls

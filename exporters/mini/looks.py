@@ -1,0 +1,138 @@
+"""How things look and what one may call them: colours, sizes, and what a phrase says of a thing.
+
+A phrase is three numbers (category, colour, size), 0 where it does not say. What it says of a
+thing is YES, NO or UNSURE; unsure is neither taught nor measured (is a teal thing blue? is a
+tall one large?).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from edge import names
+from edge.perception.attributes import ALIKE, Vocabulary
+from edge.sim import assemblies
+
+PALETTE: dict[str, tuple[float, float, float]] = {
+    "red": (200, 48, 44),
+    "orange": (236, 140, 38),
+    "yellow": (238, 208, 62),
+    "green": (60, 146, 82),
+    "blue": (46, 102, 186),
+    "purple": (122, 70, 162),
+    "pink": (234, 150, 178),
+    "brown": (124, 82, 50),
+    "beige": (206, 184, 148),
+    "white": (236, 236, 234),
+    "gray": (126, 129, 133),
+    "black": (34, 34, 38),
+}
+STYLES: dict[str, tuple[float, float, float, float]] = {
+    "tall": (1.0, 1.0, 1.35, 1.7),
+    "short": (1.0, 1.0, 0.5, 0.7),
+    "wide": (1.35, 1.7, 1.0, 1.0),
+    "narrow": (0.5, 0.7, 1.0, 1.0),
+    "large": (1.25, 1.5, 1.25, 1.5),
+    "small": (0.55, 0.75, 0.55, 0.75),
+}
+"""Size word → range of factors on the width, range of factors on the height."""
+
+CATEGORIES: tuple[str, ...] = tuple(names.canonical(name) for name in assemblies.CATEGORIES)
+COLORS: tuple[str, ...] = tuple(PALETTE)
+SIZES: tuple[str, ...] = tuple(STYLES)
+
+VOCABULARY = Vocabulary(CATEGORIES, COLORS, SIZES)
+
+NO, YES, UNSURE = 0, 1, -1
+
+NEARLY_AS_NEAR = (1.35, 3.0)
+"""A second colour at most 1.35 d + 3 away [CIE76] is as good a name as the nearest at d."""
+
+_FLAT = ("rug", "ball")
+"""Things that nobody calls tall or short."""
+
+
+def _lab(rgb: np.ndarray) -> np.ndarray:
+    """(n, 3) CIELAB of (n, 3) sRGB in 0..255."""
+    return cv2.cvtColor(np.float32(rgb)[None] / 255.0, cv2.COLOR_RGB2LAB)[0]
+
+
+_PALETTE_LAB = _lab(np.array(list(PALETTE.values())))
+
+
+def has_color(category: str) -> bool:
+    """Whether a thing of the simulator's `category` takes a colour at all."""
+    return any("main" in row for row in assemblies.CATEGORIES[category].rows)
+
+
+def styles_of(category: str) -> tuple[str, ...]:
+    """Size words that apply to a category."""
+    return tuple(s for s in SIZES if not (category in _FLAT and s in ("tall", "short")))
+
+
+def color_answers(rgb: np.ndarray) -> np.ndarray:
+    """(1 + colours,) int8: is a thing of this colour red, orange, …? Entry 0 (no word) is YES."""
+    distance = np.linalg.norm(_PALETTE_LAB - _lab(np.asarray(rgb)[None]), axis=1)
+    near = NEARLY_AS_NEAR[0] * distance.min() + NEARLY_AS_NEAR[1]
+    answers = np.where(distance <= near, UNSURE, NO).astype(np.int8)
+    if (answers == UNSURE).sum() == 1:
+        answers[distance.argmin()] = YES
+    return np.concatenate([[np.int8(YES)], answers])
+
+
+def unsure_color() -> np.ndarray:
+    """Answers of a thing that has no one colour."""
+    answers = np.full(1 + len(COLORS), UNSURE, np.int8)
+    answers[0] = YES
+    return answers
+
+
+def size_answers(style: str | None, category: str) -> np.ndarray:
+    """(1 + sizes,) int8: is a thing of this style tall, short, …? None is the usual size."""
+    answers = np.zeros(1 + len(SIZES), np.int8)
+    answers[0] = YES
+    for index, word in enumerate(SIZES, 1):
+        if word == style:
+            answers[index] = YES
+        elif (style and word in ALIKE[style]) or word not in styles_of(category):
+            answers[index] = UNSURE
+    return answers
+
+
+def kinds() -> np.ndarray:
+    """(1 + categories, 1 + categories) int8: may a thing (row) be called by a word (column)?
+
+    UNSURE both ways between a kind and its broader name: an armchair is a chair to some. Row and
+    column 0 stand for no category.
+    """
+    n = len(CATEGORIES)
+    answers = np.zeros((1 + n, 1 + n), np.int8)
+    for i, a in enumerate(CATEGORIES, 1):
+        for j, b in enumerate(CATEGORIES, 1):
+            if i == j:
+                answers[i, j] = YES
+            elif names.is_kind_of(a, b) or names.is_kind_of(b, a):
+                answers[i, j] = UNSURE
+    return answers
+
+
+KINDS = kinds()
+
+
+def answers(
+    category: np.ndarray, color: np.ndarray, size: np.ndarray, phrases: np.ndarray
+) -> np.ndarray:
+    """(things, phrases) int8 YES, NO or UNSURE.
+
+    Args:
+        category: (o,) int, from 1.
+        color: (o, 1 + colours) int8 from `color_answers`.
+        size: (o, 1 + sizes) int8 from `size_answers`.
+        phrases: (k, 3) int (category, colour, size).
+    """
+    three = np.stack(
+        [KINDS[category][:, phrases[:, 0]], color[:, phrases[:, 1]], size[:, phrases[:, 2]]]
+    )
+    unsure = np.where((three == UNSURE).any(axis=0), UNSURE, YES)
+    return np.where((three == NO).any(axis=0), NO, unsure).astype(np.int8)

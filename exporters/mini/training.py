@@ -1,0 +1,199 @@
+"""The training loop: one learning-rate curve over pictures that grow on the way."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, distributed, nn
+
+from exporters.files import replace_atomically
+from exporters.mini import looks
+from exporters.mini.batches import Batch, batches, disturb
+from exporters.mini.loss import Truth, detection_loss
+from exporters.mini.net import MiniDetector, PhraseEncoder, anchor_points
+from exporters.mini.views import Frames
+
+log = logging.getLogger(__name__)
+
+FULL_HW = (256, 320)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast to learn.
+
+    Attributes:
+        stages: (steps, (height, width)) one after another.
+    """
+
+    stages: tuple[tuple[int, tuple[int, int]], ...] = (
+        (3000, (160, 192)),
+        (700, (192, 256)),
+        (600, (224, 288)),
+        (800, (256, 320)),
+    )
+    batch: int = 32
+    seed: int = 0
+    rate: float = 2e-3
+    decay: float = 0.03
+    warm_up: int = 200
+    average: float = 0.9995
+    keep_every: int = 250
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        return [hw for steps, hw in self.stages for _ in range(steps)]
+
+
+class Model(nn.Module):
+    """Detector and phrase encoder, trained as one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.detector = MiniDetector()
+        counts = (len(looks.CATEGORIES), len(looks.COLORS), len(looks.SIZES))
+        self.encoder = PhraseEncoder(*counts)
+
+
+def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, cores: int) -> None:
+    """Train with one process per core; the weights are in `checkpoint` afterwards.
+
+    Each takes its share of every batch, and they add up their gradients once a step: threads
+    would meet after every layer, and wait wherever a core has something else to do.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        args = (cores, f"file://{folder}/meet", frames, plan, checkpoint)
+        torch.multiprocessing.spawn(_train_rank, args, cores)
+
+
+def _train_rank(
+    rank: int, cores: int, meet: str, frames: Callable[[], Frames], plan: Plan, checkpoint: Path
+) -> None:
+    logging.basicConfig(
+        level=logging.INFO if rank == 0 else logging.WARNING, format="%(asctime)s %(message)s"
+    )
+    torch.set_num_threads(1)
+    distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=cores)
+    train(frames(), plan, checkpoint, share=(rank, cores))
+    distributed.destroy_process_group()
+
+
+def train(
+    frames: Frames,
+    plan: Plan,
+    checkpoint: Path,
+    device: str = "cpu",
+    share: tuple[int, int] = (0, 1),
+) -> Model:
+    """Train, or go on from `checkpoint`; returns the averaged weights.
+
+    Args:
+        share: which of how many processes this is; see `train_on_cores`.
+    """
+    rank, ranks = share
+    torch.manual_seed(plan.seed)
+    model = Model().to(device).to(memory_format=torch.channels_last)
+    averaged = copy.deepcopy(model).eval().requires_grad_(False)
+    optimizer = _optimizer(model, plan)
+    sizes = plan.sizes
+    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
+    first = 0
+    if checkpoint.is_file():
+        kept = torch.load(checkpoint, map_location=device, weights_only=True)
+        model.load_state_dict(kept["model"])
+        averaged.load_state_dict(kept["averaged"])
+        optimizer.load_state_dict(kept["optimizer"])
+        rates.load_state_dict(kept["rates"])
+        first = int(kept["step"])
+        log.info("going on from step %d", first)
+    since, began = time.monotonic(), first
+    stream = batches(frames, plan.batch // ranks, sizes, plan.seed * ranks + rank, first)
+    for step, batch in enumerate(stream, first + 1):
+        generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
+        loss, parts = _loss(model, batch, generator, device)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        if ranks > 1:
+            _share_gradients(model, ranks)
+        nn.utils.clip_grad_norm_(model.parameters(), 10.0)
+        optimizer.step()
+        rates.step()
+        _average(averaged, model, plan.average, step)
+        if step % 50 == 0 or step == len(sizes):
+            pace = (time.monotonic() - since) / (step - began)
+            shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
+            log.info("step %d/%d %.3f s: %s", step, len(sizes), pace, shown)
+            since, began = time.monotonic(), step
+        if rank == 0 and (step % plan.keep_every == 0 or step == len(sizes)):
+            state = {"model": model, "averaged": averaged, "optimizer": optimizer, "rates": rates}
+            with replace_atomically(checkpoint) as part:
+                kept = {name: thing.state_dict() for name, thing in state.items()}
+                torch.save({**kept, "step": step, "seed": plan.seed}, part)
+    return averaged
+
+
+def _share_gradients(model: nn.Module, ranks: int) -> None:
+    """Every process's mean gradient, in all of them."""
+    gradients = [p.grad for p in model.parameters() if p.grad is not None]
+    flat = torch.cat([g.reshape(-1) for g in gradients]).div_(ranks)
+    distributed.all_reduce(flat)
+    for gradient, part in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+        gradient.copy_(part.view(gradient.shape))
+
+
+def _loss(
+    model: Model, batch: Batch, generator: torch.Generator, device: str
+) -> tuple[Tensor, dict[str, Tensor]]:
+    images = disturb(batch.images.to(device), generator)
+    images = images.contiguous(memory_format=torch.channels_last)
+    truth = Truth(
+        batch.truth.boxes.to(device), batch.truth.taught.to(device),
+        batch.truth.answers.to(device), batch.truth.hard.to(device),
+    )  # fmt: skip
+    with torch.autocast(device.partition(":")[0], torch.bfloat16):
+        box, embeddings = model.detector.features(images)
+    text = model.encoder(batch.phrases.to(device))
+    box, logits = box.float(), model.detector.logits(embeddings.float(), text)
+    anchors, stride = anchor_points(images.shape[2], images.shape[3], device)
+    decoded = model.detector.decode(box, anchors, stride)
+    return detection_loss(box, decoded, logits, anchors, stride, truth)
+
+
+def _optimizer(model: nn.Module, plan: Plan) -> torch.optim.Optimizer:
+    """AdamW; weights decay, biases, norms and tables do not."""
+    matrices = [p for p in model.detector.parameters() if p.ndim > 1]
+    rest = [p for p in model.detector.parameters() if p.ndim <= 1]
+    groups = [
+        {"params": matrices, "weight_decay": plan.decay},
+        {"params": rest + list(model.encoder.parameters()), "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=plan.rate, betas=(0.9, 0.99))
+
+
+def _rate(step: int, plan: Plan) -> float:
+    """Linear up, then half a cosine down to one percent."""
+    if step < plan.warm_up:
+        return (step + 1) / plan.warm_up
+    share = (step - plan.warm_up) / max(1, len(plan.sizes) - plan.warm_up)
+    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
+
+
+@torch.no_grad()
+def _average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
+    """Exponential mean of weights and of norm statistics, faster at first."""
+    keep = min(keep, (1.0 + step) / (20.0 + step))
+    for mean, value in zip(
+        averaged.state_dict().values(), model.state_dict().values(), strict=True
+    ):
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1.0 - keep)
+        else:
+            mean.copy_(value)

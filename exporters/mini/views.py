@@ -1,0 +1,180 @@
+"""Pictures of random houses with what is in them.
+
+    frames = make_frames(range(1200), per_house=12, folder=Path("..."), workers=2)
+
+Frames are kept as one array on disk, as they take 245 kB each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import SE2, CameraModel, camera_mount
+from edge.perception import kernels as perception
+from edge.sim import kernels
+from edge.sim.boxworld import BoxWorld
+from edge.sim.house import build_house
+from exporters.mini import looks
+from exporters.mini.houses import Look, random_house
+
+HEIGHT_PX, WIDTH_PX = 256, 320
+MIN_PIXELS = 40
+"""Things with fewer visible pixels are not listed."""
+CLEARANCE_M = 0.28
+_PREVIEW = 4
+_CANDIDATES = 3
+
+OBJECT = np.dtype(
+    [
+        ("category", np.uint8),
+        ("color", np.int8, 1 + len(looks.COLORS)),
+        ("size", np.int8, 1 + len(looks.SIZES)),
+        ("box", np.float32, 4),
+        ("pixels", np.int32),
+        ("visible", np.float32),
+    ]
+)
+"""One thing in a frame: answers as in `looks`, box x0 y0 x1 y1 of the visible pixels (x1, y1 one
+past the end), how many there are, and their share of those it would have if nothing hid it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Pictures and their contents.
+
+    Attributes:
+        rgb: (n, 256, 320, 3) uint8.
+        objects: (m,) `OBJECT`, frame after frame.
+        start: (n + 1,) int64; frame i has objects[start[i]:start[i + 1]].
+    """
+
+    rgb: np.ndarray
+    objects: np.ndarray
+    start: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+    def of(self, frame: int) -> np.ndarray:
+        """The objects of one frame."""
+        return self.objects[self.start[frame] : self.start[frame + 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    model: CameraModel
+    T_map_camera: np.ndarray
+
+
+def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int = 1) -> Frames:
+    """Pictures of the houses of these seeds; made once, found in `folder` the next time."""
+    name = f"{seeds[0]}-{seeds[-1]}x{per_house}"
+    pictures, contents = folder / f"{name}.u8", folder / f"{name}.npz"
+    shape = (len(seeds) * per_house, HEIGHT_PX, WIDTH_PX, 3)
+    if not contents.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        rgb = np.memmap(pictures, np.uint8, "w+", shape=shape)
+        rgb.flush()
+        jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
+        if workers > 1:
+            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+                made = list(pool.map(_write_house, jobs, chunksize=8))
+        else:
+            made = [_write_house(job) for job in jobs]
+        rows = [objects for house in made for objects in house]
+        start = np.concatenate([[0], np.cumsum([len(objects) for objects in rows])])
+        np.savez(contents, objects=np.concatenate(rows), start=start.astype(np.int64))
+    with np.load(contents) as data:
+        return Frames(np.memmap(pictures, np.uint8, "r", shape=shape), data["objects"],
+                      data["start"])  # fmt: skip
+
+
+def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.ndarray]:
+    pictures, shape, first, seed, count = job
+    rgb = np.memmap(pictures, np.uint8, "r+", shape=shape)
+    return render_house(seed, count, rgb[first : first + count])
+
+
+def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
+    """Fill `out_rgb` (count, 256, 320, 3) with views of one house; returns their objects."""
+    house, things = random_house(seed)
+    world = build_house(house, Config())
+    rng = np.random.default_rng([8, seed])
+    depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)
+    found = []
+    for k in range(count):
+        camera = _choose_view(world, things, rng)
+        world.render(camera.model, camera.T_map_camera, out_rgb[k], depth, ids)
+        found.append(_contents(world, things, camera, ids, depth))
+    return found
+
+
+def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
+    rows, cols = np.nonzero(world.plan.clearance_m > CLEARANCE_M)
+    x0, y0 = world.plan.origin_m
+    while True:
+        pick = int(rng.integers(len(rows)))
+        x = float(x0 + (cols[pick] + 0.5) * world.plan.cell_m)
+        y = float(y0 + (rows[pick] + 0.5) * world.plan.cell_m)
+        # The plan has a free margin around the house.
+        if 0.3 < x < 2 * world.start.x_m - 0.3 and 0.3 < y < 2 * world.start.y_m - 0.3:
+            break
+    z = 0.6 if rng.random() < 0.5 else float(rng.uniform(0.25, 1.3))
+    hfov = 75.0 if rng.random() < 0.5 else float(rng.uniform(60, 95))
+    pitch = math.radians(rng.normal(5.0, 5.0))
+    model = CameraModel.from_hfov(WIDTH_PX, HEIGHT_PX, math.radians(hfov))
+    pose = SE2(x, y, float(rng.uniform(-math.pi, math.pi)))
+    return _Camera(model, pose.matrix() @ camera_mount(0.1, z, pitch))
+
+
+def _choose_view(world: BoxWorld, things: list[Look], rng: np.random.Generator) -> _Camera:
+    """Mostly the best of a few: one that sees many things, and several of a kind."""
+    cameras = [_random_camera(world, rng) for _ in range(_CANDIDATES)]
+    worth = [_worth(world, things, camera) for camera in cameras]
+    if rng.random() < 0.25:  # some as they come, but for those that see a wall only
+        return next((c for c, w in zip(cameras, worth, strict=True) if w > 0), cameras[0])
+    return cameras[int(np.argmax(worth))]
+
+
+def _worth(world: BoxWorld, things: list[Look], camera: _Camera) -> float:
+    h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
+    m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
+    kernels.render_depth(
+        world.shape, world.pose, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
+        m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
+    )  # fmt: skip
+    count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(things) + 1)[1:]
+    seen = [things[k].category for k in np.flatnonzero(count > 8)]
+    return len(set(seen)) + 2.5 * (len(seen) - len(set(seen)))
+
+
+def _contents(
+    world: BoxWorld, things: list[Look], camera: _Camera, ids: np.ndarray, depth: np.ndarray
+) -> np.ndarray:
+    n = len(things)
+    box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
+    perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
+    alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
+    rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
+    for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
+        mine = world.owner == k + 1
+        kernels.render_depth(
+            world.shape[mine], world.pose[mine], camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px,
+            m.cy_px, alone_depth, prim,
+        )  # fmt: skip
+        row["category"], row["color"], row["size"] = (
+            things[k].category, things[k].color, things[k].size,
+        )  # fmt: skip
+        row["box"], row["pixels"] = box[k], pixels[k]
+        row["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
+    return rows

@@ -1,0 +1,132 @@
+"""The data of the small detector: houses, what is said of their things, pictures, batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.sim import assemblies
+from exporters.mini import looks, views
+from exporters.mini.houses import SUPPORTS, random_house
+
+
+@pytest.fixture(scope="module")
+def house_frames():
+    rgb = np.zeros((3, views.HEIGHT_PX, views.WIDTH_PX, 3), np.uint8)
+    return rgb, views.render_house(0, len(rgb), rgb)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
+    house, things = random_house(seed)
+    assert len(things) == len(house.objects) > 0
+    xs = [x for room in house.rooms for x in room.rect[::2]]
+    ys = [y for room in house.rooms for y in room.rect[1::2]]
+    for thing, look in zip(house.objects, things, strict=True):
+        assert min(xs) - 0.8 < thing.at[0] < max(xs) + 0.8
+        assert min(ys) - 0.8 < thing.at[1] < max(ys) + 0.8
+        assert thing.z_m + thing.size[2] < house.wall_height_m
+        assert list(assemblies.CATEGORIES)[look.category - 1] == thing.category
+
+
+def test_the_same_seed_gives_the_same_house_and_another_another():
+    assert random_house(3)[0] == random_house(3)[0]
+    assert random_house(3)[0] != random_house(4)[0]
+
+
+def test_what_stands_on_something_has_a_support_below_it():
+    things = [thing for seed in range(6) for thing in random_house(seed)[0].objects]
+    raised = [t for t in things if t.z_m > 0 and t.category != "picture"]
+    heights = {t.size[2] for t in things if t.category in SUPPORTS}
+    assert raised
+    assert all(t.z_m in heights for t in raised)
+
+
+@pytest.mark.parametrize(
+    ("rgb", "name"), [(v, k) for k, v in looks.PALETTE.items()] + [((250, 10, 10), "red")]
+)
+def test_a_plain_colour_has_its_name_and_no_other(rgb, name):
+    answers = looks.color_answers(rgb)
+    assert answers[0] == looks.YES
+    assert answers[1 + looks.COLORS.index(name)] == looks.YES
+    assert (answers[1:] == looks.YES).sum() == 1
+
+
+def test_between_two_colours_both_are_unsure():
+    lab_middle = np.mean([looks.PALETTE["white"], looks.PALETTE["gray"]], axis=0)
+    answers = looks.color_answers(lab_middle)
+    assert looks.YES not in answers[1:]
+    assert (answers == looks.UNSURE).sum() >= 2
+
+
+@given(
+    st.lists(st.integers(0, 255), min_size=3, max_size=3),
+    st.sampled_from([None, *looks.SIZES]),
+    st.sampled_from(list(assemblies.CATEGORIES)),
+    st.lists(
+        st.tuples(
+            st.integers(1, len(looks.CATEGORIES)),
+            st.integers(0, len(looks.COLORS)),
+            st.integers(0, len(looks.SIZES)),
+        ),
+        min_size=1,
+        max_size=8,
+    ),
+)
+@settings(max_examples=60, deadline=None)
+def test_saying_more_of_a_thing_never_makes_a_no_a_yes(rgb, style, category, rows):
+    phrases = np.array(rows)
+    less = phrases.copy()
+    less[:, 1] = 0
+    thing = (
+        np.array([list(assemblies.CATEGORIES).index(category) + 1]),
+        looks.color_answers(rgb)[None],
+        looks.size_answers(style, category)[None],
+    )
+    more, fewer = looks.answers(*thing, phrases)[0], looks.answers(*thing, less)[0]
+    assert set(more.tolist()) <= {looks.NO, looks.YES, looks.UNSURE}
+    assert not ((fewer == looks.NO) & (more != looks.NO)).any()
+    assert not ((more == looks.YES) & (fewer != looks.YES)).any()
+
+
+def test_an_armchair_is_maybe_a_chair_and_a_sofa_is_not():
+    index = {name: k for k, name in enumerate(looks.CATEGORIES, 1)}
+    assert looks.KINDS[index["armchair"], index["chair"]] == looks.UNSURE
+    assert looks.KINDS[index["sofa"], index["chair"]] == looks.NO
+    assert looks.KINDS[index["chair"], index["chair"]] == looks.YES
+
+
+def test_boxes_are_tight_and_inside_the_picture(house_frames):
+    rgb, found = house_frames
+    assert rgb.std() > 5
+    objects = np.concatenate(found)
+    assert len(objects)
+    box = objects["box"]
+    assert (box[:, :2] >= 0).all()
+    assert (box[:, 2:] <= (views.WIDTH_PX, views.HEIGHT_PX)).all()
+    area = (box[:, 2:] - box[:, :2]).prod(axis=1)
+    assert (objects["pixels"] >= views.MIN_PIXELS).all()
+    assert (objects["pixels"] <= area).all()
+    assert (objects["visible"] > 0).all()
+    assert (objects["visible"] <= 1.0).all()
+
+
+def test_pictures_of_a_seed_are_the_same_again(house_frames):
+    rgb, found = house_frames
+    again = np.zeros_like(rgb)
+    for a, b in zip(found, views.render_house(0, len(rgb), again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(rgb, again)
+
+
+def test_frames_are_made_once(tmp_path, monkeypatch):
+    first = views.make_frames(range(2, 4), 2, tmp_path)
+    monkeypatch.setattr(views, "render_house", None)
+    second = views.make_frames(range(2, 4), 2, tmp_path)
+    assert len(first) == len(second) == 4
+    np.testing.assert_array_equal(first.rgb, second.rgb)
+    np.testing.assert_array_equal(first.objects, second.objects)
+    assert first.start[-1] == len(first.objects)

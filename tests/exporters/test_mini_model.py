@@ -1,0 +1,73 @@
+"""The small detector as it is shipped: its cards, and what it sees in a house it never saw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
+
+from edge import config
+from edge.perception.attributes import AttributeEncoder
+from edge.perception.cards import load_card, load_detector_card, load_text_card, verify_model
+from edge.perception.onnx_detector import OnnxDetector
+from edge.types import Observation
+from exporters.mini import looks, views
+from exporters.mini.evaluate import _counts, _iou
+from exporters.mini.houses import HELD_OUT
+
+NAME = "mini-house-256x320-int8-cpu"
+MAX_BYTES = 2_900_000
+
+
+@pytest.fixture(scope="module")
+def held_out():
+    rgb = np.zeros((4, views.HEIGHT_PX, views.WIDTH_PX, 3), np.uint8)
+    return rgb, views.render_house(HELD_OUT + 1, len(rgb), rgb)
+
+
+def test_the_files_are_those_of_the_cards_and_small():
+    assert verify_model(load_detector_card(NAME)).stat().st_size <= MAX_BYTES
+    assert verify_model(load_text_card("mini-house-text")).stat().st_size < 200_000
+    assert load_card("mini-house-similarity").detector == NAME
+
+
+def test_the_card_says_what_the_model_was_measured_to_do():
+    measured = load_detector_card(NAME).measured
+    assert set(measured) >= {"training", "held-out houses"}
+    assert measured["held-out houses"]["first_seed"] >= HELD_OUT
+    assert measured["held-out houses"]["bytes"] == load_detector_card(NAME).path.stat().st_size
+
+
+def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
+    encoder = AttributeEncoder(load_text_card("mini-house-text"))
+    assert encoder.vocabulary == looks.VOCABULARY
+    rows = encoder.embed(["trash bin", "tall white trash can", "trash can"])
+    assert rows.shape == (1, 3, encoder.dim)
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=2), 1.0, rtol=1e-5)
+    np.testing.assert_array_equal(rows[0, 0], rows[0, 2])
+    assert rows[0, 0] @ rows[0, 1] < 0.999
+
+
+def test_a_strange_adjective_is_warned_of_once(caplog):
+    encoder = AttributeEncoder(load_text_card("mini-house-text"))
+    for _ in range(3):
+        assert encoder.resolve("shiny red chair") == "red chair"
+    assert [r.levelname for r in caplog.records] == ["WARNING"]
+    assert "shiny" in caplog.text
+
+
+def test_it_finds_most_of_what_is_plain_to_see(held_out):
+    rgb, found = held_out
+    detector = OnnxDetector(config.DetectorOnnx(model=NAME, tau_vl=0.1), looks.CATEGORIES)
+    seen = total = 0
+    for picture, objects in zip(rgb, found, strict=True):
+        detections = detector.detect(Observation(0, 0, np.eye(4), rgb=picture))
+        plain = objects[_counts(objects) & (objects["pixels"] > 400)]
+        for thing in plain:
+            mine = detections.xyxy_px[detections.class_id == thing["category"] - 1]
+            seen += bool(len(mine) and _iou(mine, thing["box"][None]).max() > 0.5)
+            total += 1
+    detector.close()
+    assert total >= 8
+    assert seen >= 0.7 * total

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import json
+from itertools import product
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge import names
+from edge.perception.attributes import (
+    ALIKE,
+    OPPOSITES,
+    SYNONYMS,
+    Phrase,
+    Vocabulary,
+    contrasting,
+    nearest,
+    parse,
+)
+from edge.perception.text import PromptError
+
+WORDS = Vocabulary(
+    ("chair", "table", "coffee table", "sofa", "trash can", "table lamp", "washing machine"),
+    ("red", "blue", "white", "gray"),
+    ("tall", "short", "wide", "narrow", "large", "small"),
+)
+
+
+@pytest.mark.parametrize("prompt", ["", "  ", "the ", "?!"])
+def test_an_empty_prompt_is_an_error(prompt):
+    with pytest.raises(PromptError, match="prompt"):
+        parse(prompt, WORDS)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "phrase"),
+    [
+        ("chair", Phrase("chair")),
+        ("Chairs", Phrase("chair")),
+        ("tall white trash bin", Phrase("trash can", "white", "tall")),
+        ("the white tall trash can", Phrase("trash can", "white", "tall")),
+        ("big grey couch", Phrase("sofa", "gray", "large")),
+        ("a dark-red sofa", Phrase("sofa", "red", None, ("dark",))),
+        ("low table", Phrase("coffee table")),
+        ("low chair", Phrase("chair", None, "short")),
+        ("dining table", Phrase("table")),
+        ("navy blue chair", Phrase("chair", "blue")),
+        ("shiny chair by the red sofa", Phrase("chair", None, None, ("shiny",))),
+        ("tall wide chair", Phrase("chair", None, "tall", ("wide",))),
+        ("SofaC_01", Phrase("sofa")),
+    ],
+)
+def test_a_phrase_is_read(prompt, phrase):
+    assert parse(prompt, WORDS) == phrase
+
+
+@pytest.mark.parametrize("prompt", ["elephant", "white", "dish washer", "wine glass", "lamb"])
+def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
+    with pytest.raises(PromptError, match=r"only the built-in world's 7 categories \(nearest: \w+"):
+        parse(prompt, WORDS)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "message"),
+    [
+        ("red and blue chair", "two colours, red and blue"),
+        ("white red chair", "two colours"),
+        ("tall low-cut chair", "tall and short"),
+        ("big little table", "large and small"),
+        ("slim wide sofa", "wide and narrow"),
+    ],
+)
+def test_what_cannot_be_is_an_error(prompt, message):
+    with pytest.raises(PromptError, match=message):
+        parse(prompt, WORDS)
+
+
+@given(
+    st.sampled_from([None, *WORDS.sizes]),
+    st.sampled_from([None, *WORDS.colors]),
+    st.sampled_from(WORDS.categories),
+    st.data(),
+)
+def test_every_phrase_is_read_back_in_any_order_and_with_any_alias(size, color, category, data):
+    phrase = Phrase(category, color, size)
+    assert parse(str(phrase), WORDS) == phrase
+    noun = data.draw(st.sampled_from(names.names_of(category)))
+    adjectives = data.draw(
+        st.permutations(
+            [data.draw(st.sampled_from((w, *SYNONYMS.get(w, ())))) for w in (size, color) if w]
+        )
+    )
+    said = parse(" ".join(["the", *adjectives, noun]), WORDS)
+    if said.category == category:  # "low" before "table" is a coffee table
+        assert said == phrase
+    else:
+        assert (adjectives[-1:], category) == (["low"], "table")
+
+
+@given(
+    st.sampled_from([None, *WORDS.sizes]),
+    st.sampled_from([None, *WORDS.colors]),
+    st.sampled_from(WORDS.categories),
+)
+def test_contrasts_differ_in_one_thing_that_the_phrase_says(size, color, category):
+    phrase = Phrase(category, color, size)
+    others = [parse(text, WORDS) for text in contrasting(phrase, WORDS)]
+    assert bool(others) == bool(size or color)
+    for other in others:
+        assert other.category == category
+        assert (other.color != color) + (other.size != size) == 1
+        assert (other.color is None) == (color is None)
+        assert (other.size is None) == (size is None)
+    assert all(other.size not in ALIKE.get(size, ()) for other in others)
+
+
+def test_synonyms_are_in_one_place_and_opposites_are_never_alike():
+    words = [word for others in SYNONYMS.values() for word in others]
+    assert len(words) == len(set(words))
+    assert not set(words) & set(SYNONYMS)
+    for (a, b), (c, d) in product(OPPOSITES, OPPOSITES):
+        assert b not in ALIKE[a]
+        assert (c in ALIKE[a]) == (a in ALIKE[c])
+        assert (d in ALIKE[b]) == (b in ALIKE[d])
+
+
+def test_a_vocabulary_survives_json():
+    assert Vocabulary.from_json(WORDS.to_json()) == WORDS
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{}", '{"categories": [], "colors": []}',
+     json.dumps({"categories": [1], "colors": [], "sizes": []}),
+     json.dumps({"categories": "chair", "colors": [], "sizes": []})],
+)  # fmt: skip
+def test_what_is_no_vocabulary_is_refused(text):
+    with pytest.raises(ValueError, match=r"Expecting|not an object|not a list"):
+        Vocabulary.from_json(text)
+
+
+def test_the_nearest_words_come_by_alias_too():
+    assert nearest("setee", WORDS)[0] == "sofa"
+    assert nearest("bim", WORDS)[0] == "trash can"
+    assert 0 < len(nearest("xyzzy", WORDS)) <= 5
