@@ -142,7 +142,7 @@ class ScorerWorker(Generic[Q, A]):
                 if self._closed:
                     return
                 took_ns = perf_counter_ns() - begin_ns
-                if _count(self.stats, outcome, took_ns, self._kind, self.name):
+                if _count(self.stats, outcome, took_ns, self._kind):
                     self._result = outcome
                 else:
                     self._wake.wait_for(lambda: self._closed, self._pause())
@@ -190,7 +190,7 @@ class InlineScorer(Generic[Q, A]):
             outcome = _put_to(self._scorer, question)
         except Exception as error:  # as in `ScorerWorker`
             outcome = error
-        if _count(self.stats, outcome, perf_counter_ns() - begin_ns, self._kind, self.name):
+        if _count(self.stats, outcome, perf_counter_ns() - begin_ns, self._kind):
             self._result = outcome
         else:
             self._skips = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
@@ -214,7 +214,7 @@ def _put_to(scorer: Scorer[Q, A], question: Q) -> A | None:
     return scorer.answer(looked)
 
 
-def _count(stats: ScorerStats, outcome: Any, took_ns: int, kind: str, name: str) -> bool:
+def _count(stats: ScorerStats, outcome: Any, took_ns: int, kind: str) -> bool:
     """Write down how it went, and say so when it begins to go wrong; whether it went well."""
     if not isinstance(outcome, Exception):
         stats.in_a_row = 0
@@ -227,6 +227,6 @@ def _count(stats: ScorerStats, outcome: Any, took_ns: int, kind: str, name: str)
     text = str(outcome) if known else f"{type(outcome).__name__}: {outcome}"
     stats.last_error = " ".join(text.split())[:LONGEST_ERROR]
     if stats.in_a_row == 1:
-        log.error("%s (%s): %s (until it goes well again, this is only counted)",
-                  kind, name, stats.last_error)  # fmt: skip
+        log.error("%s: %s (until it goes well again, this is only counted)",
+                  kind, stats.last_error)  # fmt: skip
     return False

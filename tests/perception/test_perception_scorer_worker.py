@@ -142,8 +142,7 @@ def test_a_failure_is_one_line_and_the_next_question_waits(questions, caplog):
     assert [(r.levelno, r.getMessage()) for r in caplog.records] == [
         (
             logging.ERROR,
-            "choice (fake): http://x: nothing listens "
-            "(until it goes well again, this is only counted)",
+            "choice: http://x: nothing listens (until it goes well again, this is only counted)",
         )
     ]
     assert holds(questions) == [0, 0, 0, 0]
