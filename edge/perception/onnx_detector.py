@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -49,7 +49,7 @@ class _Asked:
     anchor: np.ndarray
     label: np.ndarray
     score: np.ndarray
-    bound: Bound
+    bound: Bound | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,8 +214,9 @@ class OnnxDetector:
         return Health()
 
     def close(self) -> None:
-        """Let the session go; no detect afterwards."""
+        """Let the session and its buffers go; no detect afterwards."""
         self._session = None
+        self._asked = replace(self._asked, bound=None)
 
     def _count_anchors(self) -> int:
         """Boxes per image, from one run on an empty image (it also warms the session up)."""

@@ -347,6 +347,10 @@ def test_a_detector_sees_the_same_through_tensorrt(
         detector.set_prompts(["chair"] * 257)
     assert detector.prompts == ("sofa", "chair")
     assert resources.cache_dir() / "engines" in {p.parent for p in engine_folders()}
+    assert fake.cuda.memory
+    detector.close()
+    gc.collect()
+    assert not fake.cuda.memory
 
 
 def engine_folders():
