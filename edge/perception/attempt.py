@@ -36,7 +36,8 @@ class Attempt:
         previous: the detector that runs when the attempt begins.
         detector: the model once it is loaded.
         stage: what its own thread is at: `loading`, `checking`.
-        finding: what the trial found, in one line; before that, what loading is busy with.
+        busy: what loading takes its time with, in one line; empty when it is nothing special.
+        finding: what the trial found, in one line.
         ready: the model was tried and looks for what the running one looks for.
         switched: it is at work, on probation.
         fault: why it cannot stay, in one line; empty while nothing speaks against it.
@@ -49,7 +50,7 @@ class Attempt:
         self.previous = worker.detector
         self.detector: Detector | None = None
         self.stage = "loading"
-        self.finding = self.fault = ""
+        self.busy = self.finding = self.fault = ""
         self.ready = threading.Event()
         self.switched = False
         self._perception, self._worker, self._make = perception, worker, make
@@ -129,7 +130,7 @@ class Attempt:
         with self._faults():
             perception = variant(self._perception, self.model)
             self.detector = self._make(perception, self._worker.detector.prompts, self._loading)
-            self.stage, self.finding = "checking", ""
+            self.stage, self.busy = "checking", ""
             while len(self._samples) < self._perception.swap.images:
                 if self._cancelled.wait(_LOOK_S):
                     return
@@ -143,7 +144,7 @@ class Attempt:
 
     def _loading(self, health: Health) -> None:
         """An engine is built, which takes minutes."""
-        self.finding = ": ".join(filter(None, health))
+        self.busy = ": ".join(filter(None, health))
 
     def _adapt(self) -> None:
         with self._faults():

@@ -111,7 +111,7 @@ class Swapper:
             "state": self.state,
             "model": attempt.model,
             "previous": attempt.previous.name,
-            "detail": attempt.finding,
+            "detail": attempt.finding if attempt.switched else attempt.busy,
             "progress": attempt.progress,
             "number": self._number,
         }
