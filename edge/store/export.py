@@ -29,9 +29,9 @@ def run(args: argparse.Namespace) -> int:
     card = with_file(args.name)
     weights = args.weights or pulled_weights(card)
     if weights is None:
+        pull = f"run `edge models pull {card.name}`, or " if card.weights_sources() else ""
         raise ModelError(
-            f"models export: no weights of {card.name} here; run `edge models pull {card.name}`, "
-            "or name them with --weights FILE.pt"
+            f"models export: no weights of {card.name} here; {pull}name them with --weights FILE.pt"
         )
     need_modules("export", _NEEDS)
     options = {"--calibration": args.calibration, "--vocabulary": args.vocabulary}

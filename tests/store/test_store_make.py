@@ -37,9 +37,13 @@ def started(store, monkeypatch):
     return lines
 
 
-def test_no_weights_here(started, capsys):
+@pytest.mark.parametrize("sources", [[], ORIGINAL["sources"]])
+def test_no_weights_here(started, store, capsys, sources):
+    store({**DERIVED, "sources": sources})
     assert main(["models", "export", "small"]) == 2
-    assert "run `edge models pull small`" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "name them with --weights" in error
+    assert ("run `edge models pull small`" in error) == bool(sources)
     assert started == []
 
 
