@@ -13,7 +13,7 @@ from test_perception_cards import CARD
 from edge import config, resources
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import make_detector
-from edge.perception.text import PromptError
+from edge.perception.text import PromptError, TextEmbeddings
 from edge.store.check import check_model
 
 pytest.importorskip("onnxruntime")
@@ -227,3 +227,27 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
     (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump({**CARD, "sha256": digest}))
     with pytest.raises(ModelError, match=r"tiny\.onnx: not an ONNX model"):
         check_model(load_detector_card("tiny"))
+
+
+def test_what_a_prompt_is_not_competes_though_it_is_a_thing_of_that_name(tiny, monkeypatch):
+    """The vocabulary takes a red chair for a chair, so both score alike at the same place."""
+    contrasts = {"chair": ["red chair"]}
+    monkeypatch.setattr(TextEmbeddings, "contrasts", lambda _, prompt: contrasts.get(prompt, []))
+    detector = tiny(prompts=("chair", "sofa"))
+    assert detector._competitors(("chair", "sofa"), ("chair", "sofa", "red chair")).tolist() == [
+        [False, True, True],
+        [True, False, True],
+    ]
+    contrasts.clear()
+    assert detector._competitors(("chair",), ("chair", "red chair")).tolist() == [[False, False]]
+
+
+def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):
+    detector = tiny(prompts=("chair",))
+    seen = make_observation(rgb=image())
+    assert detector.detect(seen).rival.tolist() == [0.0]
+    monkeypatch.setattr(TextEmbeddings, "contrasts", lambda *_: ["red chair"])
+    detector.set_prompts(("chair",))
+    found = detector.detect(seen)
+    assert found.prompts == ("chair",)
+    np.testing.assert_allclose(found.rival, found.score)
