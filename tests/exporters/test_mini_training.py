@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -10,11 +13,12 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra `expo
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from edge.perception.onnx_file import read_onnx  # noqa: E402
+from exporters.files import ExportError  # noqa: E402
 from exporters.mini import batches, evaluate, export, loss, training  # noqa: E402
 from exporters.mini.net import STRIDES, MiniDetector, anchor_points  # noqa: E402
 from exporters.mini.views import make_frames  # noqa: E402
 
-HW = (96, 128)
+HW = (64, 96)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +102,7 @@ def test_a_cut_keeps_boxes_on_their_pixels(frames):
 
 def test_a_few_steps_lower_the_loss(frames, tmp_path, caplog):
     caplog.set_level("INFO")
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)  # threads that meet at every layer are slow on a busy machine
     stream = list(batches.batches(frames, 4, [HW], seed=0))
     model = training.train(frames, plan(25), tmp_path / "a.pt")
     before, after = training.Model(), model
@@ -109,13 +113,31 @@ def test_a_few_steps_lower_the_loss(frames, tmp_path, caplog):
     assert last < 0.7 * first
 
 
-def test_training_goes_on_where_it_stopped(frames, tmp_path):
+def test_training_goes_on_where_it_stopped(frames, tmp_path, monkeypatch):
+    torch.set_num_threads(1)
     whole = training.train(frames, plan(10), tmp_path / "whole.pt")
-    kept = torch.load(tmp_path / "whole.pt", weights_only=True)
-    assert kept["step"] == 10
-    again = training.train(frames, plan(10), tmp_path / "whole.pt")
+    stream = training.batches
+    with monkeypatch.context() as cut_off:
+        cut_off.setattr(training, "batches", lambda *a: islice(stream(*a), 5))
+        training.train(frames, plan(10), tmp_path / "parts.pt")
+    assert torch.load(tmp_path / "parts.pt", weights_only=True)["step"] == 5
+    again = training.train(frames, plan(10), tmp_path / "parts.pt")
+    assert torch.load(tmp_path / "parts.pt", weights_only=True)["step"] == 10
     for a, b in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
         torch.testing.assert_close(a, b)
+
+
+def test_two_processes_train_one_model(tmp_path):
+    make = partial(make_frames, range(2), 2, tmp_path)
+    make()
+    training.train_on_cores(make, plan(2), tmp_path / "two.pt", 2)
+    _, step, seed = export.load_model(tmp_path / "two.pt")
+    assert (step, seed) == (2, 0)
+
+
+def test_no_checkpoint_is_an_error_that_says_what_to_run(tmp_path):
+    with pytest.raises(ExportError, match="train_mini"):
+        export.load_model(tmp_path / "none.pt")
 
 
 def test_the_onnx_files_agree_with_the_network(tmp_path):
