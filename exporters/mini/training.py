@@ -32,14 +32,17 @@ class Plan:
 
     Attributes:
         stages: (steps, (height, width)) one after another.
+        cycles: (steps, share of `rate` to start from); the rate falls as half a cosine in each
+            (SGDR, arXiv:1608.03983).
     """
 
     stages: tuple[tuple[int, tuple[int, int]], ...] = (
         (3000, (160, 192)),
         (700, (192, 256)),
         (600, (224, 288)),
-        (800, (256, 320)),
+        (3000, FULL_HW),
     )
+    cycles: tuple[tuple[int, float], ...] = ((5100, 1.0), (2200, 0.5))
     batch: int = 32
     seed: int = 0
     rate: float = 2e-3
@@ -179,11 +182,21 @@ def _optimizer(model: nn.Module, plan: Plan) -> torch.optim.Optimizer:
 
 
 def _rate(step: int, plan: Plan) -> float:
-    """Linear up, then half a cosine down to one percent."""
+    """Linear up at first, then half a cosine down to one percent in each cycle."""
     if step < plan.warm_up:
         return (step + 1) / plan.warm_up
-    share = (step - plan.warm_up) / max(1, len(plan.sizes) - plan.warm_up)
-    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
+    first = plan.warm_up
+    for end, peak in _ends(plan.cycles):
+        if step < end:
+            share = (step - first) / max(1, end - first)
+            return 0.01 + (peak - 0.01) * 0.5 * (1.0 + math.cos(math.pi * share))
+        first = end
+    return 0.01
+
+
+def _ends(cycles: tuple[tuple[int, float], ...]) -> list[tuple[int, float]]:
+    """Cycles by the step they end at."""
+    return [(sum(n for n, _ in cycles[: k + 1]), peak) for k, (_, peak) in enumerate(cycles)]
 
 
 @torch.no_grad()

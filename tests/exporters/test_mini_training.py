@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +27,9 @@ def frames(tmp_path_factory):
 
 
 def plan(steps: int, **changes) -> training.Plan:
-    return training.Plan(stages=((steps, HW),), batch=4, warm_up=5, keep_every=5, **changes)
+    return training.Plan(
+        stages=((steps, HW),), cycles=((steps, 1.0),), batch=4, warm_up=5, keep_every=5, **changes
+    )
 
 
 def truth(boxes, answers=1) -> loss.Truth:
@@ -35,6 +37,24 @@ def truth(boxes, answers=1) -> loss.Truth:
     said = torch.full((1, boxes.shape[1], 1), answers, dtype=torch.int8)
     taught = torch.ones(boxes.shape[:2], dtype=torch.bool)
     return loss.Truth(boxes, taught, said, torch.zeros_like(said, dtype=torch.bool))
+
+
+def test_the_rate_climbs_and_falls_in_each_cycle():
+    shape = training.Plan(cycles=((100, 1.0), (50, 0.5)), warm_up=10)
+    rates = [training._rate(step, shape) for step in range(160)]
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[10] == pytest.approx(1.0)
+    assert rates[99] < 0.02
+    assert rates[100] == pytest.approx(0.5)
+    assert rates[149] < 0.02
+    assert rates[150:] == [0.01] * 10
+    assert all(a > b for a, b in pairwise(rates[10:100]))
+
+
+def test_the_plan_of_the_shipped_model_adds_up():
+    plan_ = training.Plan()
+    assert sum(n for n, _ in plan_.stages) == sum(n for n, _ in plan_.cycles) == len(plan_.sizes)
+    assert plan_.sizes[-1] == training.FULL_HW
 
 
 def test_anchors_lie_in_their_cells():
