@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from edge import cli, config, resources
 from edge.errors import UserError
 from edge.geometry import invert
-from edge.perception.cards import load_detector_card
+from edge.perception.cards import card_path, load_detector_card
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
 from edge.store.bench import figures, frames, runs, table, variants, worker
@@ -303,7 +303,7 @@ def place(tmp_path, monkeypatch):
             "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": 114},
             "text_dim": 16, "parity": None,
         }  # fmt: skip
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(card))
+        (folder / f"{name}.yaml").write_text("# A remark.\n" + yaml.safe_dump(card))
         if content is not None:
             (resources.models_dir() / f"{name}.onnx").write_bytes(content)
 
@@ -377,6 +377,7 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     assert measured[1]["fp32_recall"] == 1.0
     assert measured[1]["file"] == load_detector_card("tiny-int8-cpu").sha256[:12]
     assert measured[1]["session_ms"] == int8["latency_ms"]["session"]["p50"]
+    assert card_path("tiny-int8-cpu").read_text().startswith("# A remark.\nfamily: tiny\n")
     assert load_detector_card("tiny-crash").measured == {}
 
 

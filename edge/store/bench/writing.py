@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,13 @@ def update_cards(report: dict[str, Any]) -> list[Path]:
     for row in report["rows"]:
         if row["state"] == "ran":
             path = card_path(row["name"])
-            card = yaml.safe_load(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            card = yaml.safe_load(text)
             key = f"{row['on']} of {machine.short_name(report['machine'])}"
             card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
-            _replace(path, yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH))
+            remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
+            body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
+            _replace(path, "".join(remarks) + body)
             written.append(path)
     return list(dict.fromkeys(written))
 
