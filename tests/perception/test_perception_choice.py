@@ -19,6 +19,7 @@ from patience import PATIENCE_S
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
+from edge.geometry import SE2, CameraModel, camera_mount
 from edge.perception.choice import scorer
 from edge.perception.choice.letters import MISSING_NATS, NoAnswerError, probabilities
 from edge.perception.choice.marks import visible_marks
@@ -34,7 +35,7 @@ from edge.perception.choice.question import (
     scene_question,
 )
 from edge.perception.choice.scorer import make_choice
-from edge.perception.choice.words import describe
+from edge.perception.choice.words import describefrom edge.types import Observation
 
 LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)
 FLOOR = 0.25 * math.exp(-MISSING_NATS)
@@ -119,6 +120,25 @@ def test_frontiers_are_projected_onto_the_floor(make_observation):
     assert mark.u_px == pytest.approx(39.5, abs=1e-4)
     assert mark.v_px == pytest.approx(31.5 + focal * 0.6 / 3.0, abs=1e-3)
     assert (mark.bearing_rad, mark.distance_m) == pytest.approx((0.0, 3.0))
+
+
+def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
+    """Also for a camera that is turned, pitched and beside the robot's middle."""
+    camera = CameraModel.from_hfov(80, 64, 1.3)
+    T_base_camera = camera_mount(0.1, 0.6, 0.3, y_m=0.2)
+    T_map_base = SE2(2.0, -1.0, 0.7).matrix(z_m=0.4)
+    seen = Observation(0, 0, T_map_base, camera=camera, T_base_camera=T_base_camera)
+    points = np.random.default_rng(0).uniform(-6, 6, (300, 2))
+    marks = visible_marks(seen, points, np.arange(300), limit=300)
+    assert len(marks) > 10
+    T = T_map_base @ T_base_camera
+    for mark in marks:
+        ray = [(mark.u_px - camera.cx_px) / camera.fx_px, (mark.v_px - camera.cy_px) / camera.fy_px]
+        direction = T[:3, :3] @ [*ray, 1.0]
+        at = T[:3, 3] + direction * (0.4 - T[2, 3]) / direction[2]
+        np.testing.assert_allclose(at[:2], points[mark.id], atol=1e-6)
+        pose = seen.pose
+        assert mark.bearing_rad == pytest.approx(pose.bearing_to(*at[:2]), abs=1e-6)
 
 
 @pytest.mark.parametrize(

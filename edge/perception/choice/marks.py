@@ -33,28 +33,40 @@ def visible_marks(
     if camera is None or len(xy_m) == 0:
         return ()
     T_map_base = observation.T_map_base
-    floor = np.full((len(xy_m), 4), [0.0, 0.0, T_map_base[2, 3], 1.0])
-    floor[:, :2] = xy_m
-    x, y, z, _ = invert(T_map_base @ observation.T_base_camera) @ floor.T
-    seen = np.flatnonzero(z > NEAREST_M)
-    u = camera.fx_px * x[seen] / z[seen] + camera.cx_px
-    v = camera.fy_px * y[seen] / z[seen] + camera.cy_px
-    column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-    inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
+    x, y, z = _in_camera(T_map_base, observation.T_base_camera, xy_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = camera.fx_px * x / z + camera.cx_px
+        v = camera.fy_px * y / z + camera.cy_px
+    width, height = camera.width_px, camera.height_px
+    inside = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (z > NEAREST_M)
+    seen = np.flatnonzero(inside)
     depth = observation.depth_m
-    if depth is not None and depth.shape == (camera.height_px, camera.width_px):
-        depth_m = depth[row[inside], column[inside]]
-        allowed_m = z[seen[inside]] * (1.0 - OCCLUDED_SHARE) - OCCLUDED_M
+    if depth is not None and depth.shape == (height, width):
+        depth_m = depth[np.rint(v[seen]).astype(np.intp), np.rint(u[seen]).astype(np.intp)]
+        allowed_m = z[seen] * (1.0 - OCCLUDED_SHARE) - OCCLUDED_M
         # NaN and 0 mean that nothing returned.
-        inside[inside] = ~((depth_m > 0.0) & (depth_m < allowed_m))
+        seen = seen[~((depth_m > 0.0) & (depth_m < allowed_m))]
     pose = observation.pose
+    away_m = np.hypot(xy_m[seen, 0] - pose.x_m, xy_m[seen, 1] - pose.y_m)
+    nearest = np.lexsort((ids[seen], away_m))[:limit]
     marks = [
         Mark(
-            int(ids[i]), float(u[k]), float(v[k]),
+            int(ids[i]), float(u[i]), float(v[i]),
             pose.bearing_to(float(xy_m[i, 0]), float(xy_m[i, 1])),
             pose.distance_to(float(xy_m[i, 0]), float(xy_m[i, 1])),
         )
-        for k, i in zip(np.flatnonzero(inside), seen[inside], strict=True)
+        for i in seen[nearest]
     ]  # fmt: skip
-    nearest = sorted(marks, key=lambda mark: (mark.distance_m, mark.id))[:limit]
-    return tuple(sorted(nearest, key=lambda mark: (mark.u_px, mark.id)))
+    return tuple(sorted(marks, key=lambda mark: (mark.u_px, mark.id)))
+
+
+def _in_camera(
+    T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the floor on which the robot stands, in the camera's optical frame."""
+    T = invert(T_map_base @ T_base_camera)
+    a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
+    c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()
+    x_m, y_m = xy_m[:, 0], xy_m[:, 1]
+    x, y, z = (a[k] * x_m + b[k] * y_m + c[k] for k in range(3))
+    return x, y, z
