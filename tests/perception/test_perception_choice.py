@@ -35,7 +35,8 @@ from edge.perception.choice.question import (
     scene_question,
 )
 from edge.perception.choice.scorer import make_choice
-from edge.perception.choice.words import describefrom edge.types import Observation
+from edge.perception.choice.words import describe
+from edge.types import Observation
 
 LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)
 FLOOR = 0.25 * math.exp(-MISSING_NATS)
