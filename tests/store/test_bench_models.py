@@ -377,7 +377,7 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     assert measured[1]["fp32_recall"] == 1.0
     assert measured[1]["file"] == load_detector_card("tiny-int8-cpu").sha256[:12]
     assert measured[1]["session_ms"] == int8["latency_ms"]["session"]["p50"]
-    assert card_path("tiny-int8-cpu").read_text().startswith("# A remark.\nfamily: tiny\n")
+    assert card_path("tiny-int8-cpu").read_text().startswith("# A remark.\nderived_from: ")
     assert load_detector_card("tiny-crash").measured == {}
 
 
