@@ -62,12 +62,14 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"
-    excluded = nodes_like(model, recipe.not_int8)
+    delicate = (*recipe.not_int8, *(recipe.not_symmetric if for_trt else ()))
+    excluded = nodes_like(model, delicate)
     float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
-    ranges = (symmetric_ranges if for_trt else activation_ranges)(model, feeds)
+    limits = symmetric_limits(model, feeds) if for_trt else {}
+    ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds)
     convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in excluded]
     steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
-    scales = round_weights(model, convs, feeds[::steps])
+    scales = round_weights(model, convs, feeds[::steps], limits)
     with replace_atomically(out) as temporary:
         _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), excluded, precision)
         if for_trt:
@@ -115,10 +117,9 @@ def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tu
     return ranges
 
 
-def symmetric_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tuple[float, float]]:
-    """The range (-r, r) of every activation, by tensor name."""
-    limits = {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds).items()}
-    return {name: (-limit, limit) for name, limit in limits.items()}
+def symmetric_limits(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, float]:
+    """The largest magnitude of every activation's symmetric 8-bit range, by tensor name."""
+    return {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds).items()}
 
 
 def _overrides(

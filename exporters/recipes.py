@@ -16,10 +16,13 @@ class Recipe:
 
     Attributes:
         not_int8: nodes that are not quantized.
+        not_symmetric: nodes that are not quantized either where 8-bit ranges lie around 0, which
+            leaves values of one sign only half the steps.
         not_fp16: nodes that stay in float32 when the others go to float16.
     """
 
     not_int8: tuple[str, ...] = ()
+    not_symmetric: tuple[str, ...] = ()
     not_fp16: tuple[str, ...] = ()
 
 
@@ -34,6 +37,9 @@ RECIPES = {
             r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the error
             _YOLO_HEAD,
         ),
+        # Their inputs are wide, the latter's for the gates' part of it: the error of what comes out
+        # is 4 to 20 times the other convolutions'.
+        not_symmetric=(r"^/model\.2/cv1/", r"^/model\.(12|15|18|21)/cv2/"),
         not_fp16=(_YOLO_HEAD,),
     ),
     "mini-house": Recipe(not_int8=(r"^/(?!trunk/|neck/|heads\.)",)),  # as _YOLO_HEAD

@@ -8,6 +8,8 @@ error, weighted by what the calibration images feed the layer.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import onnx
 import torch
@@ -39,25 +41,62 @@ def input_columns(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) 
     return columns[0].T
 
 
-def input_moments(
-    model: onnx.ModelProto, convs: list[onnx.NodeProto], feeds: list[Feed], seed: int = 0
-) -> dict[str, torch.Tensor]:
-    """Second moment X·Xᵀ (d, d) of each convolution's input columns, by node name."""
+class Inputs:
+    """What a convolution's input columns (cells, d) are like, summed up over images.
+
+    Attributes:
+        moment: their second moment X·Xᵀ, (d, d).
+        mean, rounded_mean: of the columns, and of the columns in symmetric 8 bits, (d,).
+    """
+
+    def __init__(self, size: int, limit: float | None) -> None:
+        self.moment = torch.zeros(size, size)
+        self._step = None if limit is None else limit / MAX_LEVEL
+        self._count = 0
+        self._sum, self._rounded_sum = torch.zeros(size), torch.zeros(size)
+
+    def add(self, columns: torch.Tensor) -> None:
+        self.moment.addmm_(columns.T, columns)
+        self._count += len(columns)
+        self._sum += columns.sum(dim=0)
+        if self._step is not None:
+            rounded = (columns / self._step).round().clamp(-MAX_LEVEL, MAX_LEVEL) * self._step
+            self._rounded_sum += rounded.sum(dim=0)
+
+    @property
+    def mean(self) -> torch.Tensor:
+        return self._sum / self._count
+
+    @property
+    def rounded_mean(self) -> torch.Tensor:
+        return self._rounded_sum / self._count
+
+
+def input_statistics(
+    model: onnx.ModelProto,
+    convs: list[onnx.NodeProto],
+    feeds: list[Feed],
+    limits: Mapping[str, float],
+    seed: int = 0,
+) -> dict[str, Inputs]:
+    """Of each convolution, by node name; `limits` are the tensors' 8-bit ranges, where known."""
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in convs} - {model.graph.input[0].name})
     session = tensor_session(model, names)
     generator = torch.Generator().manual_seed(seed)
-    moments: dict[str, torch.Tensor] = {}
+    statistics: dict[str, Inputs] = {}
     for feed in feeds:
-        values = {**feed, **dict(zip(names, session.run(names, feed), strict=True))}
+        made = session.run(names, feed) if names else []  # no name asks for all outputs
+        values = {**feed, **dict(zip(names, made, strict=True))}
         for node in convs:
             kernel = tuple(weights[node.input[1]].dims[2:])
             columns = input_columns(node, values[node.input[0]], kernel)
             chosen = torch.randperm(len(columns), generator=generator)[:ROWS_PER_IMAGE]
-            rows = columns[chosen]
-            total = moments.setdefault(node.name, torch.zeros(rows.shape[1], rows.shape[1]))
-            total.addmm_(rows.T, rows)
-    return moments
+            if node.name not in statistics:
+                limit = limits.get(node.input[0])
+                statistics[node.name] = Inputs(columns.shape[1], limit)
+            statistics[node.name].add(columns[chosen])
+    return statistics
 
 
 def channel_scales(weight: torch.Tensor) -> torch.Tensor:
@@ -106,19 +145,34 @@ def gptq(weight: torch.Tensor, moment: torch.Tensor, scale: torch.Tensor) -> tor
 
 
 def round_weights(
-    model: onnx.ModelProto, convs: list[onnx.NodeProto], feeds: list[Feed]
+    model: onnx.ModelProto,
+    convs: list[onnx.NodeProto],
+    feeds: list[Feed],
+    limits: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Put rounded weights into `model` (in place); per-channel scales (rows,) by weight name."""
-    moments = input_moments(model, convs, feeds)
+    """Put rounded weights into `model` (in place); per-channel scales (rows,) by weight name.
+
+    Args:
+        limits: by tensor, the largest magnitude of its symmetric 8-bit range. Where a
+            convolution's input has one, its bias makes up for what rounding weights and input
+            adds to its output on average (Nagel et al. 2019, "Data-free quantization through
+            weight equalization and bias correction", sec. 4.2, with the means measured).
+    """
+    statistics = input_statistics(model, convs, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}
     scales: dict[str, np.ndarray] = {}
     for node in convs:
-        initializer = by_name[node.input[1]]
+        initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
         weight = torch.from_numpy(array.reshape(len(array), -1).copy())
         scale = channel_scales(weight)
-        levels = gptq(weight, moments[node.name], scale)
-        rounded = (levels * scale).reshape(array.shape).numpy()
-        initializer.CopyFrom(numpy_helper.from_array(rounded, initializer.name))
+        rounded = gptq(weight, inputs.moment, scale) * scale
+        values = rounded.reshape(array.shape).numpy()
+        initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
         scales[initializer.name] = scale[:, 0].numpy()
+        if limits and node.input[0] in limits and len(node.input) > 2:
+            bias = by_name[node.input[2]]
+            shift = weight @ inputs.mean - rounded @ inputs.rounded_mean
+            corrected = numpy_helper.to_array(bias) + shift.numpy()
+            bias.CopyFrom(numpy_helper.from_array(corrected.astype(np.float32), bias.name))
     return scales

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,9 +15,10 @@ import onnx
 from onnx import numpy_helper
 from small_net import RECIPE, build, feeds, run
 
-from exporters.calibration import BINS, Histogram, least_loss_limit
+from exporters.calibration import BINS, Histogram, least_loss_limit, tensor_session
 from exporters.files import ExportError
 from exporters.quantize import quantize
+from exporters.rounding import round_weights
 
 pytestmark = pytest.mark.export
 
@@ -76,6 +79,14 @@ def test_the_result_stays(pair):
             assert np.abs(got - exact).mean() < 0.05 * np.abs(exact).mean()
 
 
+def test_what_cannot_bear_a_symmetric_range_stays_float(tmp_path):
+    fp32, int8 = build(tmp_path / "fp32.onnx"), tmp_path / "int8.onnx"
+    quantize(fp32, int8, feeds(), replace(RECIPE, not_symmetric=("^trunk/1/",)), "int8-trt")
+    nodes = {node.name: node for node in onnx.load(int8).graph.node}
+    assert "DequantizeLinear" in nodes["trunk/0/conv"].input[1]
+    assert nodes["trunk/1/conv"].input[1] == "w1"
+
+
 @pytest.mark.parametrize(
     ("precision", "count", "says"), [("int4", 8, "int4"), ("int8-trt", 3, "3 images")]
 )
@@ -95,3 +106,22 @@ def test_a_symmetric_range_keeps_even_values_and_cuts_a_lonely_one():
     assert limit(np.zeros(10)) > 0
     assert limit(np.linspace(-4, 1, 10_000)) == pytest.approx(4, abs=0.1)
     assert limit(np.append(np.linspace(-1, 1, 100_000), 8.0)) < 6
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_a_bias_makes_up_for_what_clipping_takes_on_average(tmp_path, corrected):
+    """Images in 0..1 clipped at 0.4: a convolution's output would be too small on average."""
+    model, limit, samples = onnx.load(build(tmp_path / "fp32.onnx")), 0.4, feeds(12)
+    convs = [node for node in model.graph.node if node.name == "trunk/0/conv"]
+    exact = mean_output(model, samples)
+    round_weights(model, convs, samples, {"images": limit} if corrected else None)
+    for feed in samples:
+        feed["images"] = np.minimum(feed["images"], limit)
+    error = np.abs(mean_output(model, samples) - exact).max()
+    assert (error < 0.02) == corrected
+
+
+def mean_output(model, samples):
+    """Of the first convolution, per channel (8,)."""
+    session = tensor_session(model, ["c0"])
+    return np.mean([session.run(["c0"], feed)[0].mean(axis=(0, 2, 3)) for feed in samples], axis=0)
