@@ -60,12 +60,15 @@ FLOOR = 0.25 * math.exp(-MISSING_NATS)
         ({"A": LOG_HALF, "x": LOG_QUARTER}, "AB", [0.5 / (0.5 + FLOOR), FLOOR / (0.5 + FLOOR)]),
         ({"yes": LOG_HALF, "NO": LOG_HALF, "Yes": LOG_QUARTER}, ["Yes", "No"], [0.6, 0.4]),
         ({"A": -1e4, "B": -1e4 + LOG_HALF}, "AB", [2 / 3, 1 / 3]),
+        ({"A": math.log(0.99)}, "ABCDE", [0.99, *[0.01 / 4] * 4]),  # they share what is left
+        ({"A": 0.0}, "AB", [1.0, 0.0]),
+        ({"A": LOG_HALF, " A": LOG_HALF}, "AB", [1.0, 0.0]),
     ],
 )
 def test_softmax_is_over_exactly_the_answers(tokens, answers, expected):
     p = probabilities(list(tokens.items()), answers)
     assert p.dtype == np.float32
-    np.testing.assert_allclose(p, expected, rtol=1e-5)
+    np.testing.assert_allclose(p, expected, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.parametrize("tokens", [{"The": -0.5, "To": -1.0}, {"<think>": -0.0}, {"a": -0.1}])
@@ -82,19 +85,38 @@ def test_a_model_that_says_something_else_is_named(tokens):
         max_size=20,
     )
 )
-def test_probabilities_sum_to_one_and_do_not_depend_on_order_or_scale(tokens):
+def test_probabilities_sum_to_one_and_do_not_depend_on_order(tokens):
     if not any(token.strip() in "ABC" and token.strip() for token, _ in tokens):
         return
     p = probabilities(tokens, "ABC")
     assert p.sum() == pytest.approx(1.0, abs=1e-5)
     assert (p >= 0).all()
     np.testing.assert_allclose(p, probabilities(tokens[::-1], "ABC"), rtol=1e-4)
-    shifted = [(token, logit - 7.5) for token, logit in tokens]
-    np.testing.assert_allclose(p, probabilities(shifted, "ABC"), rtol=1e-3, atol=1e-7)
     told = {token.strip() for token, _ in tokens}
+    if told.issuperset("ABC"):
+        shifted = [(token, logit - 7.5) for token, logit in tokens]
+        np.testing.assert_allclose(p, probabilities(shifted, "ABC"), rtol=1e-3, atol=1e-7)
     known = [chance for letter, chance in zip("ABC", p, strict=True) if letter in told]
     for letter, chance in zip("ABC", p, strict=True):
         assert letter in told or chance <= min(known)
+
+
+@settings(max_examples=60)
+@given(
+    st.dictionaries(st.sampled_from("ABCDE"), st.floats(1e-4, 1.0), min_size=1),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+)
+def test_a_told_answer_is_as_likely_as_what_is_left_for_the_others_allows(weights, words, left):
+    """`weights` of the letters, beside those of other words and of what was not told."""
+    total = sum(weights.values()) + words + left
+    tokens = [(letter, math.log(w / total)) for letter, w in weights.items()]
+    if words > 0.0:
+        tokens.append(("word", math.log(max(words / total, 1e-12))))
+    p = dict(zip("ABCDE", probabilities(tokens, "ABCDE"), strict=True))
+    letters = sum(weights.values())
+    for letter, w in weights.items():
+        assert w / (letters + left) - 1e-5 <= p[letter] <= w / letters + 1e-5
 
 
 # -- marks ------------------------------------------------------------------------------------

@@ -11,7 +11,9 @@ from edge.errors import UserError
 
 MISSING_NATS = 1.0
 """How much less likely than the least likely token that the server told of an answer is taken to
-be which it did not tell of. At most as likely is all that is known."""
+be which it did not tell of. At most as likely is known, and that all of them together have no more
+than what the told tokens leave of 1."""
+_LEAST_LEFT = 1e-9  # so that what is left has a logarithm, also where rounding leaves nothing
 
 _WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
 
@@ -49,8 +51,11 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
             f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
             "use one that answers at once"
         )
-    floor = min(logprob for _, logprob in tokens) - MISSING_NATS
-    logits[np.isneginf(logits)] = floor
+    missing = np.isneginf(logits)
+    if missing.any():
+        left = max(1.0 - math.fsum(math.exp(logprob) for _, logprob in tokens), _LEAST_LEFT)
+        least = min(logprob for _, logprob in tokens) - MISSING_NATS
+        logits[missing] = min(least, math.log(left / missing.sum()))
     p = np.exp(logits - logits.max())
     return (p / p.sum()).astype(np.float32)
 
