@@ -50,10 +50,10 @@ class Similarity:
 class Advice:
     """What the scorers last said of this map and mission; None: nothing yet.
 
-    For policies. One that goes by it takes the service's `advice` when it is made
-    (`make_policy`) and reads it in `Policy.score`, as VLFM does `similarity`, over the whole field
-    of view, and ViTL `choice`, by frontier: `Choice.ids` are ids of the pool's candidates, and
-    those that the pool has no longer are stale. Either may be seconds old, or never come.
+    The service has it as its `advice` and its status message tells it; no policy reads it yet.
+    VLFM goes by `similarity`, over the whole field of view, and ViTL by `choice`, by frontier:
+    `Choice.ids` are ids of the pool's candidates, and those that the pool has no longer are stale.
+    Either may be seconds old, or never come.
     """
 
     similarity: Similarity | None = None
