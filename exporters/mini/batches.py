@@ -80,8 +80,9 @@ def cut(
     return out, moved, share
 
 
-def sample_phrases(objects: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(PHRASES, 3) int64 for a picture with these things: true ones, hard ones, random ones."""
+def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0) -> np.ndarray:
+    """(PHRASES + plain, 3) int64 for a picture with these things: true ones, hard ones, random
+    ones, and `plain` different categories."""
     rows = []
     for k in rng.permutation(len(objects))[:NAMED]:
         o = objects[k]
@@ -101,19 +102,25 @@ def sample_phrases(objects: np.ndarray, rng: np.random.Generator) -> np.ndarray:
             color = int(rng.integers(1, 1 + len(looks.COLORS))) if rng.random() < 0.3 else 0
             size = int(rng.integers(1, 1 + len(looks.SIZES))) if rng.random() < 0.3 else 0
             rows.append((int(rng.integers(1, 1 + len(looks.CATEGORIES))), color, size))
+    rows += [(int(c) + 1, 0, 0) for c in rng.permutation(len(looks.CATEGORIES))[:plain]]
     return np.array(rows, np.int64)
 
 
 def make_batch(
-    frames: Frames, indices: np.ndarray, hw: tuple[int, int], rng: np.random.Generator
+    frames: Frames,
+    indices: np.ndarray,
+    hw: tuple[int, int],
+    rng: np.random.Generator,
+    plain: int = 0,
 ) -> Batch:
-    n = len(indices)
+    """Pictures at this size; see `sample_phrases` for `plain`."""
+    n, k = len(indices), PHRASES + plain
     images = np.empty((n, *hw, 3), np.uint8)
-    phrases = np.empty((n, PHRASES, 3), np.int64)
+    phrases = np.empty((n, k, 3), np.int64)
     boxes = np.zeros((n, THINGS, 4), np.float32)
     taught = np.zeros((n, THINGS), bool)
-    answers = np.zeros((n, THINGS, PHRASES), np.int8)
-    hard = np.zeros((n, THINGS, PHRASES), bool)
+    answers = np.zeros((n, THINGS, k), np.int8)
+    hard = np.zeros((n, THINGS, k), bool)
     min_side = MIN_SIDE_PX * max(0.75, hw[1] / WIDTH_PX)
     for i, index in enumerate(indices):
         objects = frames.of(int(index))
@@ -124,7 +131,7 @@ def make_batch(
         objects, moved, share, side = objects[kept], moved[kept], share[kept], side[kept]
         good = (side >= min_side) & (objects["visible"] * share >= MIN_VISIBLE)
         good &= share >= 0.3
-        phrases[i] = sample_phrases(objects[good], rng)
+        phrases[i] = sample_phrases(objects[good], rng, plain)
         m = len(objects)
         said = looks.answers(objects["category"], objects["color"], objects["size"], phrases[i])
         boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, said
@@ -136,9 +143,11 @@ def make_batch(
 
 
 def batches(
-    frames: Frames, batch: int, sizes: list[tuple[int, int]], seed: int, first: int = 0
+    frames: Frames, batch: int, steps: list[tuple[tuple[int, int], int]], seed: int, first: int = 0
 ) -> Iterator[Batch]:
-    """Batch `first` and those after it, one per entry of `sizes`, made ahead in a thread.
+    """Batch `first` and those after it, made ahead in a thread.
+
+    `steps` has an entry (size, plain phrases) for each.
 
     Each has a generator of its own, so that training goes on from a checkpoint as if it had
     never stopped.
@@ -148,10 +157,10 @@ def batches(
 
     def work() -> None:
         try:
-            for step in range(first, len(sizes)):
+            for step in range(first, len(steps)):
                 rng = np.random.default_rng([9, seed, step])
                 indices = rng.choice(len(frames), batch, replace=len(frames) < batch)
-                made = make_batch(frames, indices, sizes[step], rng)
+                made = make_batch(frames, indices, steps[step][0], rng, steps[step][1])
                 while not stop.is_set():
                     try:
                         ahead.put(made, timeout=0.5)

@@ -31,16 +31,18 @@ class Plan:
     """How long and how fast to learn.
 
     Attributes:
-        stages: (steps, (height, width)) one after another.
+        stages: (steps, (height, width), plain phrases) one after another; see
+            `batches.sample_phrases`.
         cycles: (steps, share of `rate` to start from); the rate falls as half a cosine in each
             (SGDR, arXiv:1608.03983).
     """
 
-    stages: tuple[tuple[int, tuple[int, int]], ...] = (
-        (3000, (160, 192)),
-        (700, (192, 256)),
-        (600, (224, 288)),
-        (3000, FULL_HW),
+    stages: tuple[tuple[int, tuple[int, int], int], ...] = (
+        (3000, (160, 192), 0),
+        (700, (192, 256), 0),
+        (600, (224, 288), 0),
+        (800, FULL_HW, 0),
+        (2200, FULL_HW, 16),
     )
     cycles: tuple[tuple[int, float], ...] = ((5100, 1.0), (2200, 0.5))
     batch: int = 32
@@ -52,8 +54,9 @@ class Plan:
     keep_every: int = 250
 
     @property
-    def sizes(self) -> list[tuple[int, int]]:
-        return [hw for steps, hw in self.stages for _ in range(steps)]
+    def steps(self) -> list[tuple[tuple[int, int], int]]:
+        """Size and plain phrases of every step."""
+        return [(hw, plain) for steps, hw, plain in self.stages for _ in range(steps)]
 
 
 class Model(nn.Module):
@@ -106,7 +109,7 @@ def train(
     model = Model().to(device).to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(model).eval().requires_grad_(False)
     optimizer = _optimizer(model, plan)
-    sizes = plan.sizes
+    steps = plan.steps
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
     first = 0
     if checkpoint.is_file():
@@ -118,7 +121,7 @@ def train(
         first = int(kept["step"])
         log.info("going on from step %d", first)
     since, began = time.monotonic(), first
-    stream = batches(frames, plan.batch // ranks, sizes, plan.seed * ranks + rank, first)
+    stream = batches(frames, plan.batch // ranks, steps, plan.seed * ranks + rank, first)
     for step, batch in enumerate(stream, first + 1):
         generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
         loss, parts = _loss(model, batch, generator, device)
@@ -130,12 +133,12 @@ def train(
         optimizer.step()
         rates.step()
         _average(averaged, model, plan.average, step)
-        if step % 50 == 0 or step == len(sizes):
+        if step % 50 == 0 or step == len(steps):
             pace = (time.monotonic() - since) / (step - began)
             shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
-            log.info("step %d/%d %.3f s: %s", step, len(sizes), pace, shown)
+            log.info("step %d/%d %.3f s: %s", step, len(steps), pace, shown)
             since, began = time.monotonic(), step
-        if rank == 0 and (step % plan.keep_every == 0 or step == len(sizes)):
+        if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
             state = {"model": model, "averaged": averaged, "optimizer": optimizer, "rates": rates}
             with replace_atomically(checkpoint) as part:
                 kept = {name: thing.state_dict() for name, thing in state.items()}

@@ -28,7 +28,12 @@ def frames(tmp_path_factory):
 
 def plan(steps: int, **changes) -> training.Plan:
     return training.Plan(
-        stages=((steps, HW),), cycles=((steps, 1.0),), batch=4, warm_up=5, keep_every=5, **changes
+        stages=((steps, HW, 2),),
+        cycles=((steps, 1.0),),
+        batch=4,
+        warm_up=5,
+        keep_every=5,
+        **changes,
     )
 
 
@@ -53,8 +58,8 @@ def test_the_rate_climbs_and_falls_in_each_cycle():
 
 def test_the_plan_of_the_shipped_model_adds_up():
     plan_ = training.Plan()
-    assert sum(n for n, _ in plan_.stages) == sum(n for n, _ in plan_.cycles) == len(plan_.sizes)
-    assert plan_.sizes[-1] == training.FULL_HW
+    assert sum(n for n, *_ in plan_.stages) == sum(n for n, _ in plan_.cycles) == len(plan_.steps)
+    assert plan_.steps[-1][0] == training.FULL_HW
 
 
 def test_anchors_lie_in_their_cells():
@@ -123,7 +128,7 @@ def test_a_cut_keeps_boxes_on_their_pixels(frames):
 def test_a_few_steps_lower_the_loss(frames, tmp_path, caplog):
     caplog.set_level("INFO")
     torch.set_num_threads(1)  # threads that meet at every layer are slow on a busy machine
-    stream = list(batches.batches(frames, 4, [HW], seed=0))
+    stream = list(batches.batches(frames, 4, [(HW, 2)], seed=0))
     model = training.train(frames, plan(25), tmp_path / "a.pt")
     before, after = training.Model(), model
     generator = torch.Generator().manual_seed(0)
