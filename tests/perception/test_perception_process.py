@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from fake_model_process import (
     NAN,
     NO_MEMORY,
     SEGFAULT,
+    SLOW,
 )
 from patience import PATIENCE_S, eventually
 
@@ -184,6 +186,14 @@ def test_a_hang_is_ended(make, seen):
             detector.detect(seen(order))
         eventually(lambda pid=pid: pid_of(detector) != pid and detector.health().state == "ok")
         assert not psutil.pid_exists(pid)
+
+
+def test_who_waits_for_a_core_does_not_hang(make, seen, monkeypatch):
+    assert link._queued_s(os.getpid()) >= 0
+    assert link._queued_s(-1) == 0
+    detector, waited_s = make(timeout_s=0.1), count()
+    monkeypatch.setattr(link, "_queued_s", lambda pid: next(waited_s))
+    assert len(detector.detect(seen(SLOW))) == 1
 
 
 def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):

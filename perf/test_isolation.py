@@ -1,0 +1,51 @@
+"""What a process of its own costs a detector: the same images, in the service and beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.perception.cards import ModelError
+from edge.perception.detector import make_detector
+from edge.perception.text import PromptError
+from edge.perception.warmup import warmup
+from edge.types import Observation
+
+SHARED_VOCABULARY = (
+    Path(__file__).resolve().parents[2] / "shared" / "models" / "clip_vitb32_vocab.npz"
+)
+BACKGROUND = ("window", "door", "picture frame", "cabinet", "curtain", "person")
+WORLD = {"model": "yolo-world-s-256x320-int8-cpu", "background": BACKGROUND}
+OURS = {"model": "mini-house-256x320-int8-cpu"}
+
+
+@pytest.fixture(scope="module", params=[WORLD, OURS], ids=["yolo-world", "mini-house"])
+def model(request):
+    """The configuration of a model that is there."""
+    vocabulary = str(SHARED_VOCABULARY) if SHARED_VOCABULARY.exists() else None
+    return config.DetectorOnnx(vocabulary=vocabulary, **request.param)
+
+
+@pytest.fixture
+def detector(model, isolation):
+    warmup()
+    rules = config.ModelProcess(timeout_s=60.0)
+    perception = config.Perception(isolation=isolation, process=rules, detector=model)
+    try:
+        detector = make_detector(perception, ["chair"])
+    except (ModelError, PromptError) as error:
+        pytest.skip(str(error))
+    yield detector
+    detector.close()
+
+
+@pytest.mark.parametrize("isolation", ["thread", "process"])
+def test_detect(benchmark, detector, isolation, model):
+    """A 320 x 256 image in, boxes out, on two threads."""
+    benchmark.extra_info["budget"] = f"detect_in_{isolation}_{model.model.partition('-256')[0]}"
+    rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
+    seen = Observation(0, 0, np.eye(4), rgb=rgb)
+    benchmark.pedantic(detector.detect, (seen,), rounds=200, warmup_rounds=10)
