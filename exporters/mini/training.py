@@ -42,9 +42,9 @@ class Plan:
         (700, (192, 256), 0),
         (600, (224, 288), 0),
         (800, FULL_HW, 0),
-        (2200, FULL_HW, 16),
+        (1500, FULL_HW, 16),
     )
-    cycles: tuple[tuple[int, float], ...] = ((5100, 1.0), (2200, 0.5))
+    cycles: tuple[tuple[int, float], ...] = ((5100, 1.0), (1500, 0.5))
     batch: int = 32
     seed: int = 0
     rate: float = 2e-3
