@@ -154,7 +154,8 @@ class DetectCard(_FileCard):
 
     Attributes:
         text_dim: length of a text embedding.
-        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's.
+        text_encoder: card of the encoder for its prompts; None is CLIP ViT-B/32's
+            (any text card of family `clip-vit-b-32`, else the vocabulary).
     """
 
     task: Literal["detect"]

@@ -3,6 +3,7 @@
 To use one, put its card into `models/`. A `text` card's file maps `tokens` (n, 77) int64 to
 `embeddings` (n, d) float32: the token embeddings, the transformer, and the projection of the place
 of the *first* end-of-text token (the highest id, so an argmax finds it; what follows it is 0).
+With the family `clip-vit-b-32` it serves YOLO-World too, in the place of the vocabulary.
 `tokenizer.json`, as Hugging Face publishes it with the model, lies beside it. An `image` card's
 file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d). Rows are made unit rows here.
 """
@@ -37,8 +38,9 @@ class ClipTextEncoder:
         self.card = card
         self.dim = card.dim
         self._context = card.tokenizer.context
+        path = verify_model(card)
         self._tokenizer = _open_tokenizer(card)
-        self._session = open_session(verify_model(card), CPU, threads=1)
+        self._session = open_session(path, CPU, threads=1)
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.embed`."""

@@ -157,7 +157,7 @@ def make_similarity(
         CPU if running is None else running.providers,
         THREADS if running is None else running.threads,
     )
-    pair = PairSimilarity(card.name, image, open_text_encoder(text, text.dim, vocabulary))
+    pair = PairSimilarity(card.name, image, open_text_encoder(text, vocabulary))
     pair.prepare(prompts)
     return pair
 

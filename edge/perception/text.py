@@ -7,11 +7,12 @@ understood; a small detector of our own brings an encoder along.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import logging
 import os
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -20,11 +21,14 @@ import numpy as np
 from edge import names, resources
 from edge.errors import UserError
 from edge.perception.card_types import DetectCard, TextCard
-from edge.perception.cards import all_cards, load_text_card
+from edge.perception.cards import ModelError, card_names, load_card, load_text_card
 
 log = logging.getLogger(__name__)
 
 VOCABULARY_FILE = "clip_vitb32_vocab.npz"
+VOCABULARY_FAMILY = "clip-vit-b-32"
+"""Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
+elsewhere, many of them at the same length, so neither can stand in for the other."""
 
 
 class PromptError(UserError, ValueError):
@@ -64,7 +68,7 @@ class TextEncoder(Protocol):
 def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
     """The encoder for a detector's prompts.
 
-    The card's own, when it understands attributes; else a CLIP text model, when its file is there;
+    The card's own; where it names none, CLIP ViT-B/32's: the text model, when its file is there,
     else the vocabulary.
 
     Args:
@@ -75,7 +79,7 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
         PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
     """
     named = None if card.text_encoder is None else load_text_card(card.text_encoder)
-    encoder = open_text_encoder(named, card.text_dim, vocabulary)
+    encoder = open_text_encoder(named, vocabulary)
     if encoder.dim != card.text_dim:
         raise PromptError(
             f"{encoder!r}: embeddings have length {encoder.dim}, "
@@ -84,33 +88,52 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
     return encoder
 
 
-def open_text_encoder(named: TextCard | None, dim: int, vocabulary: str | None) -> TextEncoder:
+def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
     """See `make_text_encoder`.
 
     Args:
-        named: the encoder asked for; None for any CLIP text model.
-        dim: how long its embeddings must be where none is named.
+        named: the encoder asked for; None for CLIP ViT-B/32's.
     """
     if named is not None and named.tokenizer.kind == "attributes":
         from edge.perception.attributes import AttributeEncoder
 
         return AttributeEncoder(named)
-    models = [named] if named is not None else _clip_cards(dim)
+    models = [named] if named is not None else _vocabulary_models()
     for model in models:
-        if model.path.is_file():
+        if model.path.is_file() or model.family != VOCABULARY_FAMILY:
             from edge.perception.clip import ClipTextEncoder
 
             return ClipTextEncoder(model)
     try:
         return TextEmbeddings(vocabulary)
     except PromptError as error:
-        wanted = " or ".join(str(model.path) for model in models) or "no card of one"
+        wanted = " or ".join(str(model.path) for model in models)
+        wanted = wanted or f"no text card of family {VOCABULARY_FAMILY}"
         raise PromptError(f"no CLIP text model ({wanted}), and {error}") from None
 
 
-def _clip_cards(dim: int) -> list[TextCard]:
-    cards = (card for card in all_cards() if isinstance(card, TextCard))
-    return [card for card in cards if card.tokenizer.kind == "clip" and card.dim == dim]
+def _vocabulary_models() -> list[TextCard]:
+    """Cards of text models that embed as the vocabulary does."""
+    found = []
+    for name in card_names():
+        try:
+            card = load_card(name)
+        except ModelError as error:  # a detector need not wait for another model's card
+            log.warning("%s: passed over", error)
+            continue
+        if isinstance(card, TextCard) and card.family == VOCABULARY_FAMILY:
+            found.append(card)
+    return found
+
+
+def words_for(labels: Iterable[str], resolve: Callable[[str], str]) -> dict[str, str]:
+    """Label → the text encoder's word for it (`TextEncoder.resolve`), without the labels that it
+    has none for."""
+    words = {}
+    for label in labels:
+        with contextlib.suppress(PromptError):
+            words[label] = resolve(label)
+    return words
 
 
 def find_vocabulary(configured: str | None) -> Path:

@@ -126,6 +126,23 @@ def test_the_text_model_is_taken_when_its_file_is_there(text_card, tmp_path):
     assert "clip_vitb32_vocab.npz" in str(raised.value)
 
 
+def test_a_text_model_of_another_family_is_neither_taken_nor_replaced(text_card, cards, tmp_path):
+    """Its embeddings have the same length, and lie elsewhere."""
+    words = tmp_path / "words.npz"
+    np.savez(words, names=np.array(["chair"]), emb=np.eye(1, DIM))
+    path = text_card().path
+    tiny_clip.write_card(cards, {**tiny_clip.TEXT, "family": "clip-vit-b-16"}, path)
+    assert isinstance(make_text_encoder(_Card, str(words)), TextEmbeddings)
+
+    class Named(_Card):
+        text_encoder = "tiny-clip-text"
+
+    assert isinstance(make_text_encoder(Named, str(words)), ClipTextEncoder)
+    path.unlink()
+    with pytest.raises(ModelError, match=r"tiny-text\.onnx: model tiny-clip-text is not there"):
+        make_text_encoder(Named, str(words))
+
+
 @pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8)])
 def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
     rgb = np.zeros((*hw, 3), np.uint8)

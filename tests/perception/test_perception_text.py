@@ -10,6 +10,7 @@ from edge.perception.text import (
     TextEmbeddings,
     find_vocabulary,
     make_text_encoder,
+    words_for,
 )
 from edge.store.export import keep_vocabulary
 
@@ -117,6 +118,12 @@ def test_the_clip_vocabulary_knows_the_household(shared_dir):
         text.embed(["flux capacitor xyzzy"])
 
 
+def test_words_for_leaves_out_what_is_not_known(vocabulary):
+    resolve = TextEmbeddings(str(vocabulary)).resolve
+    assert words_for((), resolve) == {}
+    assert words_for(("couch", "zebra", "", "bed"), resolve) == {"couch": "sofa", "bed": "bed"}
+
+
 class _Card:
     """What `make_text_encoder` reads of a detector's card."""
 
@@ -129,10 +136,17 @@ def test_without_a_text_model_the_vocabulary_is_taken(cards, vocabulary):
     assert encoder.contrasts("red chair") == []
 
 
+def test_another_models_card_that_is_not_valid_is_passed_over(cards, vocabulary, caplog):
+    (cards / "broken.yaml").write_text("name: [")
+    assert make_text_encoder(_Card, str(vocabulary)).dim == 512
+    (record,) = caplog.records
+    assert "broken.yaml: cannot be read" in record.message
+
+
 def test_with_neither_both_are_named(cards):
     with pytest.raises(PromptError) as raised:
         make_text_encoder(_Card, None)
-    assert str(raised.value).startswith("no CLIP text model (no card of one), and ")
+    assert str(raised.value).startswith("no CLIP text model (no text card of family clip-vit-b-32)")
     assert "clip_vitb32_vocab.npz: no vocabulary" in str(raised.value)
     assert "\n" not in str(raised.value)
 

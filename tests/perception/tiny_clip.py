@@ -11,7 +11,7 @@ import yaml
 WORDS = ("chair", "sofa", "red", "seems", "like", "there", "is", "a", "ahead")
 DIM, CONTEXT, SIDE = 16, 12, 32
 TEXT = {
-    "name": "tiny-clip-text", "family": "tiny-clip", "task": "text", "file": "tiny-text.onnx",
+    "name": "tiny-clip-text", "family": "clip-vit-b-32", "task": "text", "file": "tiny-text.onnx",
     "sources": [], "license": "CC0-1.0", "precision": "fp32", "derived_from": None,
     "parity": None, "dim": DIM,
     "tokenizer": {

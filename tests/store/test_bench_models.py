@@ -17,6 +17,7 @@ from edge import cli, config, resources
 from edge.errors import UserError
 from edge.geometry import invert
 from edge.perception.cards import card_path, load_detector_card
+from edge.perception.text import PromptError
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
 from edge.store.bench import figures, frames, runs, table, variants, worker
@@ -217,7 +218,7 @@ def test_prompts_are_the_labels_that_have_a_word_of_their_own():
     def resolve(prompt):
         words = {"balcony table": "table", "ceiling lamp": "chandelier", "sofa": "sofa"}
         if prompt not in words:
-            raise UserError("unknown")
+            raise PromptError("unknown")
         return words[prompt]
 
     labels = ("balcony table", "ceiling lamp", "handle", "sofa")

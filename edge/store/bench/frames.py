@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 from collections.abc import Callable, Sequence
@@ -16,7 +15,7 @@ from edge import names
 from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import invert
-from edge.perception import kernels
+from edge.perception import kernels, text
 from edge.sim.base import World, WorldObject, free_poses
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
@@ -147,16 +146,12 @@ def prompts_for(
 
 
 def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str, str]:
-    """Label → the text encoder's word for it, without the labels that it has none for."""
-    words = {}
+    """See `edge.perception.text.words_for`."""
     logging.disable(logging.WARNING)  # of words that stand in for others
     try:
-        for label in labels:
-            with contextlib.suppress(UserError):
-                words[label] = resolve(label)
+        return text.words_for(labels, resolve)
     finally:
         logging.disable(logging.NOTSET)
-    return words
 
 
 def answers_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
