@@ -366,7 +366,7 @@ class Service:
 
         Raises:
             PlannerError: its automaton is too large for the configured planner.
-            PromptError: the detector cannot look for one of its targets.
+            PromptError, ModelError: the detector cannot look for one of its targets.
 
         Nothing has changed when it raises.
         """

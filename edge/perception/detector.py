@@ -49,6 +49,8 @@ class Detector(Protocol):
 
         Raises:
             PromptError: a prompt is empty or cannot be turned into an embedding.
+            ModelError: there is no memory for them, or the model fails; the prompts are those of
+                before.
         """
         ...
 

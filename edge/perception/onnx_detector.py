@@ -16,7 +16,7 @@ from edge.perception import kernels
 from edge.perception.binding import Bound, bind
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
-from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, open_session
+from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, failing_as, open_session
 from edge.perception.text import PromptError, make_text_encoder
 from edge.types import Detections, Observation
 
@@ -124,7 +124,11 @@ class OnnxDetector:
         """See `Detector.set_prompts`."""
         if isinstance(prompts, str):
             raise PromptError(f"prompts must be a list of words, got {prompts!r}")
-        prompts = tuple(prompts)
+        with failing_as(f"model {self.name}: it cannot be given the prompts"):
+            self._asked = self._ask(tuple(prompts))
+
+    def _ask(self, prompts: tuple[str, ...]) -> _Asked:
+        """Encode prompts and bind buffers for them, which may take memory of a GPU."""
         if not prompts:
             raise PromptError("no prompt: name at least one thing to look for")
         contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
@@ -147,7 +151,7 @@ class OnnxDetector:
             live=("images",),
         )
         places = self._anchors * len(prompts)
-        self._asked = _Asked(
+        return _Asked(
             prompts, text, competes, np.empty(places, np.int32),
             np.empty(places, np.int32), np.empty(places, np.float32), bound,
         )  # fmt: skip
@@ -223,10 +227,11 @@ class OnnxDetector:
         self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
         text = np.zeros((1, 1, self.card.text_dim), np.float32)
         text[..., 0] = 1.0
-        boxes, scores = self._session.run(
-            list(OUTPUTS), {"images": self._images, "txt_feats": text}
-        )
-        anchors = boxes.shape[1]
+        with failing_as(f"model {self.name}: it fails at its first image"):
+            boxes, scores = self._session.run(
+                list(OUTPUTS), {"images": self._images, "txt_feats": text}
+            )
+        anchors = boxes.shape[1] if boxes.ndim == 3 else 0
         if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1):
             raise ModelError(
                 f"{self.card.file}: boxes {boxes.shape} and scores {scores.shape} do not belong "

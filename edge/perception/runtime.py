@@ -6,15 +6,17 @@ A provider is onnxruntime's name of one (`CPUExecutionProvider`, `CUDAExecutionP
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib.util
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from edge import resources
+from edge.errors import UserError
 from edge.perception.building import Building
 from edge.perception.detector import Progress, log_progress
 from edge.perception.engine_cache import EngineKey, obtain
@@ -150,6 +152,22 @@ def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[st
             "perception.detector.providers"
         )
     return session
+
+
+@contextlib.contextmanager
+def failing_as(what: str) -> Iterator[None]:
+    """Whatever a model or its runtime raises within the block is a ModelError of one line.
+
+    Args:
+        what: the line's beginning: which model, and what it failed at.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:  # onnxruntime raises many types of its own, CUDA RuntimeError
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ModelError(f"{what}: {reason}") from None
 
 
 def _reason(error: Exception) -> str:

@@ -68,6 +68,8 @@ class FakeCuda:
         return self._answer("cudaStreamSynchronize")
 
     def cudaMalloc(self, nbytes):
+        if "cudaMalloc" in self.failing:
+            return self._answer("cudaMalloc", 0)
         self._next += 0x100000
         self.memory[self._next] = np.zeros(nbytes, np.uint8)
         return self._answer("cudaMalloc", self._next)

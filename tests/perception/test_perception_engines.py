@@ -346,6 +346,13 @@ def test_a_detector_sees_the_same_through_tensorrt(
     with pytest.raises(PromptError, match="at most 256"):
         detector.set_prompts(["chair"] * 257)
     assert detector.prompts == ("sofa", "chair")
+    fake.cuda.failing = {"cudaMalloc"}
+    with pytest.raises(ModelError, match=r"^model tiny: it cannot be given the prompts: cudaMal"):
+        detector.set_prompts(["bed"])
+    with pytest.raises(ModelError, match=r"^model tiny: it fails at its first image: cudaMalloc"):
+        tiny(providers=("tensorrt",), card={"precision": "fp32"})
+    fake.cuda.failing = set()
+    assert detector.detect(seen).prompts == ("sofa", "chair")
     assert resources.cache_dir() / "engines" in {p.parent for p in engine_folders()}
     assert fake.cuda.memory
     detector.close()

@@ -219,6 +219,25 @@ def test_a_model_with_another_interface_is_refused(tiny, model):
         tiny(model=model)
 
 
+def test_boxes_of_another_rank_are_refused(tiny):
+    with pytest.raises(ModelError, match=r"tiny\.onnx: boxes \(4,\) .*export it again"):
+        tiny(model={"boxes": np.zeros(4, np.float32)})
+
+
+def test_text_that_cannot_be_encoded_leaves_the_prompts_as_they_were(
+    tiny, monkeypatch, make_observation
+):
+    detector = tiny(prompts=("sofa",))
+
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(TextEmbeddings, "embed", fail)
+    with pytest.raises(ModelError, match=r"^model tiny: .* the prompts: MemoryError$"):
+        detector.set_prompts(["chair"])
+    assert detector.detect(make_observation(rgb=image())).prompts == ("sofa",)
+
+
 def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
     path = tmp_path / "cache" / "models" / "tiny.onnx"
     tiny()
