@@ -53,7 +53,7 @@ class WorkerBase:
     Attributes:
         detector: runs on the next image.
         spare: the one before, kept until the present one has proved itself; None otherwise.
-        watch: told of every image, on the thread that detects; must not raise.
+        watch: told of every image, on the thread that detects; what it raises is only logged.
     """
 
     def __init__(self, detector: Detector) -> None:
@@ -79,20 +79,27 @@ class WorkerBase:
         """Look for something else from the next image on; see `Detector.set_prompts`.
 
         Raises:
-            PromptError: the detector, or the spare one, cannot; nothing has changed then.
+            PromptError, ModelError: the detector, or the spare one, cannot; nothing has changed
+                then.
         """
-        before = self.detector.prompts
-        self.detector.set_prompts(prompts)
-        if self.spare is None:
+        spare = self.spare
+        if spare is None:
+            self.detector.set_prompts(prompts)
             return
+        # First the one that does not detect: where it fails, nothing at work need be undone.
+        before = spare.prompts
         try:
-            self.spare.set_prompts(prompts)
+            spare.set_prompts(prompts)
         except PromptError as error:
-            self.detector.set_prompts(before)
             raise PromptError(
-                f"{self.spare.name}, kept until {self.detector.name} has proved itself: {error}; "
+                f"{spare.name}, kept until {self.detector.name} has proved itself: {error}; "
                 "try again after that"
             ) from None
+        try:
+            self.detector.set_prompts(prompts)
+        except Exception:
+            spare.set_prompts(before)
+            raise
 
     def _detect(self, observation: Observation) -> Detections | Exception:
         """What the detector finds, or the failure it ends with, after `watch` was told."""
@@ -104,7 +111,10 @@ class WorkerBase:
         except Exception as error:  # the loop must outlive whatever a model does
             outcome = error
         if (watch := self.watch) is not None:
-            watch(detector, observation, outcome)
+            try:
+                watch(detector, observation, outcome)
+            except Exception:
+                log.exception("whoever watches the detector failed")
         self._using = None
         return outcome
 

@@ -138,6 +138,26 @@ def test_inline_a_failure_is_counted_told_once_a_kind_and_outlived(frames, caplo
     worker.close()
 
 
+@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
+def test_whoever_watches_and_fails_stops_nothing(frames, make, caplog):
+    worker = make(fake := Fake())
+
+    def watch(*_):
+        raise MemoryError("no room for a copy")
+
+    worker.watch = watch
+    for frame in frames[:2]:
+        fake.gate.release()
+        worker.submit(frame)
+        if make is DetectorWorker:
+            wait_for(worker, worker.idle)
+    assert worker.stats.done == 2
+    assert "no room for a copy" in caplog.text
+    assert worker.poll().observation is frames[1]
+    assert [f.slot.holds for f in frames[:2]] == [0, 1]
+    worker.close()
+
+
 @pytest.mark.parametrize("boxes", [0, 1])
 def test_close_lets_everything_go(frames, boxes):
     worker = DetectorWorker(fake := Fake())
