@@ -93,6 +93,15 @@ class Attempt:
         self, detector: Detector, observation: Observation, outcome: Detections | Exception
     ) -> None:
         """For `WorkerBase.watch`: an image to try the model on, or one of its probation."""
+        try:
+            self._take(detector, observation, outcome)
+        except Exception as error:  # no memory for a copy: none for the model either
+            why = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            self.fault = self.fault or f"it cannot be watched: {why}"
+
+    def _take(
+        self, detector: Detector, observation: Observation, outcome: Detections | Exception
+    ) -> None:
         if observation.rgb is None:  # no detector's fault
             return
         if not self.switched:
@@ -121,6 +130,11 @@ class Attempt:
         self._cancelled.set()
         return self._begin(self._close, loser)
 
+    @property
+    def at_work(self) -> bool:
+        """Whether it is being loaded or tried at this moment."""
+        return self._thread.is_alive()
+
     def _begin(self, target: Callable[..., None], *args: object) -> threading.Thread:
         thread = threading.Thread(target=target, args=args, name="swap", daemon=True)
         thread.start()
@@ -133,7 +147,9 @@ class Attempt:
             self.stage, self.busy = "checking", ""
             while len(self._samples) < self._perception.swap.images:
                 if self._cancelled.wait(_LOOK_S):
-                    return
+                    break
+            if self._cancelled.is_set():  # given up, perhaps while it was loaded
+                return
             self._take_prompts()
             running = self.previous.name
             self.finding = judge(

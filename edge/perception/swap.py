@@ -53,6 +53,7 @@ class Swapper:
         self._number = 0
         self._over = {"state": "idle", "model": worker.detector.name, "previous": "", "detail": ""}
         self._closing: list[threading.Thread] = []
+        self._late: tuple[str, threading.Thread | None] = ("", None)
 
     def request(self, model: str, force: bool, now_ns: int) -> None:
         """Begin to swap a model in.
@@ -62,13 +63,17 @@ class Swapper:
             force: too slow or too different is told, not held against it.
 
         Raises:
-            SwapError: it runs already, or another swap is under way.
+            SwapError: it runs already, another swap is under way, or a model that was refused
+                is still being loaded and would be a third one in memory.
         """
         if (attempt := self._attempt) is not None:
             raise SwapError(f"{attempt.model} is still {self.state}; wait until that is over")
         running = self._worker.detector.name
         if model == running:
             raise SwapError(f"{model} runs already")
+        late, letting_go = self._late
+        if letting_go is not None and letting_go.is_alive():
+            raise SwapError(f"{late}, which was refused, is still being loaded; try again later")
         self._number += 1
         self._until_s = self._clock() + self._perception.swap.load_timeout_s
         self._attempt = Attempt(model, force, self._perception, self._worker, self._make)
@@ -169,4 +174,8 @@ class Swapper:
         """No swap is under way any more; the detector that lost (None: the new one) is closed."""
         self._attempt = self._worker.watch = self._worker.spare = None
         self._closing = [t for t in self._closing if t.is_alive()]
-        self._closing.append(attempt.give_up(loser))
+        abandoned = attempt.at_work
+        letting_go = attempt.give_up(loser)
+        self._closing.append(letting_go)
+        if abandoned:
+            self._late = attempt.model, letting_go

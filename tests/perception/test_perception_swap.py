@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import Counter
 from types import SimpleNamespace
@@ -373,6 +374,56 @@ def test_prompts_that_change_on_probation_reach_both(bench):
     assert b.new.prompts == b.old.prompts == ("bed",)
     b.until("rolled back")
     assert b.worker.detector.prompts == ("bed",)
+
+
+@pytest.mark.parametrize("broken", ["old", "new"])
+def test_prompts_that_one_of_the_two_has_no_room_for_change_neither(bench, monkeypatch, broken):
+    b = bench()
+    b.swapper.request("new", False, 0)
+    b.until("on probation")
+
+    def fail(prompts):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(getattr(b, broken), "set_prompts", fail)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        b.worker.set_prompts(["bed"])
+    assert b.new.prompts == b.old.prompts == ("chair",)
+
+
+def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, monkeypatch):
+    def fail(*_):
+        raise MemoryError("12 MB")
+
+    monkeypatch.setattr(attempt, "sample", fail)
+    b = bench(worker=DetectorWorker)
+    assert b.swap() == ("refused", "it cannot be watched: MemoryError: 12 MB; old goes on")
+    assert b.image() is not None
+
+
+def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(bench):
+    b = bench(Slow(), load_timeout_s=9.0)
+    b.swapper.request("new", False, 0)
+    assert b.new.begun.wait(PATIENCE_S)
+    b.image()
+    b.image()
+    b.clock_s = 9.5
+    b.swapper.step(0)
+    assert b.swapper.state == "refused"
+    with pytest.raises(SwapError, match=r"^new, which was refused, is still being loaded; try ag"):
+        b.swapper.request("new", False, 0)
+    b.new.go.set()
+    eventually(lambda: b.new.closed)
+    assert b.new.images == 0
+    b.new = Fake()
+
+    def is_taken():
+        with contextlib.suppress(SwapError):
+            b.swapper.request("new", False, 0)
+        return b.swapper.state != "refused"
+
+    eventually(is_taken)
+    b.until("kept")
 
 
 def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
