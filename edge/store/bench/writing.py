@@ -57,7 +57,8 @@ def update_cards(report: dict[str, Any]) -> list[Path]:
 def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float | int | str]:
     """The part of a report that a card keeps of one row: flat, without what is not known.
 
-    `file` tells which file was measured, as cards of models that are made here have no hash.
+    `file` tells which file was measured, as cards of models that are made here have no hash;
+    `others_cores` how busy other processes were meanwhile, which lengthens times.
     """
     times, frames = row["latency_ms"], report["frames"]
     agreement, truth = row["agreement"] or {}, row["truth"] or {}
@@ -72,6 +73,7 @@ def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float
         **{f"{stage}_ms": times[stage]["p50"] for stage in ("pre", "session", "post")},
         "all_p50_ms": times["all"]["p50"],
         "all_p95_ms": times["all"]["p95"],
+        "others_cores": row["others_cores"],
         "memory_mb": row["memory_mb"],
         "gpu_memory_mb": row["gpu_memory_mb"],
         "tau_det": report["tau_det"],
