@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import onnx
-import torch
+from numpy.lib.stride_tricks import sliding_window_view
 from onnx import numpy_helper
 
 from exporters.calibration import Feed, tensor_session
@@ -32,43 +32,54 @@ def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
     return next((list(a.ints) for a in node.attribute if a.name == name), default)
 
 
-def input_columns(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> torch.Tensor:
-    """What a convolution multiplies with its weights: (cells, C·kh·kw) of an input (1, C, H, W)."""
-    pads = attribute(node, "pads", [0, 0, 0, 0])
-    columns = torch.nn.functional.unfold(
-        torch.from_numpy(x), kernel, padding=pads[:2], stride=attribute(node, "strides", [1, 1])
-    )
-    return columns[0].T
+def input_columns(
+    node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int], cells: np.ndarray
+) -> np.ndarray:
+    """What a convolution multiplies with its weights: (k, C·kh·kw) of an input (1, C, H, W).
+
+    Args:
+        cells: (k,) of the output, numbered row by row.
+    """
+    windows = _windows(node, x, kernel)
+    rows, columns = np.unravel_index(cells, windows.shape[1:3])
+    return windows[:, rows, columns].swapaxes(0, 1).reshape(len(cells), -1)
+
+
+def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np.ndarray:
+    """A view (C, output height, output width, kh, kw) of what each output cell sees."""
+    top, left, bottom, right = attribute(node, "pads", [0, 0, 0, 0])
+    down, across = attribute(node, "strides", [1, 1])
+    padded = np.pad(x[0], ((0, 0), (top, bottom), (left, right)))
+    return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::down, ::across]
 
 
 class Inputs:
     """What a convolution's input columns (cells, d) are like, summed up over images.
 
     Attributes:
-        moment: their second moment X·Xᵀ, (d, d).
+        moment: their second moment X·Xᵀ, (d, d) float32.
         mean, rounded_mean: of the columns, and of the columns in symmetric 8 bits, (d,).
     """
 
     def __init__(self, size: int, limit: float | None) -> None:
-        self.moment = torch.zeros(size, size)
-        self._step = None if limit is None else limit / MAX_LEVEL
+        self.moment = np.zeros((size, size), np.float32)
+        self._step = None if limit is None else np.float32(limit / MAX_LEVEL)
         self._count = 0
-        self._sum, self._rounded_sum = torch.zeros(size), torch.zeros(size)
+        self._sum, self._rounded_sum = np.zeros(size), np.zeros(size)
 
-    def add(self, columns: torch.Tensor) -> None:
-        self.moment.addmm_(columns.T, columns)
+    def add(self, columns: np.ndarray) -> None:
+        self.moment += columns.T @ columns
         self._count += len(columns)
-        self._sum += columns.sum(dim=0)
+        self._sum += columns.sum(axis=0)
         if self._step is not None:
-            rounded = (columns / self._step).round().clamp(-MAX_LEVEL, MAX_LEVEL) * self._step
-            self._rounded_sum += rounded.sum(dim=0)
+            self._rounded_sum += (_round(columns, self._step) * self._step).sum(axis=0)
 
     @property
-    def mean(self) -> torch.Tensor:
+    def mean(self) -> np.ndarray:
         return self._sum / self._count
 
     @property
-    def rounded_mean(self) -> torch.Tensor:
+    def rounded_mean(self) -> np.ndarray:
         return self._rounded_sum / self._count
 
 
@@ -83,65 +94,71 @@ def input_statistics(
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in convs} - {model.graph.input[0].name})
     session = tensor_session(model, names)
-    generator = torch.Generator().manual_seed(seed)
+    random = np.random.default_rng(seed)
     statistics: dict[str, Inputs] = {}
     for feed in feeds:
         made = session.run(names, feed) if names else []  # no name asks for all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in convs:
-            kernel = tuple(weights[node.input[1]].dims[2:])
-            columns = input_columns(node, values[node.input[0]], kernel)
-            chosen = torch.randperm(len(columns), generator=generator)[:ROWS_PER_IMAGE]
+            kernel, x = tuple(weights[node.input[1]].dims[2:]), values[node.input[0]]
+            height, width = _windows(node, x, kernel).shape[1:3]
+            chosen = random.permutation(height * width)[:ROWS_PER_IMAGE]
+            columns = input_columns(node, x, kernel, chosen)
             if node.name not in statistics:
                 limit = limits.get(node.input[0])
                 statistics[node.name] = Inputs(columns.shape[1], limit)
-            statistics[node.name].add(columns[chosen])
+            statistics[node.name].add(columns)
     return statistics
 
 
-def channel_scales(weight: torch.Tensor) -> torch.Tensor:
+def channel_scales(weight: np.ndarray) -> np.ndarray:
     """Per-row step (rows, 1) of a weight (rows, d): the clipping with the least squared error."""
-    full = weight.abs().amax(dim=1, keepdim=True).clamp_min(1e-8) / MAX_LEVEL
-    best = torch.full_like(full, torch.inf)
-    scales = full.clone()
-    for share in CLIP_SHARES.tolist():
+    full = np.maximum(np.abs(weight).max(axis=1, keepdims=True), 1e-8) / MAX_LEVEL
+    best = np.full_like(full, np.inf)
+    scales = full.copy()
+    for share in CLIP_SHARES.astype(np.float32):
         scale = full * share
-        error = (_round(weight, scale) * scale - weight).square().sum(dim=1, keepdim=True)
-        scales = torch.where(error < best, scale, scales)
-        best = torch.minimum(error, best)
+        error = np.square(_round(weight, scale) * scale - weight).sum(axis=1, keepdims=True)
+        scales = np.where(error < best, scale, scales)
+        best = np.minimum(error, best)
     return scales
 
 
-def _round(weight: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-    return (weight / scale).round().clamp(-MAX_LEVEL, MAX_LEVEL)
+def _round(values: np.ndarray, scale: np.ndarray | np.floating) -> np.ndarray:
+    return np.clip(np.round(values / scale), -MAX_LEVEL, MAX_LEVEL)
 
 
-def gptq(weight: torch.Tensor, moment: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Integer levels (rows, d) of `weight` (rows, d) on steps `scale` (rows, 1).
 
     `moment` (d, d) is the second moment of the layer's inputs.
     """
-    weight, moment = weight.clone(), moment.clone()
     diagonal = moment.diagonal()
-    diagonal += DAMPING * diagonal.mean() + 1e-8
+    damping = DAMPING * diagonal.mean() + 1e-8
     # The strongest inputs go first, while there are still many columns to make up for them.
-    order = diagonal.argsort(descending=True)
-    weight, moment = weight[:, order], moment[order][:, order]
-    inverse = torch.linalg.cholesky(
-        torch.cholesky_inverse(torch.linalg.cholesky(moment)), upper=True
-    )
-    levels = torch.zeros_like(weight)
+    order = np.argsort(-diagonal, kind="stable")
+    weight, inverse = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
+    levels = np.zeros_like(weight)
     for start in range(0, weight.shape[1], BLOCK):
         stop = min(start + BLOCK, weight.shape[1])
-        errors = torch.zeros(len(weight), stop - start)
+        errors = np.zeros((len(weight), stop - start), weight.dtype)
         for column in range(start, stop):
-            levels[:, column] = _round(weight[:, column : column + 1], scale)[:, 0]
+            levels[:, column] = _round(weight[:, column], scale[:, 0])
             rest = weight[:, column] - levels[:, column] * scale[:, 0]
             error = rest / inverse[column, column]
-            weight[:, column:stop] -= torch.outer(error, inverse[column, column:stop])
+            weight[:, column:stop] -= np.outer(error, inverse[column, column:stop])
             errors[:, column - start] = error
         weight[:, stop:] -= errors @ inverse[start:stop, stop:]
-    return levels[:, order.argsort()]
+    return levels[:, np.argsort(order)]
+
+
+def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:
+    """Upper triangular U, (d, d), with UᵀU the inverse of moment + damping·1.
+
+    That is the inverse of an upper factor R of RRᵀ, which is Cholesky's from the far corner.
+    """
+    damped = moment + damping * np.eye(len(moment), dtype=moment.dtype)
+    return np.linalg.inv(np.linalg.cholesky(damped[::-1, ::-1])[::-1, ::-1])
 
 
 def round_weights(
@@ -164,15 +181,15 @@ def round_weights(
     for node in convs:
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
-        weight = torch.from_numpy(array.reshape(len(array), -1).copy())
+        weight = array.reshape(len(array), -1)
         scale = channel_scales(weight)
         rounded = gptq(weight, inputs.moment, scale) * scale
-        values = rounded.reshape(array.shape).numpy()
+        values = rounded.reshape(array.shape)
         initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
-        scales[initializer.name] = scale[:, 0].numpy()
+        scales[initializer.name] = scale[:, 0]
         if limits and node.input[0] in limits and len(node.input) > 2:
             bias = by_name[node.input[2]]
             shift = weight @ inputs.mean - rounded @ inputs.rounded_mean
-            corrected = numpy_helper.to_array(bias) + shift.numpy()
+            corrected = numpy_helper.to_array(bias) + shift
             bias.CopyFrom(numpy_helper.from_array(corrected.astype(np.float32), bias.name))
     return scales

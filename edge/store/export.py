@@ -15,7 +15,7 @@ from edge.perception.cards import FileCard, ModelError, load_card
 from edge.perception.text import VOCABULARY_FILE
 from edge.store.places import pulled_weights
 
-_NEEDS = ("torch", "ultralytics", "onnx", "onnxslim")
+_NEEDS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,12 +51,17 @@ def with_file(name: str) -> FileCard:
 
 
 def need_modules(action: str, modules: tuple[str, ...]) -> None:
-    """Raise ModelError unless the exporters and these modules can be imported."""
+    """Raise ModelError unless the exporters and these modules can be imported.
+
+    Args:
+        action: the extra of the same name brings them, but for a runtime, of which there are two.
+    """
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
+        extras = f"cpu,{action}" if "onnxruntime" in missing else action
         raise ModelError(
             f"models {action}: {', '.join(missing)} not installed here: pip install "
-            "'edge-vln[export]'"
+            f"'edge-vln[{extras}]'"
         )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from edge import resources
 from edge.cli import main
 from edge.perception.cards import load_card
 from edge.store import export
+from edge.store.export import need_modules
 from edge.store.places import weights_path
 
 ORIGINAL = {
@@ -82,7 +85,27 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
     assert started == []
 
 
-def test_what_is_not_installed_is_named(monkeypatch):
-    monkeypatch.setattr(export.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(export.ModelError, match=r"exporters, torch not installed here: pip inst"):
-        export.need_modules("export", ("torch",))
+@pytest.mark.parametrize(
+    ("lacking", "words", "said"),
+    [
+        ("torch", ["export", "--weights", "w.pt"], "torch not .*'edge-vln.export.'"),
+        ("onnxruntime", ["export", "--weights", "w.pt"], "onnxruntime .*'edge-vln.cpu,export.'"),
+        ("onnxruntime", ["quantize"], "onnxruntime not installed here: .*'edge-vln.cpu,quantize.'"),
+        ("onnx", ["quantize"], "onnx not installed here: pip install 'edge-vln.quantize.'"),
+        ("torch", ["quantize"], None),
+    ],
+)  # fmt: skip
+def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
+    for module in ("export", "quantize"):
+        monkeypatch.setattr(f"edge.store.{module}.need_modules", need_modules)
+    monkeypatch.setattr("edge.store.quantize.verify_model", lambda card: None)
+    find = lambda name: None if name == lacking else name  # noqa: E731
+    monkeypatch.setattr(export.importlib.util, "find_spec", find)
+    action, *options = words
+    code = main(["models", action, "small", *options, "--calibration", "p", "--vocabulary", "v"])
+    error = capsys.readouterr().err
+    assert (code == 0, len(started)) == ((said is None), int(said is None))
+    if said is None:
+        assert error == ""
+    else:
+        assert re.search(said, error)
