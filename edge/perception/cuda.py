@@ -24,7 +24,9 @@ def load() -> Any:
 
 
 class Device:
-    """One GPU with one stream; every call waits for what it asked the GPU to do.
+    """One GPU with one stream.
+
+    `upload` and `download` only ask the GPU to copy: the arrays must stay as they are until `wait`.
 
     Args:
         index: `perception.detector.device_id`.
@@ -61,6 +63,12 @@ class Device:
             "cudaDeviceGetAttribute", attributes.cudaDevAttrComputeCapabilityMinor, self.index
         )
         return f"{major}.{minor}"
+
+    @property
+    def name(self) -> str:
+        """Of the GPU, such as `Orin`."""
+        (properties,) = self._call("cudaGetDeviceProperties", self.index)
+        return properties.name.partition(b"\0")[0].decode(errors="replace")
 
     @property
     def stream(self) -> int:

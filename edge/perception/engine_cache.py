@@ -45,8 +45,10 @@ class EngineKey:
         builder: `tensorrt`, or `onnxruntime` with its version.
         tensorrt: TensorRT's version.
         sm: compute capability of the GPU, such as `8.7`.
+        gpu: its name: an engine was timed on it, and others have the same `sm`.
         precision: of the model's card.
         shapes: least, usual and largest shape of every input whose shape may change.
+        recipe: counts our own settings of the builder.
     """
 
     model: str
@@ -54,8 +56,10 @@ class EngineKey:
     builder: str
     tensorrt: str
     sm: str
+    gpu: str
     precision: str
     shapes: str
+    recipe: int
 
     @property
     def folder(self) -> str:
@@ -76,8 +80,10 @@ def obtain(
     Raises:
         ModelError: the cache cannot be used; nothing was built then.
     """
-    check_usable(cache)
     folder = cache / key.folder
+    if damage(folder) is None:  # also where nothing can be written
+        return folder, False
+    check_usable(cache)
     with _locked(cache / f"{key.folder}.lock", progress):
         if folder.exists():
             fault = damage(folder)

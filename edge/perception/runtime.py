@@ -26,6 +26,9 @@ TENSORRT = "tensorrt"
 ORT_TENSORRT = "TensorrtExecutionProvider"
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
 
+RECIPE = 1
+"""Counts what `provider_options` tells TensorRT's builder: one more where that changes."""
+
 Shape = tuple[int, ...]
 
 
@@ -126,8 +129,10 @@ def _open_onnxruntime(
         f"onnxruntime {ort.__version__}",
         tensorrt_version(),
         compute_capability(device_id),
+        gpu_name(device_id),
         engine.precision,
         repr(sorted(engine.shapes.items())),
+        RECIPE,
     )
 
     def build(folder: Path) -> None:
@@ -231,21 +236,35 @@ def compute_capability(device_id: int) -> str:
     Raises:
         ModelError: no driver or no such GPU.
     """
+    cuda, device = _driver(device_id)
+    value, numbers = ctypes.c_int(), []
+    for attribute in _CAPABILITY:
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+        numbers.append(value.value)
+    return ".".join(map(str, numbers))
+
+
+def gpu_name(device_id: int) -> str:
+    """Of a GPU, such as `Orin`; raises as `compute_capability` does."""
+    cuda, device = _driver(device_id)
+    name = ctypes.create_string_buffer(256)
+    cuda.cuDeviceGetName(name, len(name), device)
+    return name.value.decode(errors="replace")
+
+
+def _driver(device_id: int) -> tuple[ctypes.CDLL, ctypes.c_int]:
+    """The CUDA driver's library and its handle of a GPU."""
     try:
         cuda = ctypes.CDLL("libcuda.so.1")
     except OSError:
         raise ModelError(
             "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
         ) from None
-    device, value = ctypes.c_int(), ctypes.c_int()
+    device = ctypes.c_int()
     failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
     if failed:
         raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
-    numbers = []
-    for attribute in _CAPABILITY:
-        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
-        numbers.append(value.value)
-    return ".".join(map(str, numbers))
+    return cuda, device
 
 
 _CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR in cuda.h

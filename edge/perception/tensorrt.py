@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _PLAN = "model.engine"
 _WORKSPACE_BYTES = 1 << 30
+RECIPE = 1
+"""Counts what `build_plan` tells the builder: one more where that changes."""
 
 
 def load() -> Any:
@@ -55,8 +57,10 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
         "tensorrt",
         str(trt.__version__),
         device.sm,
+        device.name,
         options.precision,
         repr(sorted(options.shapes.items())),
+        RECIPE,
     )
 
     def build(folder: Path) -> None:

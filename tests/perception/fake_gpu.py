@@ -34,6 +34,7 @@ class FakeCuda:
             "cudaDeviceAttr",
             "cudaDevAttrComputeCapabilityMajor cudaDevAttrComputeCapabilityMinor",
         )
+        self.gpu_name = b"Fake Orin"
         self.gpus, self.memory, self.calls, self.failing = gpus, {}, [], set()
         self._next = 0x1000
 
@@ -54,6 +55,9 @@ class FakeCuda:
 
     def cudaDeviceGetAttribute(self, attribute, device):
         return self._answer("cudaDeviceGetAttribute", {1: 8, 2: 7}[attribute.value])
+
+    def cudaGetDeviceProperties(self, device):
+        return self._answer("cudaGetDeviceProperties", SimpleNamespace(name=self.gpu_name))
 
     def cudaSetDevice(self, device):
         return self._answer("cudaSetDevice")

@@ -5,10 +5,12 @@ What rests on a real GPU is in tests/integration/test_gpu_runtime.py.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import gc
 import json
 import logging
+import os
 import sys
 import threading
 from dataclasses import replace
@@ -29,7 +31,7 @@ from edge.perception.runtime import EngineOptions, open_session
 from edge.perception.tensorrt_report import Phases
 from edge.perception.text import PromptError
 
-KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "fp16", "()")
+KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "Orin", "fp16", "()", 1)
 
 
 class Builds:
@@ -65,6 +67,8 @@ def test_an_engine_is_built_once(tmp_path):
         {"sha256": "b" * 64},
         {"tensorrt": "10.16.1"},
         {"sm": "8.9"},
+        {"gpu": "Orin NX"},
+        {"recipe": 2},
         {"precision": "int8-trt"},
         {"shapes": "(1,)"},
         {"builder": "onnxruntime 1.30"},
@@ -153,6 +157,23 @@ def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
         obtain(KEY, tmp_path, Builds(), quiet)
 
 
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
+def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
+    tmp_path, monkeypatch, number
+):
+    folder, _ = obtain(KEY, tmp_path, Builds(), quiet)
+
+    def fail(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(engine_cache.tempfile, "NamedTemporaryFile", fail)
+    monkeypatch.setattr(engine_cache, "_locked", fail)
+    assert obtain(KEY, tmp_path, Builds(), quiet) == (folder, False)
+    (folder / "model.engine").unlink()
+    with pytest.raises(ModelError, match="no place for engines"):
+        obtain(KEY, tmp_path, Builds(), quiet)
+
+
 def test_two_at_once_build_one_engine(tmp_path):
     told, build, results = [], Builds(), []
     with (tmp_path / f"{KEY.folder}.lock").open("a") as file:
@@ -225,7 +246,9 @@ def open_tiny(tmp_path):
     return open_it
 
 
-def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(gpu, open_tiny):
+def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
+    gpu, open_tiny, monkeypatch
+):
     told = []
     open_tiny(told.append)
     assert gpu.flags == [1 << gpu.NetworkDefinitionCreationFlag.STRONGLY_TYPED]
@@ -236,6 +259,12 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(gpu, ope
     gpu.__version__ = "10.16.1"
     open_tiny()
     assert len(gpu.built) == 2
+    gpu.cuda.gpu_name = b"Fake Thor"
+    open_tiny()
+    assert len(gpu.built) == 3
+    monkeypatch.setattr(tensorrt, "RECIPE", 0)
+    open_tiny()
+    assert len(gpu.built) == 4
 
 
 def test_tensorrts_results_come_from_what_is_live_and_what_is_not(gpu, open_tiny):

@@ -153,10 +153,11 @@ def fake_ort(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
     monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
     monkeypatch.setattr(runtime, "compute_capability", lambda device_id: "8.7")
+    monkeypatch.setattr(runtime, "gpu_name", lambda device_id: "Orin")
     return fake
 
 
-def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path):
+def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, monkeypatch):
     (tmp_path / "tiny.onnx").write_bytes(b"model")
     told = []
     options = engine("fp16", cache=tmp_path / "engines", progress=told.append)
@@ -170,6 +171,10 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path):
     open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert fake_ort.sessions[2:] == [(folder, kept)]
     assert len(told) == 1
+    for name, other in (("gpu_name", lambda device_id: "Orin NX"), ("RECIPE", 0)):
+        monkeypatch.setattr(runtime, name, other)
+        open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
+    assert len(told) == 3
 
 
 @pytest.mark.parametrize("providers", [(ORT_TENSORRT,), ("tensorrt",)])
@@ -192,6 +197,21 @@ def test_no_driver_and_no_gpu_are_one_line(monkeypatch):
     monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: broken)
     with pytest.raises(ModelError, match="no GPU 3"):
         runtime.compute_capability(3)
+
+
+def test_a_gpu_is_asked_for_its_name_and_capability(monkeypatch):
+    def name(buffer, size, device):
+        buffer.value = b"Orin"[: size - 1]
+
+    def attribute(value, which, device):
+        value._obj.value = {75: 8, 76: 7}[which]
+
+    driver = SimpleNamespace(
+        cuInit=lambda flags: 0, cuDeviceGet=lambda device, index: 0,
+        cuDeviceGetName=name, cuDeviceGetAttribute=attribute,
+    )  # fmt: skip
+    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: driver)
+    assert (runtime.gpu_name(0), runtime.compute_capability(0)) == ("Orin", "8.7")
 
 
 def feeds():
