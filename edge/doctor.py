@@ -349,9 +349,10 @@ def _targets(config: Config) -> tuple[str, ...]:
 
 
 def check_vocabulary(config: Config) -> Iterator[Finding]:
-    """The text encoder of the configured detector knows the mission's targets."""
+    """The text encoder of the configured detector knows the mission's targets, and perhaps what
+    else they compete with."""
     from edge.perception.cards import load_detector_card
-    from edge.perception.text import TextEmbeddings, TextEncoder, make_text_encoder
+    from edge.perception.text import TextEmbeddings, TextEncoder, make_text_encoder, words_for
 
     detector = config.perception.detector
     encoder: TextEncoder
@@ -365,6 +366,15 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
         yield Finding("fail" if detector.kind == "onnx" else "warn", *_split(error))
     else:
         yield Finding("ok", f"text embeddings: {encoder!r}")
+        if detector.kind == "onnx":
+            known = words_for(detector.background, encoder.resolve)
+            unknown = [word for word in detector.background if word not in known]
+            if unknown:
+                what = (
+                    f"{detector.model} does not know {len(unknown)} of the "
+                    f"{len(detector.background)} words of perception.detector.background"
+                )
+                yield Finding("warn", what, f"it goes without: {', '.join(unknown)}")
 
 
 def check_scorers(config: Config) -> Iterator[Finding]:

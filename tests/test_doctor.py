@@ -188,6 +188,12 @@ def test_vocabulary(monkeypatch, tmp_path):
     for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
         settings = parse({"perception": {"detector": detector}, "mission": {"target": target}})
         assert levels(doctor.check_vocabulary, settings) == [level]
+    detector["background"] = ["zebra", "chair", "heron"]
+    settings = parse({"perception": {"detector": detector}, "mission": {"target": "chair"}})
+    ok, unknown = doctor.check_vocabulary(settings)
+    assert (ok.level, unknown.level) == ("ok", "warn")
+    assert "does not know 2 of the 3 words of perception.detector.background" in unknown.what
+    assert "zebra, heron" in unknown.todo
 
 
 @pytest.mark.parametrize(

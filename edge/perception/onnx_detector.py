@@ -17,7 +17,7 @@ from edge.perception.binding import Bound, bind
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, failing_as, open_session
-from edge.perception.text import PromptError, make_text_encoder
+from edge.perception.text import PromptError, make_text_encoder, words_for
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -98,6 +98,7 @@ class OnnxDetector:
         self.invalid_boxes = 0
         self.stages_ns = (0, 0, 0)
         self._text = make_text_encoder(self.card, detector.vocabulary)
+        self._background = self._known_background()
         self._session = open_session(
             verify_model(self.card),
             detector.providers,
@@ -132,7 +133,7 @@ class OnnxDetector:
         if not prompts:
             raise PromptError("no prompt: name at least one thing to look for")
         contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
-        others = dict.fromkeys((*self.config.background, *contrasts))
+        others = dict.fromkeys((*self._background, *contrasts))
         columns = [*prompts, *(other for other in others if other not in prompts)]
         competes = self._competitors(prompts, columns)
         useful = competes.any(axis=0)
@@ -155,6 +156,17 @@ class OnnxDetector:
             prompts, text, competes, np.empty(places, np.int32),
             np.empty(places, np.int32), np.empty(places, np.float32), bound,
         )  # fmt: skip
+
+    def _known_background(self) -> tuple[str, ...]:
+        """The configured background, made for any model, without what this one has no word for."""
+        known = tuple(words_for(self.config.background, self._text.resolve))
+        unknown = [repr(word) for word in self.config.background if word not in known]
+        if unknown:
+            log.warning(
+                "model %s does not know %s of perception.detector.background: goes without",
+                self.name, ", ".join(unknown),
+            )  # fmt: skip
+        return known
 
     def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
         """(prompts, columns) bool: whether a column's word is another thing than the prompt's.

@@ -172,6 +172,18 @@ def test_which_backgrounds_compete(tiny, prompt, background, rivals):
     assert detector._asked.text.shape[1] == 1 + rivals
 
 
+def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
+    detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
+    detector.set_prompts(["desk"])
+    assert detector._asked.text.shape[1] == 3
+    assert [r.message for r in caplog.records] == [
+        "model tiny does not know 'zebra', 'heron' of perception.detector.background: goes without"
+    ]
+    with pytest.raises(PromptError, match="zebra"):
+        detector.set_prompts(["zebra"])
+    assert detector.prompts == ("desk",)
+
+
 @pytest.mark.parametrize(
     "rgb",
     [
