@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import math
 import os
 import sys
 from pathlib import Path
@@ -137,13 +138,14 @@ def _conclude(
 
 
 def card_parity(report: ParityReport, reference: str) -> dict:
-    """The part of a report that a card keeps."""
+    """The part of a report that a card keeps; a score error that is not known is null."""
+    unknown = math.isnan(report.score_error)
     return {
         "reference": reference,
         "images": report.images,
         "recall": round(report.recall, 3),
         "precision": round(report.precision, 3),
-        "score_error": round(report.score_error, 3),
+        "score_error": None if unknown else round(report.score_error, 3),
     }
 
 

@@ -136,14 +136,18 @@ def count_matches(reference: Boxes, candidate: Boxes) -> int:
 def compare(
     reference: Model, candidate: Model, images: Iterable[np.ndarray], txt_feats: np.ndarray
 ) -> ParityReport:
-    """Run both models over `images`, each (1, 3, H, W), with one prompt set (1, n, 512)."""
+    """Run both models over `images`, each (1, 3, H, W), with one prompt set (1, n, 512).
+
+    Raises:
+        ExportError: a model gives values that are not finite, with which nothing compares.
+    """
     count = matched = wanted = found = 0
     errors: list[np.ndarray] = []
     worst = 0.0
     for image in images:
         count += 1
-        ref_boxes, ref_scores = (output[0] for output in reference(image, txt_feats))
-        cand_boxes, cand_scores = (output[0] for output in candidate(image, txt_feats))
+        ref_boxes, ref_scores = _finite("reference", reference(image, txt_feats), count)
+        cand_boxes, cand_scores = _finite("candidate", candidate(image, txt_feats), count)
         ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
         matched += count_matches(ref, cand)
         wanted += len(ref.score)
@@ -163,8 +167,24 @@ def compare(
     )
 
 
+def _finite(
+    which: str, outputs: tuple[np.ndarray, np.ndarray], image: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (A, 4) and scores (A, n) of one image; raises ExportError if one is not finite."""
+    for name, output in zip(("boxes", "scores"), outputs, strict=True):
+        if lost := int(np.count_nonzero(~np.isfinite(output))):
+            raise ExportError(
+                f"the {which}'s {name} of image {image}: {lost} of {output.size} values are not "
+                "finite; check the export of the model"
+            )
+    return outputs[0][0], outputs[1][0]
+
+
 def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
-    """Raise ExportError if a figure of the report is worse than its limit, or nothing was seen."""
+    """Raise ExportError if a figure of the report is worse than its limit, or nothing was seen.
+
+    A figure that is not known (NaN) does not keep its limit.
+    """
     if not report.detections:
         raise ExportError(
             f"{what}: the reference sees nothing above {SCORE_THRESHOLD} in {report.images} "
@@ -173,11 +193,11 @@ def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
     worse = [
         f"{name} {getattr(report, name):.3g} < {getattr(limits, name):.3g}"
         for name in ("recall", "precision")
-        if getattr(report, name) < getattr(limits, name)
+        if not getattr(report, name) >= getattr(limits, name)
     ] + [
         f"{name} {getattr(report, name):.3g} > {getattr(limits, name):.3g}"
         for name in ("score_error", "max_abs_diff")
-        if getattr(limits, name) is not None and getattr(report, name) > getattr(limits, name)
+        if getattr(limits, name) is not None and not getattr(report, name) <= getattr(limits, name)
     ]
     if worse:
         raise ExportError(

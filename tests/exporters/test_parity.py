@@ -28,6 +28,7 @@ A_SHIFTED = (1.0, 0.0, 11.0, 10.0)  # IoU with A: 9 / 11
 FAR = (50.0, 50.0, 60.0, 60.0)
 IMAGE = np.zeros((1, 3, 32, 32), np.float32)
 TEXT = np.zeros((1, 2, 512), np.float32)
+NAN = float("nan")
 
 
 def boxes(*rows: tuple[tuple[float, ...], float, int]) -> Boxes:
@@ -102,6 +103,32 @@ def test_compare_counts_lost_new_and_moved_scores():
     assert report.max_abs_diff == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("candidate", "says"),
+    [
+        pytest.param(
+            model([A, FAR], [[0.9, 0.1], [NAN, NAN]]), "scores of image 1: 2 of 4", id="score"
+        ),
+        pytest.param(
+            model([A, (np.inf,) * 4], [[0.9, 0.1], [0, 0]]), "boxes of image 1: 4 of 8", id="box"
+        ),
+    ],
+)
+def test_a_model_with_values_that_are_not_finite_is_refused(candidate, says):
+    """Also where all that the reference sees is still found."""
+    sound = model([A, FAR], [[0.9, 0.1], [0.0, 0.0]])
+    for pair, which in (((sound, candidate), "candidate"), ((candidate, sound), "reference")):
+        with pytest.raises(ExportError, match=f"the {which}'s {says}"):
+            compare(*pair, [IMAGE], TEXT)
+
+
+def test_a_card_is_told_no_score_error_where_there_is_none():
+    from exporters.__main__ import card_parity
+
+    assert card_parity(report(score_error=NAN), "fp32")["score_error"] is None
+    assert card_parity(report(), "fp32")["score_error"] == 0.1
+
+
 def report(**changed: float) -> ParityReport:
     figures = {"images": 3, "detections": 5, "recall": 1.0, "precision": 1.0}
     figures |= {"score_error": 0.1, "score_bias": 0.0, "max_abs_diff": 0.1}
@@ -119,6 +146,9 @@ def test_check_limits_accepts_good_figures():
         ({"precision": 0.5}, Limits(), "precision 0.5 < 0.8"),
         ({"score_error": 0.2}, Limits(score_error=0.1), "score_error 0.2 > 0.1"),
         ({"detections": 0}, Limits(), "sees nothing above 0.3"),
+        ({"recall": NAN}, Limits(), "recall nan < 0.95"),
+        ({"score_error": NAN}, Limits(score_error=0.1), "score_error nan > 0.1"),
+        ({"max_abs_diff": NAN}, Limits(max_abs_diff=0.1), "max_abs_diff nan > 0.1"),
     ],
 )
 def test_check_limits_says_what_is_worse(changed, limits, text):
