@@ -20,7 +20,7 @@ from edge import names
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
 from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import remembered_sha256
-from edge.perception.runtime import open_session
+from edge.perception.runtime import EngineOptions, open_session
 from edge.perception.text import PromptError
 
 CPU = ("CPUExecutionProvider",)
@@ -88,14 +88,24 @@ class ClipTextEncoder:
 class ClipImageEncoder:
     """One image → one unit row."""
 
-    def __init__(self, card: ImageCard, providers: Sequence[str], threads: int) -> None:
+    def __init__(
+        self,
+        card: ImageCard,
+        providers: Sequence[str],
+        threads: int,
+        device_id: int = 0,
+        engine: EngineOptions | None = None,
+    ) -> None:
         """
+        Args:
+            providers, threads, device_id, engine: see `open_session`.
+
         Raises:
             ModelError: the model is not there, or is unusable.
         """
         self.card = card
         self.dim = card.dim
-        self._session = open_session(verify_model(card), providers, threads)
+        self._session = open_session(verify_model(card), providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
         """

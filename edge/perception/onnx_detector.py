@@ -14,6 +14,7 @@ import numpy as np
 from edge import config, names
 from edge.perception import kernels
 from edge.perception.binding import Bound, bind
+from edge.perception.card_types import ImageCard
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, failing_as, open_session
@@ -29,14 +30,15 @@ USUAL_COLUMNS, MAX_COLUMNS = 16, 256
 
 
 def engine_options(
-    card: DetectCard, detector: config.DetectorOnnx, progress: Progress
+    card: DetectCard | ImageCard, detector: config.DetectorOnnx, progress: Progress = log_progress
 ) -> EngineOptions:
-    """What TensorRT is told of a detector; only the number of prompts may change."""
-    few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
+    """What TensorRT is told of a model; only a detector's number of prompts may change."""
+    shapes = {}
+    if isinstance(card, DetectCard):
+        few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
+        shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else Path(detector.engine_cache).expanduser()
-    return EngineOptions(
-        card.name, card.precision, {"txt_feats": (few, usual, many)}, cache, progress
-    )
+    return EngineOptions(card.name, card.precision, shapes, cache, progress)
 
 
 @dataclass(frozen=True, slots=True)

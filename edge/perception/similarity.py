@@ -11,7 +11,7 @@ from edge.config import DetectorOnnx, Perception
 from edge.perception.card_types import SimilarityCard
 from edge.perception.cards import ModelError, load_image_card, load_similarity_card, load_text_card
 from edge.perception.clip import CPU, ClipImageEncoder, ClipTextEncoder
-from edge.perception.onnx_detector import OnnxDetector
+from edge.perception.onnx_detector import OnnxDetector, engine_options
 from edge.perception.text import TextEncoder, open_text_encoder
 from edge.types import Detections
 
@@ -152,10 +152,14 @@ def make_similarity(
     assert card.text_encoder is not None
     text = load_text_card(card.text_encoder)
     vocabulary = running.vocabulary if running is not None else None
+    settings = running or DetectorOnnx(providers=CPU, threads=THREADS)
+    image_card = load_image_card(card.image_encoder)
     image = ClipImageEncoder(
-        load_image_card(card.image_encoder),
-        CPU if running is None else running.providers,
-        THREADS if running is None else running.threads,
+        image_card,
+        settings.providers,
+        settings.threads,
+        settings.device_id,
+        engine_options(image_card, settings),
     )
     pair = PairSimilarity(card.name, image, open_text_encoder(text, vocabulary))
     pair.prepare(prompts)

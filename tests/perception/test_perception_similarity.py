@@ -9,6 +9,7 @@ import tiny_clip
 from edge import resources
 from edge.config import Perception
 from edge.errors import UserError
+from edge.perception import clip, runtime
 from edge.perception.cards import ModelError, load_similarity_card
 from edge.perception.similarity import (
     SENTENCE,
@@ -109,6 +110,24 @@ def pair(cards):
         return make_similarity(card, perception(card.name, **detector), prompts)
 
     return make
+
+
+def test_the_image_encoder_runs_where_the_detector_does(pair, monkeypatch, tmp_path):
+    opened = []
+
+    def note(*settings, **more):
+        opened.append(settings)
+        return runtime.open_session(*settings, **more)
+
+    monkeypatch.setattr(clip, "open_session", note)
+    folder = tmp_path / "engines"
+    pair(device_id=3, engine_cache=str(folder), providers=("CPUExecutionProvider",))
+    path, providers, threads, device_id, engine = opened[0]
+    assert (path.name, providers, threads, device_id) == (
+        "tiny-image.onnx", ("CPUExecutionProvider",), 1, 3,
+    )  # fmt: skip
+    assert (engine.model, engine.precision, engine.shapes) == ("tiny-clip-image", "fp32", {})
+    assert engine.folder == folder
 
 
 def red_image(level=255):
