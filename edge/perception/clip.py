@@ -27,7 +27,11 @@ CPU = ("CPUExecutionProvider",)
 
 
 class ClipTextEncoder:
-    """A `TextEncoder` that understands whole phrases."""
+    """A `TextEncoder` that understands whole phrases.
+
+    What was encoded once is kept, 2 KB a text or so: a mission that comes while the robot drives
+    costs the loop its own words only, and not the background's each time.
+    """
 
     def __init__(self, card: TextCard) -> None:
         """
@@ -41,6 +45,7 @@ class ClipTextEncoder:
         path = verify_model(card)
         self._tokenizer = _open_tokenizer(card)
         self._session = open_session(path, CPU, threads=1)
+        self._rows: dict[str, np.ndarray] = {}
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.embed`."""
@@ -58,6 +63,11 @@ class ClipTextEncoder:
             PromptError: a text is longer than the model reads.
             ModelError: the model fails, or its output is not finite.
         """
+        if new := [text for text in dict.fromkeys(texts) if text not in self._rows]:
+            self._rows.update(zip(new, self._encode(new), strict=True))
+        return np.stack([self._rows[text] for text in texts])
+
+    def _encode(self, texts: Sequence[str]) -> np.ndarray:
         tokens = np.zeros((len(texts), self._context), np.int64)
         for row, text in zip(tokens, texts, strict=True):
             ids = self._tokenizer.encode(text).ids

@@ -10,6 +10,7 @@ import tiny_clip
 from tiny_clip import CONTEXT, DIM, SIDE, WORDS
 
 from edge import resources
+from edge.perception import clip
 from edge.perception.cards import ModelError, load_image_card, load_text_card
 from edge.perception.clip import ClipImageEncoder, ClipTextEncoder, fit
 from edge.perception.text import PromptError, TextEmbeddings, make_text_encoder
@@ -59,6 +60,24 @@ def test_a_phrase_is_its_tokens_between_beginning_and_end(text_card):
     np.testing.assert_allclose(rows[0], wanted, atol=1e-6)
     assert encoder.resolve(" The red  Chair") == "red chair"
     assert encoder.contrasts("red chair") == []
+
+
+def test_a_phrase_is_encoded_once(text_card, monkeypatch):
+    encoder, encoded = ClipTextEncoder(text_card()), []
+
+    def note(session, file, name, tokens):
+        encoded.append(len(tokens))
+        return run(session, file, name, tokens)
+
+    run = clip._run
+    monkeypatch.setattr(clip, "_run", note)
+    first = encoder.embed(["chair", "sofa", "the chair"])
+    again = encoder.embed(["sofa", "red chair", "chair"])
+    assert encoded == [2, 1]
+    np.testing.assert_array_equal(again[0, [2, 0]], first[0, :2])
+    np.testing.assert_array_equal(first[0, 2], first[0, 0])
+    again[:] = 0.0  # the caller's own
+    np.testing.assert_array_equal(encoder.embed(["chair"])[0, 0], first[0, 0])
 
 
 def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
