@@ -44,6 +44,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
 }
 """Word of the vocabulary → other words for it. A word stands in one place only."""
 
+NEGATIONS = ("not", "non", "no")
 OPPOSITES = (("tall", "short"), ("wide", "narrow"), ("large", "small"))
 ALIKE: dict[str, tuple[str, ...]] = {
     "tall": ("large", "narrow"),
@@ -91,7 +92,7 @@ class Phrase:
     """What a prompt says; None where it says nothing.
 
     Attributes:
-        ignored: words of the prompt that the model does not know.
+        ignored: words of the prompt that the model does not know, and the part after its noun.
     """
 
     category: str
@@ -107,19 +108,22 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
     """Read a prompt.
 
     Raises:
-        PromptError: it is empty, its noun is none of the vocabulary's, or it names two colours or
-            opposite sizes.
+        PromptError: it is empty, its noun is none of the vocabulary's, it names two colours or
+            opposite sizes, or says what the thing is not.
     """
     try:
-        words = names.head_phrase(prompt).split()
+        head = names.head_phrase(prompt)
     except ValueError:
-        words = []
+        head = ""
+    words = head.replace(",", " ").split()
     if not words:
         raise PromptError("empty prompt: name a thing to look for, such as 'chair'")
+    after = names.normalise(prompt)[len(head) :].strip()
     for start in range(len(words)):
         noun = " ".join(words[start:])
         if category := _category(noun, vocabulary):
-            return _describe(prompt, words[:start], category, vocabulary)
+            phrase = _describe(prompt, words[:start], category, vocabulary)
+            return replace(phrase, ignored=(*phrase.ignored, after)) if after else phrase
         if names.is_known(noun):  # it names another thing, whatever its last word does
             break
     raise PromptError(
@@ -140,6 +144,8 @@ def _category(noun: str, vocabulary: Vocabulary) -> str | None:
 
 
 def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Vocabulary) -> Phrase:
+    if denied := next((word for word in adjectives if word in NEGATIONS), None):
+        raise PromptError(f"prompt {prompt!r}: {denied!r} is not understood; say what it is like")
     plain = [_PLAIN.get(word, word) for word in adjectives]
     colors = list(dict.fromkeys(word for word in plain if word in vocabulary.colors))
     sizes = list(dict.fromkeys(word for word in plain if word in vocabulary.sizes))
@@ -230,7 +236,7 @@ class AttributeEncoder:
             self._warned.add(phrase.ignored)
             log.warning(
                 "prompt %r: this model does not know what %s means here, looking for %r",
-                prompt, " ".join(phrase.ignored), str(phrase),
+                prompt, ", ".join(map(repr, phrase.ignored)), str(phrase),
             )  # fmt: skip
         return phrase
 

@@ -27,7 +27,7 @@ WORDS = Vocabulary(
 )
 
 
-@pytest.mark.parametrize("prompt", ["", "  ", "the ", "?!"])
+@pytest.mark.parametrize("prompt", ["", "  ", "the ", "?!", "the , near a chair"])
 def test_an_empty_prompt_is_an_error(prompt):
     with pytest.raises(PromptError, match="prompt"):
         parse(prompt, WORDS)
@@ -46,7 +46,14 @@ def test_an_empty_prompt_is_an_error(prompt):
         ("low chair", Phrase("chair", None, "short")),
         ("dining table", Phrase("table")),
         ("navy blue chair", Phrase("chair", "blue")),
-        ("shiny chair by the red sofa", Phrase("chair", None, None, ("shiny",))),
+        ("shiny chair by the red sofa", Phrase("chair", None, None, ("shiny", "by the red sofa"))),
+        ("a chair that is red", Phrase("chair", None, None, ("that is red",))),
+        ("sofa in blue", Phrase("sofa", None, None, ("in blue",))),
+        ("tall, white trash can", Phrase("trash can", "white", "tall")),
+        ("the low table", Phrase("coffee table")),
+        ("low white table", Phrase("table", "white", "short")),
+        ("long couch", Phrase("sofa", None, "wide")),
+        ("big sized red chair", Phrase("chair", "red", "large", ("sized",))),
         ("tall wide chair", Phrase("chair", None, "tall", ("wide",))),
         ("SofaC_01", Phrase("sofa")),
     ],
@@ -69,6 +76,8 @@ def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
         ("tall low-cut chair", "tall and short"),
         ("big little table", "large and small"),
         ("slim wide sofa", "wide and narrow"),
+        ("not red chair", "'not' is not understood; say what it is like"),
+        ("a non-red chair", "'non' is not understood"),
     ],
 )
 def test_what_cannot_be_is_an_error(prompt, message):
