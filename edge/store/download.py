@@ -53,6 +53,7 @@ def download(url: str, part: Part, limits: Limits = LIMITS) -> None:
     Raises:
         FetchError: it cannot be had there, or is not what it should be.
     """
+    part.ask_elsewhere()
     for tries_left in reversed(range(limits.tries)):
         try:
             with Meter(part.target.name, part.have) as meter:

@@ -132,6 +132,8 @@ def _read_index(address: str, limits: Limits):  # type: ignore[no-untyped-def]
 def _from_json(content: bytes) -> Iterator[tuple[str, str | None, int | None]]:
     for file in json.loads(content)["files"]:
         sha256, size = file.get("hashes", {}).get("sha256"), file.get("size")
+        if sha256 is not None and not re.fullmatch("[0-9a-f]{64}", sha256):
+            raise ValueError(f"no sha256: {sha256!r}")
         yield str(file["url"]), sha256, size if isinstance(size, int) else None
 
 

