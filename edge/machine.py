@@ -84,10 +84,19 @@ def summary(machine: Description) -> str:
     return "; ".join(parts)
 
 
-def short_name(machine: Description) -> str:
-    """What tells machines apart: the board or the processor with its cores, and the power mode."""
+def short_name(machine: Description, gpu: str | None = None) -> str:
+    """What tells machines apart: the board or the processor with its cores, and the power mode.
+
+    Args:
+        gpu: the one that was used, if one was; it comes first, but a board's name tells it.
+
+    >>> short_name({"cpu": "AMD EPYC", "cores": 8}, "NVIDIA L4")
+    'NVIDIA L4, AMD EPYC, 8 cores'
+    """
     jetson = machine.get("jetson", {})
-    name = jetson.get("model") or f"{machine['cpu']}, {machine['cores']} cores"
+    parts = [gpu] if gpu else []
+    parts += [machine["cpu"], f"{machine['cores']} cores"]
+    name = jetson.get("model") or ", ".join(parts)
     return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
 
 

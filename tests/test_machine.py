@@ -64,7 +64,14 @@ def test_a_jetson_tells_its_board_power_mode_and_clocks(tmp_path):
         },
     }  # fmt: skip
     assert machine.short_name(found).endswith("Developer Kit, 25W")
+    assert machine.short_name(found, "Orin") == machine.short_name(found)
     assert "power mode 25W" in machine.summary(found)
+
+
+def test_machines_that_differ_in_the_gpu_that_was_used_have_two_names():
+    found = {"cpu": "AMD EPYC", "cores": 8}
+    assert machine.short_name(found) == "AMD EPYC, 8 cores"
+    assert machine.short_name(found, "NVIDIA L4") == "NVIDIA L4, AMD EPYC, 8 cores"
 
 
 def test_thors_gpu_has_another_name(tmp_path):

@@ -20,7 +20,7 @@ from edge.perception.cards import card_path, load_detector_card
 from edge.perception.text import PromptError
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
-from edge.store.bench import figures, frames, runs, table, variants, worker
+from edge.store.bench import figures, frames, runs, table, variants, worker, writing
 from edge.store.bench.boxes import KIND, NAMED, NO, Found, Tally, Truth, agree, judge
 
 SOFA, CHAIR = [0, 0, 40, 40], [60, 60, 80, 100]
@@ -410,6 +410,44 @@ def test_int8_for_the_cpu_is_tried_nowhere_else_and_fp32_comes_first(place):
         ("cpu", "fp32"), ("cpu", "fp16"), ("cpu", "int8-cpu"), ("cpu", "int8-trt"),
         ("cuda", "fp32"), ("cuda", "fp16"), ("cuda", "int8-trt"),
     ]  # fmt: skip
+
+
+def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(place):
+    place("tiny-fp32", None)
+    report = {
+        "date": "2026-01-02T03:04:05", "prompts": ["a"], "tau_det": 0.3, "threads": 2,
+        "frames": {"count": 2, "hw": [(64, 64)], "source": "x"},
+        "machine": {"cpu": "x", "cores": 2, "onnxruntime": "1.23.0", "tensorrt": "10.3.0"},
+    }  # fmt: skip
+    row = {
+        "name": "tiny-fp32", "state": "ran", "sha256": "0" * 64, "memory_mb": 1.0,
+        "gpu_memory_mb": None, "others_cores": None, "agreement": None, "truth": None,
+        "latency_ms": figures.latency_ms(np.full((2, 3), 1_000_000)),
+    }  # fmt: skip
+    both = "onnxruntime 1.23.0, tensorrt 10.3.0"
+    ran = (
+        ("cpu", None, "cpu of x, 2 cores", "onnxruntime 1.23.0"),
+        ("cuda", "L4", "cuda of L4, x, 2 cores", "onnxruntime 1.23.0"),
+        ("cuda", "H100", "cuda of H100, x, 2 cores", "onnxruntime 1.23.0"),
+        ("ort-tensorrt", "L4", "ort-tensorrt of L4, x, 2 cores", both),
+        ("tensorrt", "L4", "tensorrt of L4, x, 2 cores", "tensorrt 10.3.0"),
+    )
+    for on, gpu, _, _ in ran:
+        writing.update_cards({**report, "rows": [{**row, "on": on, "gpu": gpu}]})
+    measured = load_detector_card("tiny-fp32").measured
+    kept = [(key, of.get("gpu"), of["runtime"]) for key, of in measured.items()]
+    assert kept == [(key, gpu, runtime) for _, gpu, key, runtime in ran]
+    assert set(variants.RUNTIMES) == set(variants.PROVIDERS)
+
+
+@pytest.mark.parametrize(
+    ("on", "name"),
+    [("cpu", ""), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
+)
+def test_a_worker_tells_which_gpu_it_used(monkeypatch, on, name):
+    monkeypatch.setattr(worker, "gpu_name", lambda device_id: f"GPU {device_id}")
+    settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
+    assert worker.used_gpu(settings) == name
 
 
 def test_the_table_has_a_line_for_each_footnote():

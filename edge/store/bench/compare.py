@@ -105,6 +105,7 @@ def _row(
     return {
         **row,
         "state": "ran",
+        "gpu": result.gpu or None,
         "sha256": remembered_sha256(variant.card.path),
         "latency_ms": figures.latency_ms(result.stages_ns),
         "load_s": round(result.load_s, 2),

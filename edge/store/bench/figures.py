@@ -26,6 +26,7 @@ class Measured:
         gpu_memory_mb: what the GPU's memory in use grew by; NaN where unknown.
         others_cores: how many cores other processes kept busy meanwhile; NaN where unknown.
         invalid_boxes: how many boxes were not finite.
+        gpu: its name; empty on the CPU.
     """
 
     stages_ns: np.ndarray
@@ -35,6 +36,7 @@ class Measured:
     gpu_memory_mb: float
     others_cores: float
     invalid_boxes: int
+    gpu: str
 
     @classmethod
     def read(cls, file: Any) -> Measured:
@@ -49,6 +51,7 @@ class Measured:
             float(file["gpu_memory_mb"]),
             float(file["others_cores"]),
             int(file["invalid_boxes"]),
+            str(file["gpu"]),
         )
 
 

@@ -18,6 +18,13 @@ PROVIDERS = {
     "tensorrt": (TENSORRT,),
 }
 """What a model can run on, by the name that tables use: TensorRT within onnxruntime, or itself."""
+RUNTIMES = {
+    "cpu": ("onnxruntime",),
+    "cuda": ("onnxruntime",),
+    "ort-tensorrt": ("onnxruntime", "tensorrt"),
+    "tensorrt": ("tensorrt",),
+}
+"""Whose versions matter to what runs there."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
 # Its zero points are not 0: TensorRT refuses it, and CUDA has no kernels for it.
 _CPU_ONLY = ("int8-cpu",)

@@ -17,6 +17,7 @@ from edge.bench import resident_mb
 from edge.errors import UserError
 from edge.logs import setup
 from edge.perception.detector import Health, make_detector
+from edge.perception.runtime import gpu_name
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 
@@ -49,7 +50,8 @@ def measure(job: dict) -> dict[str, np.ndarray]:
     Returns:
         stages_ns (n, 3) of pre, session, post; boxes (`xyxy_px`, `score`, `class_id`) of all
         frames one after another, `count` (n,) how many each has; `load_s`, `memory_mb`,
-        `gpu_memory_mb` and `others_cores` (NaN where unknown), `invalid_boxes`.
+        `gpu_memory_mb` and `others_cores` (NaN where unknown), `invalid_boxes`; `gpu`, its name,
+        empty on the CPU.
     """
     with np.load(job["frames"]) as file:
         seen = [_observation(k, file[f"f{k}"]) for k in range(len(file.files))]
@@ -77,7 +79,14 @@ def measure(job: dict) -> dict[str, np.ndarray]:
         "gpu_memory_mb": np.array(gpu_mb),
         "others_cores": np.array(others_cores),
         "invalid_boxes": np.array(getattr(detector, "invalid_boxes", 0)),
+        "gpu": np.array(used_gpu(perception.detector)),
     }
+
+
+def used_gpu(settings: config.DetectorOnnx) -> str:
+    """The name of the GPU that a detector runs on, empty where it is the CPU."""
+    on_cpu = settings.providers[0] == "CPUExecutionProvider"
+    return "" if on_cpu else gpu_name(settings.device_id)
 
 
 _FOUND = ("xyxy_px", "score", "class_id")

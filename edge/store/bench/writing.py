@@ -13,6 +13,7 @@ import yaml
 from edge import machine, resources
 from edge.errors import UserError
 from edge.perception.cards import card_path
+from edge.store.bench.variants import RUNTIMES
 
 _CARD_WIDTH = 110
 
@@ -34,7 +35,7 @@ def keep(report: dict[str, Any], also: Path | None) -> str:
 
 def update_cards(report: dict[str, Any]) -> list[Path]:
     """Write the figures of each variant that ran into its card, in place of older ones of the
-    same machine and provider; the cards that were written.
+    same machine, GPU and provider; the cards that were written.
 
     Raises:
         UserError: a card cannot be written.
@@ -45,7 +46,7 @@ def update_cards(report: dict[str, Any]) -> list[Path]:
             path = card_path(row["name"])
             text = path.read_text(encoding="utf-8")
             card = yaml.safe_load(text)
-            key = f"{row['on']} of {machine.short_name(report['machine'])}"
+            key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
             card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
             remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
             body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
@@ -66,7 +67,8 @@ def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float
     found = {
         "date": report["date"][:10],
         "file": row["sha256"][:12],
-        "runtime": f"onnxruntime {report['machine'].get('onnxruntime', '?')}",
+        "gpu": row["gpu"],
+        "runtime": ", ".join(f"{r} {report['machine'].get(r, '?')}" for r in RUNTIMES[row["on"]]),
         "threads": report["threads"] if row["on"] == "cpu" else None,
         "frames": f"{frames['count']} of {w}x{h} px, {frames['source']}",
         "prompts": len(report["prompts"]),
