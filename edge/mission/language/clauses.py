@@ -28,7 +28,12 @@ from edge.mission.language.spoken import (
     skip_particles,
     take_mood,
 )
-from edge.mission.language.things import Things, starts_things, take_things
+from edge.mission.language.things import (
+    Things,
+    is_indefinite,
+    starts_things,
+    take_things,
+)
 from edge.mission.language.words import Reader
 
 Bare = Literal["yes", "known", "no"]
@@ -170,7 +175,7 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
         clause.things = _each(things) if clause.negated else things
         return
     reader.at = begin
-    named = start.kind != "word" or _well_known(reader, memory)
+    named = start.kind != "word" or is_indefinite(reader) or _well_known(reader, memory)
     if not (named and (bare == "yes" or clause.negated)) and not (
         bare == "known" and _well_known(reader, memory)
     ):

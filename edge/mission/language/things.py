@@ -68,6 +68,7 @@ def take_things(
         TranslationError: no noun phrase, or one that can be read in two ways.
     """
     start = reader.peek()
+    indefinite = is_indefinite(reader)
     groups = list(_element(reader, mentioned))
     joints: set[str] = set()
     commas: set[str] = set()
@@ -84,8 +85,10 @@ def take_things(
         joints |= {reader.peek(i).kind for i in range(ahead)} - {"comma", "to"}
         reader.at += ahead
         follower = reader.peek()
+        bare = follower.kind == "word" and not is_indefinite(reader)
+        unfinished = indefinite and not _has_noun(groups[-1])  # "a tall, white trash can"
         groups += _element(reader, mentioned)
-        if start.kind == "article" and follower.kind == "word" and not _plain(groups[-1]):
+        if (start.kind == "article" or unfinished) and bare and not _plain(groups[-1]):
             hint = f"no verb that is known; if it is a thing, say 'the {follower.text}'"
             reader.refuse(hint, follower)
     if len(set(groups)) < len(groups):
@@ -104,6 +107,11 @@ def take_things(
 def _plain(group: tuple[str, ...]) -> bool:
     """Whether names need no article to be names: letters, or known things."""
     return all(len(name) == 1 or names.is_known(name) for name in group)
+
+
+def _has_noun(group: tuple[str, ...]) -> bool:
+    """Whether each name ends in a known thing."""
+    return all(any(map(names.is_known, names.head_nouns(name))) for name in group)
 
 
 def _joint_length(reader: Reader) -> int | None:
@@ -160,7 +168,7 @@ def _name(reader: Reader) -> str:
     """One thing's canonical name."""
     start = reader.peek()
     article = bool(reader.take("article"))
-    if reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader):
+    if is_indefinite(reader):
         reader.take("word")
         article = True
     if token := reader.take("quoted"):
@@ -203,6 +211,11 @@ def _words(reader: Reader, article: bool) -> list[Token]:
 def _advance(reader: Reader) -> int:
     reader.at += 1
     return reader.at - 1
+
+
+def is_indefinite(reader: Reader) -> bool:
+    """Whether an `a` or `an` comes that is an article."""
+    return reader.sees("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
 
 
 def _goes_on(reader: Reader) -> bool:
