@@ -113,16 +113,41 @@ def test_int8_without_images_says_so(weights, tmp_path, capsys):
     assert "--calibration is missing" in capsys.readouterr().err
 
 
-def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(cache, vocabulary, photos, capsys):
+@pytest.fixture
+def small(tmp_path, monkeypatch) -> Path:
+    """A folder with cards of a small network, its FP32 file, words for it and noise for photos."""
+    for module in ("onnx", "onnxruntime"):
+        pytest.importorskip(module)
+    import cv2
+    import small_net
+    import yaml
+
+    monkeypatch.setattr("exporters.__main__.recipe_of", lambda family: small_net.RECIPE)
+    random = np.random.default_rng(0)
+    for precision in ("fp32", "fp16", "int8-cpu"):
+        card = {"name": precision, "precision": precision, "file": f"{precision}.onnx"}
+        card |= {"family": "yolo-world-s", "input": {"height": 32, "width": 32}, "sources": []}
+        card |= {"derived_from": None if precision == "fp32" else "fp32", "sha256": None}
+        (tmp_path / f"{precision}.yaml").write_text(yaml.safe_dump(card))
+    for number in range(8):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), random.integers(0, 255, (32, 32, 3)))
+    np.savez(tmp_path / "words.npz", names=["sofa", "bed"], emb=random.normal(size=(2, 8)))
+    small_net.build(tmp_path / "fp32.onnx")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["fp16", "int8-cpu"])
+def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys):
     from exporters.__main__ import main
 
-    name = NAME.replace("int8-cpu", "fp16")
-    options = ["--calibration", photos, "--cache", cache, "--no-gate"]
-    words = [str(word) for word in (name, *options)]
-    assert main(words) == 1
+    def run(card, *options):
+        folders = ["--cache", str(small), "--cards", str(small)]
+        return main([card, *folders, "--calibration", str(small), "--no-gate", *options])
+
+    assert run(name) == 1
     assert "--vocabulary is missing" in capsys.readouterr().err
-    assert main([*words, "--vocabulary", str(vocabulary)]) == 0
-    assert (cache / f"{name}.onnx.json").is_file()
-    original = NAME.replace("int8-cpu", "fp32")
-    assert main([original, "--cache", str(cache)]) == 1
+    assert run(name, "--vocabulary", str(small / "words.npz")) == 0
+    assert json.loads((small / f"{name}.onnx.json").read_text())["parity"]["images"] == 2
+    assert session(small / f"{name}.onnx").get_outputs()[1].name == "scores"
+    assert run("fp32") == 1
     assert "--weights is missing" in capsys.readouterr().err
