@@ -174,7 +174,8 @@ class OnnxDetector:
         """(prompts, columns) bool: whether a column's word is another thing than the prompt's.
 
         A kind of the prompt's thing never is, unless it is what the prompt is not (another colour);
-        between two prompts, neither is its broader name.
+        neither is its broader name between two prompts, nor for a prompt that has contrasts: a
+        white chair is a chair, and what tells it from a red one is the contrast.
         """
         words = [(column, self._text.resolve(column)) for column in columns]
         contrasts = [set(self._text.contrasts(prompt)) for prompt in prompts]
@@ -185,7 +186,8 @@ class OnnxDetector:
         competes = np.ones((len(prompts), len(columns)), np.bool_)
         for row in range(len(prompts)):
             for column in range(len(columns)):
-                broader = column < len(prompts) and kind_of(row, column)
+                excused = column < len(prompts) or bool(contrasts[row])
+                broader = excused and kind_of(row, column)
                 other = not contrasts[row].isdisjoint(words[column])
                 competes[row, column] = other or not (kind_of(column, row) or broader)
         return competes

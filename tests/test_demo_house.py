@@ -1,0 +1,63 @@
+"""The ready demo in simulated time: real inference of the shipped model in the loop."""
+
+from __future__ import annotations
+
+import pytest
+from closed_loop import ClosedLoop
+
+from edge.config import Config, load
+
+KITCHEN = [6.6, 1.4, 1.2]
+
+
+def demo(target: str, start: list[float] | None = None) -> Config:
+    """The demo's configuration in lockstep, at 10 images a second."""
+    config = load("demo", {})
+    return config.model_copy(
+        update={
+            "loop": config.loop.model_copy(update={"lockstep": True}),
+            "mission": config.mission.model_copy(update={"target": target}),
+            "sim": config.sim.model_copy(
+                update={"lockstep": True, "step_s": 0.1, "start": start and tuple(start)}
+            ),
+        }
+    )
+
+
+def run(target: str, start: list[float] | None = None, seconds: float = 200) -> ClosedLoop:
+    loop = ClosedLoop(demo(target, start)).run(seconds)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    assert loop.drive.motion.collisions == 0
+    return loop
+
+
+def trash_can_m(loop: ClosedLoop, tall: bool) -> float:
+    """How far the robot stands from the kitchen's tall white trash can, or from any other one."""
+    pose = loop.drive.motion.pose
+    return min(
+        thing.distance_m(pose.x_m, pose.y_m)
+        for thing in loop.world.objects
+        if thing.label == "trash can" and (thing.size_m[2] > 0.8) == tall
+    )
+
+
+@pytest.mark.parametrize(
+    ("phrase", "tall"),
+    [("tall white trash can", True), ("white bin", True), ("green trash can", False)],
+)
+def test_of_two_of_a_kind_it_drives_to_the_one_that_was_named(phrase, tall):
+    loop = run(phrase, KITCHEN, 60)
+    assert trash_can_m(loop, tall) <= 1.0
+    assert trash_can_m(loop, tall) < trash_can_m(loop, not tall)
+
+
+@pytest.mark.slow
+def test_it_finds_the_one_of_two_that_was_named_from_afar():
+    loop = run("tall white trash can")
+    assert trash_can_m(loop, True) <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["bed", "television", "toilet", "refrigerator", "wardrobe"])
+def test_it_reaches_what_the_demo_is_told_to_find(target):
+    assert run(target).distance_m(target) <= 1.0
