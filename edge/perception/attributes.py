@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge import names
+from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import TextCard
 from edge.perception.cards import ModelError, verify_model
-from edge.perception.runtime import open_session
 from edge.perception.text import PromptError
 
 log = logging.getLogger(__name__)

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 
 from edge import names
+from edge.perception.backends.runtime import EngineOptions, open_session
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
 from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import remembered_sha256
-from edge.perception.runtime import EngineOptions, open_session
 from edge.perception.text import PromptError
 
 CPU = ("CPUExecutionProvider",)

@@ -13,11 +13,16 @@ import numpy as np
 
 from edge import config, names
 from edge.perception import kernels
-from edge.perception.binding import Bound, bind
+from edge.perception.backends.binding import Bound, bind
+from edge.perception.backends.runtime import (
+    TENSORRT_PROVIDERS,
+    EngineOptions,
+    failing_as,
+    open_session,
+)
 from edge.perception.card_types import ImageCard
 from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
-from edge.perception.runtime import TENSORRT_PROVIDERS, EngineOptions, failing_as, open_session
 from edge.perception.text import PromptError, make_text_encoder, words_for
 from edge.types import Detections, Observation
 

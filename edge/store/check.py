@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import DetectCard, FileCard, ImageCard
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
-from edge.perception.runtime import open_session
 from edge.store.export import with_file
 from edge.store.pull import cards_of
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.perception import binding, runtime
+from edge.perception.backends import binding, runtime
+from edge.perception.backends.runtime import ORT_TENSORRT, TENSORRT, EngineOptions, open_session
 from edge.perception.model_file import ModelError
-from edge.perception.runtime import ORT_TENSORRT, TENSORRT, EngineOptions, open_session
 
 ort = pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")

@@ -23,12 +23,12 @@ from patience import PATIENCE_S, eventually
 from test_perception_onnx import tiny  # noqa: F401
 
 from edge import resources
-from edge.perception import binding, cuda, engine_cache, tensorrt
-from edge.perception.building import Building
-from edge.perception.engine_cache import EngineKey, obtain
+from edge.perception.backends import binding, cuda, engine_cache, tensorrt
+from edge.perception.backends.building import Building
+from edge.perception.backends.engine_cache import EngineKey, obtain
+from edge.perception.backends.runtime import EngineOptions, open_session
+from edge.perception.backends.tensorrt_report import Phases
 from edge.perception.model_file import ModelError
-from edge.perception.runtime import EngineOptions, open_session
-from edge.perception.tensorrt_report import Phases
 from edge.perception.text import PromptError
 
 KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "Orin", "fp16", "()", 1)

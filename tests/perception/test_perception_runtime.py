@@ -14,9 +14,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edge.perception import binding, runtime
+from edge.perception.backends import binding, runtime
+from edge.perception.backends.runtime import (
+    ORT_TENSORRT,
+    EngineOptions,
+    open_session,
+    provider_options,
+)
 from edge.perception.model_file import ModelError
-from edge.perception.runtime import ORT_TENSORRT, EngineOptions, open_session, provider_options
 
 ort = pytest.importorskip("onnxruntime")
 

@@ -9,7 +9,8 @@ import tiny_clip
 from edge import resources
 from edge.config import Perception
 from edge.errors import UserError
-from edge.perception import clip, runtime
+from edge.perception import clip
+from edge.perception.backends import runtime
 from edge.perception.cards import ModelError, load_similarity_card
 from edge.perception.similarity import (
     SENTENCE,

@@ -16,8 +16,8 @@ from edge import config, machine
 from edge.bench import resident_mb
 from edge.errors import UserError
 from edge.logs import setup
+from edge.perception.backends.runtime import gpu_name
 from edge.perception.detector import Health, make_detector
-from edge.perception.runtime import gpu_name
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
 

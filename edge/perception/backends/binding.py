@@ -2,7 +2,7 @@
 
 `bind` chooses by where the session runs: on the CPU both ends are NumPy arrays that onnxruntime
 reads and writes in place; on CUDA they are onnxruntime's own values on the device, and only what
-changes is uploaded; TensorRT's sessions (`edge.perception.tensorrt`) bind themselves.
+changes is uploaded; TensorRT's sessions (`edge.perception.backends.tensorrt`) bind themselves.
 """
 
 from __future__ import annotations

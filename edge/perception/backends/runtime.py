@@ -17,9 +17,9 @@ from typing import Any
 
 from edge import resources
 from edge.errors import UserError
-from edge.perception.building import Building
+from edge.perception.backends.building import Building
+from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.detector import Progress, log_progress
-from edge.perception.engine_cache import EngineKey, obtain
 from edge.perception.model_file import ModelError, remembered_sha256
 
 TENSORRT = "tensorrt"
@@ -65,7 +65,7 @@ def open_session(
     """A session that runs on exactly the providers named.
 
     It is onnxruntime's, or one of TensorRT that has `run` and `get_providers` as those have;
-    `edge.perception.binding.bind` takes either.
+    `edge.perception.backends.binding.bind` takes either.
 
     Args:
         threads: of the CPU.
@@ -88,7 +88,7 @@ def open_session(
             raise ModelError(
                 f"perception.detector.providers: {TENSORRT!r} stands alone, without others"
             )
-        from edge.perception.tensorrt import open_engine
+        from edge.perception.backends.tensorrt import open_engine
 
         return open_engine(path, device_id, engine)
     return _open_onnxruntime(path, providers, threads, device_id, engine)

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from edge.perception.binding import Bound, Shapes
-from edge.perception.building import Building
-from edge.perception.cuda import Device
-from edge.perception.engine_cache import EngineKey, discard, obtain
+from edge.perception.backends.binding import Bound, Shapes
+from edge.perception.backends.building import Building
+from edge.perception.backends.cuda import Device
+from edge.perception.backends.engine_cache import EngineKey, discard, obtain
+from edge.perception.backends.tensorrt_report import make_logger, make_monitor
 from edge.perception.model_file import ModelError, remembered_sha256
-from edge.perception.tensorrt_report import make_logger, make_monitor
 
 if TYPE_CHECKING:
-    from edge.perception.runtime import EngineOptions
+    from edge.perception.backends.runtime import EngineOptions
 
 _PLAN = "model.engine"
 _WORKSPACE_BYTES = 1 << 30
@@ -146,7 +146,7 @@ class TensorrtSession:
         return list(self.bind(feeds, shapes, live=()).run())
 
     def bind(self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]) -> Bound:
-        """See `edge.perception.binding.bind`."""
+        """See `edge.perception.backends.binding.bind`."""
         return TensorrtBound(self, inputs, outputs, live)
 
     def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
