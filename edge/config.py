@@ -173,10 +173,10 @@ class DetectorSim(Section):
 class ModelProcess(Section):
     """How a model in a process of its own is looked after (`isolation: process`).
 
-    A frame that takes longer than `timeout_s` counts as a hang, unless the worker was waiting for
-    a core. A worker that ended is started again after `backoff_s`, twice as long each time up to
-    `backoff_max_s`, and at most `restarts` times within `window_s`: beyond that the detector is
-    `degraded`.
+    A frame that takes longer than `timeout_s` counts as a hang; what the worker waited for a core
+    is added to that, at most as much again. A worker that ended is started again after
+    `backoff_s`, twice as long each time up to `backoff_max_s`, and at most `restarts` times within
+    `window_s`: beyond that the detector is `degraded`.
     """
 
     timeout_s: Positive = 0.8

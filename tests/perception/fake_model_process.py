@@ -22,7 +22,7 @@ from edge.perception.process import serve
 from edge.perception.text import PromptError
 from edge.types import Detections
 
-SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE, SLOW = range(1, 9)
+SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE = range(1, 8)
 
 
 def fail(error: BaseException) -> None:
@@ -34,7 +34,6 @@ ORDERS = {
     HANG: signal.pause,
     NO_MEMORY: lambda: fail(MemoryError("Unable to allocate 8 GiB")),
     FAILURE: lambda: fail(RuntimeError("no luck\nat all")),
-    SLOW: lambda: time.sleep(0.5),
     EXIT: lambda: os._exit(3),
 }
 

@@ -8,22 +8,13 @@ import signal
 import subprocess
 import sys
 import threading
-from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
 import pytest
-from fake_model_process import (
-    ENGINE,
-    EXIT,
-    FAILURE,
-    HANG,
-    NAN,
-    NO_MEMORY,
-    SEGFAULT,
-    SLOW,
-)
+from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT
 from patience import PATIENCE_S, eventually
 
 from edge import config, resources
@@ -188,12 +179,44 @@ def test_a_hang_is_ended(make, seen):
         assert not psutil.pid_exists(pid)
 
 
-def test_who_waits_for_a_core_does_not_hang(make, seen, monkeypatch):
+def test_who_waits_for_a_core_is_given_as_long_again(make, seen, monkeypatch):
+    """A stopped process and a clock of its own: at 1.5 s it goes on, at 2 s it is given up."""
+    detector = make(timeout_s=1.0)
+    pid = pid_of(detector)
+    clock_s, looks = [0.0], []
+
+    def queued(now_s, waited_s):
+        """At the first look the time is set; after some more the process is let go."""
+
+        def look(pid):
+            clock_s[0] = now_s
+            looks.append(now_s)
+            if looks.count(now_s) == 4:
+                os.kill(pid, signal.SIGCONT)
+            return waited_s * (looks.count(now_s) > 1)
+
+        return look
+
+    monkeypatch.setattr(link, "time", SimpleNamespace(monotonic=lambda: clock_s[0]))
+    halt(pid)
+    monkeypatch.setattr(link, "_queued_s", queued(1.5, 0.6))
+    assert len(detector.detect(seen())) == 1
+    assert len(looks) >= 4
+    clock_s[0] = 0.0
+    halt(pid)
+    monkeypatch.setattr(link, "_queued_s", queued(2.0, 100.0))
+    with pytest.raises(ModelProcessError, match=r"no answer within 1 s .*timeout_s.*killed"):
+        detector.detect(seen())
+
+
+def test_only_the_main_thread_waiting_for_a_core_counts(monkeypatch, tmp_path):
+    for path, waited_ns in (("8", 5), ("8/task/8", 5), ("8/task/9", 70)):
+        (tmp_path / "proc" / path).mkdir(parents=True)
+        (tmp_path / "proc" / path / "schedstat").write_text(f"123 {waited_ns}000000000 4\n")
     assert link._queued_s(os.getpid()) >= 0
-    assert link._queued_s(-1) == 0
-    detector, waited_s = make(timeout_s=0.1), count()
-    monkeypatch.setattr(link, "_queued_s", lambda pid: next(waited_s))
-    assert len(detector.detect(seen(SLOW))) == 1
+    monkeypatch.setattr(link, "Path", lambda path: tmp_path / path.lstrip("/"))
+    assert link._queued_s(8) == pytest.approx(5.0)
+    assert link._queued_s(7) == 0
 
 
 def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):

@@ -115,6 +115,10 @@ class Link:
     def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> messages.Answer:
         """Have it look for the prompts in an image.
 
+        Args:
+            timeout_s: how long it may take; what it waits for a core in that time is added, at
+                most `timeout_s` again.
+
         Raises:
             ModelProcessError: it ended; it was given up since it answered too late or nonsense;
                 or its model raised something.
@@ -155,7 +159,9 @@ class Link:
                 raise ModelProcessError(self.fault)
             if before_s is None:
                 before_s = _queued_s(self._process.pid)
-            elif time.monotonic() >= deadline_s + _queued_s(self._process.pid) - before_s:
+            elif time.monotonic() - deadline_s >= min(
+                _queued_s(self._process.pid) - before_s, timeout_s
+            ):
                 limit = "perception.process.timeout_s"
                 raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
         return said
@@ -244,16 +250,16 @@ def _send(socket: zmq.Socket[bytes], message: bytes) -> bool:
 
 
 def _queued_s(pid: int) -> float:
-    """How long the threads of a process have waited for a core so far, in seconds.
+    """How long a process's main thread, which answers, has waited for a core so far, in seconds.
 
     Who waits for a core does not hang: killing it would make a busy machine busier. 0 where the
     kernel does not count it.
     """
-    queued_ns = 0
-    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            queued_ns += int(path.read_text(encoding="ascii").split()[1])
-    return queued_ns * 1e-9
+    try:
+        schedstat = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii")
+        return int(schedstat.split()[1]) * 1e-9
+    except (OSError, ValueError, IndexError):
+        return 0.0
 
 
 def _how(code: int) -> str:
