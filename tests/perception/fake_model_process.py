@@ -45,12 +45,15 @@ class Steered:
     invalid_boxes = 7
 
     def __init__(self, prompts):
+        self._started = False
         self.set_prompts(prompts)
-        self._health = Health()
+        self._health, self._started = Health(), True
 
     def set_prompts(self, prompts):
         if "nonsense" in prompts:
             raise PromptError("prompt 'nonsense': not in the vocabulary")
+        if "slow" in prompts and self._started:
+            raise TimeoutError("such prompts take longer than an image")
         self.prompts = tuple(prompts)
 
     def detect(self, observation):

@@ -223,6 +223,7 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     script = tmp_path / "script"
     script.write_text("")
     detector = make(script=script)
+    detector.detect(seen())
     script.write_text("wait")
     os.kill(pid_of(detector), signal.SIGKILL)
     says = "ended by SIGKILL, out of memory?; started again in 0.0 s"
@@ -231,10 +232,13 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     for _ in range(100):
         with pytest.raises(ModelProcessError, match="SIGKILL"):
             detector.detect(seen())
-    detector.set_prompts(["sofa"])
+    detector.set_prompts(["sofa", "slow"])
+    assert detector.invalid_boxes == 7
     script.write_text("")
     back(detector)
-    assert detector.detect(seen()).prompts == ("sofa",)
+    assert detector.detect(seen()).prompts == ("sofa", "slow")
+    detector.detect(seen())
+    assert detector.invalid_boxes == 14  # of both processes
 
 
 def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monkeypatch):
@@ -244,6 +248,18 @@ def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monk
     detector.set_prompts(["nonsense"])
     monkeypatch.setattr(process_detector, "_CHECK_S", PATIENCE_S)
     os.kill(pid_of(detector), signal.SIGCONT)
+    with pytest.raises(PromptError, match="'nonsense'"):
+        detector.detect(seen())
+    detector.set_prompts(["sofa"])
+    assert detector.detect(seen()).prompts == ("sofa",)
+
+    with monkeypatch.context() as damaged:
+        damaged.setattr(link, "_receive", lambda socket: [b"\xff"])
+        pid = pid_of(detector)
+        detector.set_prompts(["nonsense"])
+        assert "damaged message (not JSON): killed" in detector.health().detail
+    eventually(lambda: pid_of(detector) != pid and detector.health().state != "restarting")
+    assert detector.health() == Health()
     with pytest.raises(PromptError, match="'nonsense'"):
         detector.detect(seen())
     detector.set_prompts(["sofa"])

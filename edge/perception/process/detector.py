@@ -54,6 +54,8 @@ class ProcessDetector:
         self._own, self._told = Health(), Health()
         self._frames = FrameFile()
         self._link: Link | None = None
+        self._answered: Link | None = None
+        self._invalid_before = 0
         self._closing = threading.Event()
         first: Future[None] = Future()
         self._thread = threading.Thread(
@@ -92,9 +94,12 @@ class ProcessDetector:
         rgb = check_rgb(observation)
         if self._link is None or self._own.state != "ok":
             raise ModelProcessError(self._own.detail)
-        answer = self._link.detect(rgb, self._prompts, self._config.timeout_s)
-        self._looked_for = answer.prompts
-        self._told, self.invalid_boxes = answer.health, answer.invalid_boxes
+        link = self._link
+        answer = link.detect(rgb, self._prompts, self._config.timeout_s)
+        if link is not self._answered:  # a process counts from its own start
+            self._answered, self._invalid_before = link, self.invalid_boxes
+        self._looked_for, self._told = answer.prompts, answer.health
+        self.invalid_boxes = self._invalid_before + answer.invalid_boxes
         return Detections(
             observation=observation,
             xyxy_px=answer.xyxy_px,
@@ -146,10 +151,22 @@ class ProcessDetector:
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """One process, from its start to its end: seconds that it was ready, and how it ended.
 
+        It starts with the prompts that are wanted: encoding them may take longer than an image.
+        Where they will not do it starts with the last ones that did, and `detect` says so.
+
         Raises:
             as `Link.wait_ready`.
         """
-        link = Link(self._perception, self._looked_for, self.name, self._frames)
+        wanted = self._prompts
+        try:
+            return self._run_with(wanted, first)
+        except PromptError:
+            if wanted == self._looked_for:
+                raise
+            return self._run_with(self._looked_for, first)
+
+    def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
+        link = Link(self._perception, prompts, self.name, self._frames)
         try:
             link.wait_ready(self._config.start_timeout_s, self._closing, self._load)
             ready_s = time.monotonic()

@@ -103,7 +103,10 @@ class Link:
         while True:
             code = self._process.poll()  # before: what it said at its end is still to be heard
             if (said := _receive(socket)) is not None:
-                return messages.decode_header(said[0])
+                try:
+                    return messages.decode_header(said[0])
+                except ValueError as error:
+                    raise self.give_up(f"damaged message ({error}): killed") from None
             if closing.is_set():
                 raise self.give_up("told to end while it was started")
             if time.monotonic() >= deadline_s:
@@ -182,7 +185,11 @@ class Link:
                 if self._ended.is_set() or time.monotonic() >= deadline_s:
                     return False
                 if (said := _receive(self._control)) is not None:
-                    header = messages.decode_header(said[0])
+                    try:
+                        header = messages.decode_header(said[0])
+                    except ValueError as error:  # not what the prompts are to blame for
+                        self.give_up(f"damaged message ({error}): killed")
+                        return False
         messages.raise_error(header, self.name)
         return True
 
