@@ -7,19 +7,20 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.detector import Detector, Health, Progress
+from edge.perception.detector import Detector, Health
 from edge.perception.trial import Unfit, failure, judge, median_ms, not_finite, sample
 from edge.perception.worker import WorkerBase
 from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.swap")
 
-Make = Callable[[Perception, Sequence[str], Progress], Detector]
+Make = Callable[..., Detector]
+"""Called like `make_detector`."""
 
 _APART_NS = 200_000_000  # between two images that a model is tried on
 _LOOK_S = 0.02
@@ -143,7 +144,10 @@ class Attempt:
     def _try(self) -> None:
         with self._faults():
             perception = variant(self._perception, self.model)
-            self.detector = self._make(perception, self._worker.detector.prompts, self._loading)
+            prompts = self._worker.detector.prompts
+            self.detector = self._make(
+                perception, prompts, self._loading, cancelled=self._cancelled
+            )
             self.stage, self.busy = "checking", ""
             while len(self._samples) < self._perception.swap.images:
                 if self._cancelled.wait(_LOOK_S):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol
 
@@ -90,12 +91,18 @@ REGISTRY = {"onnx": _onnx, "sim": _sim}
 
 
 def make_detector(
-    perception: config.Perception, prompts: Sequence[str], progress: Progress = log_progress
+    perception: config.Perception,
+    prompts: Sequence[str],
+    progress: Progress = log_progress,
+    *,
+    cancelled: threading.Event | None = None,
 ) -> Detector:
     """The detector that the configuration names, ready to use.
 
     Args:
         progress: told every few seconds while a TensorRT engine is built, which takes minutes.
+        cancelled: once set, a model's process that is not ready yet is ended, which is a
+            ModelError; without isolation the model is loaded to its end.
 
     Raises:
         PromptError: see `Detector.set_prompts`.
@@ -104,7 +111,7 @@ def make_detector(
     if perception.isolation == "process":
         from edge.perception.process.detector import ProcessDetector
 
-        return ProcessDetector(perception, prompts, progress)
+        return ProcessDetector(perception, prompts, progress, cancelled)
     return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
 
 

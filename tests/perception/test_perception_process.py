@@ -18,6 +18,7 @@ from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGF
 from patience import PATIENCE_S, eventually
 
 from edge import config, resources
+from edge.perception import swap
 from edge.perception.cards import ModelError, card_names
 from edge.perception.detector import Health, log_progress, make_detector
 from edge.perception.process import detector as process_detector
@@ -338,6 +339,23 @@ def test_closed_while_it_is_started_again(make, tmp_path):
     eventually(lambda: detector.health().state == "restarting" and psutil.Process().children())
     detector.close()
     detector.close()
+
+
+def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatch):
+    monkeypatch.setattr(swap, "_CLOSE_S", PATIENCE_S)
+    (tmp_path / "script").write_text("wait")
+    old = SimpleNamespace(name="old", prompts=("chair",))
+    perception = config.Perception(
+        isolation="process",
+        process=config.ModelProcess(start_timeout_s=1e6),
+        detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
+    )
+    worker = SimpleNamespace(detector=old, uses=lambda detector: False)
+    swapper = swap.Swapper(perception, worker, lambda text, now_ns: None)
+    swapper.request("steered", False, 0)
+    eventually(psutil.Process().children)
+    swapper.close()
+    assert psutil.Process().children() == []
 
 
 def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch):

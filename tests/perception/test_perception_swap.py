@@ -83,7 +83,7 @@ class Bench:
             lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 
-    def _make(self, perception, prompts, progress):
+    def _make(self, perception, prompts, progress, cancelled):
         if isinstance(self.new, Exception):
             raise self.new
         if self.building is not None:

@@ -36,14 +36,17 @@ class ProcessDetector:
         perception: config.Perception,
         prompts: Sequence[str],
         progress: Progress = log_progress,
+        cancelled: threading.Event | None = None,
     ) -> None:
         """
         Args:
             progress: see `make_detector`; told at later starts too.
+            cancelled: see `make_detector`.
 
         Raises:
             ModelError, PromptError: what keeps the model from loading.
-            ModelProcessError: its process cannot be started, ends, or is not ready in time.
+            ModelProcessError: its process cannot be started, ends, is not ready in time, or
+                `cancelled` was set.
         """
         self.name = perception.detector.model
         self.invalid_boxes = 0
@@ -57,6 +60,7 @@ class ProcessDetector:
         self._answered: Link | None = None
         self._invalid_before = 0
         self._closing = threading.Event()
+        self._cancelled = cancelled or threading.Event()
         first: Future[None] = Future()
         self._thread = threading.Thread(
             target=self._run, args=(first,), name="model-process", daemon=True
@@ -168,7 +172,9 @@ class ProcessDetector:
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
         link = Link(self._perception, prompts, self.name, self._frames)
         try:
-            link.wait_ready(self._config.start_timeout_s, self._closing, self._load)
+            link.wait_ready(
+                self._config.start_timeout_s, lambda: self._told_to_end(first), self._load
+            )
             ready_s = time.monotonic()
             self._link, self._told = link, Health()
             self._say(Health())
@@ -179,6 +185,9 @@ class ProcessDetector:
             return time.monotonic() - ready_s, link.fault
         finally:
             link.close()
+
+    def _told_to_end(self, first: Future[None]) -> bool:
+        return self._closing.is_set() or (self._cancelled.is_set() and not first.done())
 
     def _load(self, health: Health) -> None:
         """It is still loading."""

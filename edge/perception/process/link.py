@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -77,26 +77,29 @@ class Link:
                 ) from None
             self._stack = stack.pop_all()
 
-    def wait_ready(self, timeout_s: float, closing: threading.Event, progress: Progress) -> None:
+    def wait_ready(
+        self, timeout_s: float, told_to_end: Callable[[], bool], progress: Progress
+    ) -> None:
         """Until the model is loaded and has run once.
 
         Args:
             timeout_s: how long it may say nothing.
+            told_to_end: asked every now and then.
             progress: told what it says of the loading.
 
         Raises:
             ModelError, PromptError: what kept the model from loading, in the same words as where
                 it is loaded in this process.
-            ModelProcessError: it ended, took too long, or `closing` was set.
+            ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(self._control, timeout_s, closing)):
+        while "health" in (header := self._hear(self._control, timeout_s, told_to_end)):
             progress(messages.decode_health(header))
         messages.raise_error(header, self.name)
-        self._hear(self._images, timeout_s, closing)
+        self._hear(self._images, timeout_s, told_to_end)
         self._drop_folder()
 
     def _hear(
-        self, socket: zmq.Socket[bytes], timeout_s: float, closing: threading.Event
+        self, socket: zmq.Socket[bytes], timeout_s: float, told_to_end: Callable[[], bool]
     ) -> dict[str, Any]:
         """What a process says that is not yet ready; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
@@ -107,7 +110,7 @@ class Link:
                     return messages.decode_header(said[0])
                 except ValueError as error:
                     raise self.give_up(f"damaged message ({error}): killed") from None
-            if closing.is_set():
+            if told_to_end():
                 raise self.give_up("told to end while it was started")
             if time.monotonic() >= deadline_s:
                 limit = "perception.process.start_timeout_s"
