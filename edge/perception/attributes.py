@@ -166,12 +166,13 @@ def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Voc
     )
 
 
-def contrasting(phrase: Phrase, vocabulary: Vocabulary) -> list[str]:
-    """Phrases for the same category, each with another colour or another size than the phrase."""
+def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> list[str]:
+    """Phrases for the same category, each with another colour or another size than the phrase;
+    where the thing is not wholly in view, only another colour."""
     others: list[Phrase] = []
     if phrase.color is not None:
         others += [replace(phrase, color=c) for c in vocabulary.colors if c != phrase.color]
-    if phrase.size is not None:
+    if phrase.size is not None and whole:
         alike = (phrase.size, *ALIKE.get(phrase.size, ()))
         others += [replace(phrase, size=s) for s in vocabulary.sizes if s not in alike]
     return [str(other) for other in others]
@@ -223,9 +224,9 @@ class AttributeEncoder:
         """The words that the model takes a prompt for, such as `tall white trash can`."""
         return str(self._read(prompt))
 
-    def contrasts(self, prompt: str) -> list[str]:
+    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`."""
-        return contrasting(self._read(prompt), self.vocabulary)
+        return contrasting(self._read(prompt), self.vocabulary, whole)
 
     def __repr__(self) -> str:
         return str(self.card.path)

@@ -87,7 +87,7 @@ class ClipTextEncoder:
         except ValueError:
             raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
 
-    def contrasts(self, prompt: str) -> list[str]:
+    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""
         return []
 

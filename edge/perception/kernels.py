@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+RIM = 0.01
+"""A box that comes this near to the image's edge (share of its side) reaches it."""
+
 
 @njit(nogil=True, cache=True)
 def to_planes(rgb, scale, top, left, out):
@@ -105,32 +108,36 @@ def suppress(boxes, anchor, label, score, m, iou_max, keep):
 
 
 @njit(nogil=True, cache=True)
-def strongest_rivals(boxes, scores, competes, tau, top, anchor, label, keep, n, iou_max, out):
+def strongest_rivals(
+    boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
+):  # fmt: skip
     """The best score of any rival on the same place as each kept box (IoU over `iou_max`).
 
     Args:
         scores: (a, n) float32 as in `candidates`.
-        competes: (n_targets, n) bool, which columns are rivals of a target.
+        competes: (2, n_targets, n) bool, which columns are rivals of a target that is wholly in
+            view, and of one that the image cuts off.
         tau: scores below it do not count.
         top, anchor, label: from `candidates`.
         keep: (k,) int32, the first `n` are indices of candidates.
+        cut: (k,) bool, from `to_image`.
         out: (k,) float32.
     """
     scored = np.flatnonzero(top)  # most anchors see nothing
     for k in range(n):
-        i, target = anchor[keep[k]], label[keep[k]]
+        i, rivals = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
         for j in scored:
             if top[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
                 continue
             for c in range(scores.shape[1]):
-                if competes[target, c] and scores[j, c] >= tau and scores[j, c] > best:
+                if rivals[c] and scores[j, c] >= tau and scores[j, c] > best:
                     best = scores[j, c]
         out[k] = best
 
 
 @njit(nogil=True, cache=True)
-def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out):
+def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out, cut):
     """Boxes of the network's input as boxes of the image, clipped to it.
 
     Args:
@@ -139,11 +146,13 @@ def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out):
             taken out.
         scale: input pixels per image pixel; `top`, `left` the image's place in the input.
         out: (m, 4) float32.
+        cut: (m,) bool out, whether the box reaches the image's edge: there may be more of it.
 
     Returns:
-        How many are left; `keep` and `out` are compacted alike.
+        How many are left; `keep`, `out` and `cut` are compacted alike.
     """
     k = 0
+    rim_x, rim_y = RIM * width, RIM * height
     for m in range(n):
         b = boxes[anchor[keep[m]]]
         x0 = min(max((b[0] - left) / scale, 0.0), width)
@@ -154,6 +163,7 @@ def to_image(boxes, anchor, keep, n, scale, top, left, width, height, out):
             continue
         keep[k] = keep[m]
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x0, y0, x1, y1
+        cut[k] = x0 < rim_x or y0 < rim_y or x1 > width - rim_x or y1 > height - rim_y
         k += 1
     return k
 

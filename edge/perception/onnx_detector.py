@@ -121,6 +121,7 @@ class OnnxDetector:
         self._top = np.empty(self._anchors, np.float32)
         self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)
+        self._cut = np.empty(detector.max_detections, np.bool_)
         self._xyxy = np.empty((detector.max_detections, 4), np.float32)
         self.set_prompts(prompts)
 
@@ -143,9 +144,9 @@ class OnnxDetector:
         others = dict.fromkeys((*self._background, *contrasts))
         columns = [*prompts, *(other for other in others if other not in prompts)]
         competes = self._competitors(prompts, columns)
-        useful = competes.any(axis=0)
+        useful = competes.any(axis=(0, 1))
         useful[: len(prompts)] = True
-        competes = np.ascontiguousarray(competes[:, useful])
+        competes = np.ascontiguousarray(competes[:, :, useful])
         text = self._text.embed([c for c, kept in zip(columns, useful, strict=True) if kept])
         if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
@@ -176,25 +177,29 @@ class OnnxDetector:
         return known
 
     def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
-        """(prompts, columns) bool: whether a column's word is another thing than the prompt's.
+        """(2, prompts, columns) bool: whether a column's word is another thing than the prompt's,
+        where the thing is wholly in view and where the image cuts it off.
 
-        A kind of the prompt's thing never is, unless it is what the prompt is not (another colour);
-        neither is its broader name between two prompts, nor for a prompt that has contrasts: a
-        white chair is a chair, and what tells it from a red one is the contrast.
+        A kind of the prompt's thing never is, unless it is what the prompt is not (another colour,
+        another size as far as that can be seen); neither is its broader name between two prompts,
+        nor for a prompt that has contrasts: a white chair is a chair, and what tells it from a red
+        one is the contrast.
         """
         words = [(column, self._text.resolve(column)) for column in columns]
-        contrasts = [set(self._text.contrasts(prompt)) for prompt in prompts]
 
         def kind_of(i: int, j: int) -> bool:
             return any(names.is_kind_of(a, b) for a in words[i] for b in words[j])
 
-        competes = np.ones((len(prompts), len(columns)), np.bool_)
-        for row in range(len(prompts)):
+        competes = np.ones((2, len(prompts), len(columns)), np.bool_)
+        for row, prompt in enumerate(prompts):
+            contrasts = set(self._text.contrasts(prompt))
+            seen_in_part = set(self._text.contrasts(prompt, whole=False))
             for column in range(len(columns)):
-                excused = column < len(prompts) or bool(contrasts[row])
-                broader = excused and kind_of(row, column)
-                other = not contrasts[row].isdisjoint(words[column])
-                competes[row, column] = other or not (kind_of(column, row) or broader)
+                broader = (column < len(prompts) or contrasts) and kind_of(row, column)
+                contrast = not contrasts.isdisjoint(words[column])
+                unseen = contrast and seen_in_part.isdisjoint(words[column])
+                competes[0, row, column] = contrast or not (kind_of(column, row) or broader)
+                competes[1, row, column] = competes[0, row, column] and not unseen
         return competes
 
     def detect(self, observation: Observation) -> Detections:
@@ -300,10 +305,10 @@ class OnnxDetector:
         )
         n = kernels.to_image(
             boxes, asked.anchor, self._keep, n, place.scale, place.top, place.left,
-            place.width_px, place.height_px, self._xyxy,
+            place.width_px, place.height_px, self._xyxy, self._cut,
         )  # fmt: skip
         kernels.strongest_rivals(
             boxes, scores, asked.competes, tau, self._top, asked.anchor, asked.label,
-            self._keep, n, c.nms_iou, self._against,
+            self._keep, n, self._cut, c.nms_iou, self._against,
         )  # fmt: skip
         return n

@@ -59,9 +59,13 @@ class TextEncoder(Protocol):
         """The words that stand for a prompt; raises PromptError as `embed` does."""
         ...
 
-    def contrasts(self, prompt: str) -> list[str]:
+    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """Phrases that differ from the prompt in just what it says of its thing (another colour);
-        none where phrases are not understood."""
+        none where phrases are not understood.
+
+        Args:
+            whole: whether the thing is wholly in view; else only what a part of it shows.
+        """
         ...
 
 
@@ -203,7 +207,7 @@ class TextEmbeddings:
         rows = [self._row_of[self.resolve(prompt)] for prompt in prompts]
         return np.ascontiguousarray(self._rows[rows])[None]
 
-    def contrasts(self, prompt: str) -> list[str]:
+    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: words say nothing of colours."""
         return []
 

@@ -22,12 +22,12 @@ def warmup() -> None:
     score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
     found, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
     n = kernels.suppress(boxes, anchor, label, score, found, 0.5, keep)
+    xyxy, cut = np.zeros((2, 4), np.float32), np.zeros(2, np.bool_)
+    n = kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy, cut)
     kernels.strongest_rivals(
-        boxes, scores, np.ones((1, 2), np.bool_), tau, top, anchor, label, keep, n, 0.5,
+        boxes, scores, np.ones((2, 1, 2), np.bool_), tau, top, anchor, label, keep, n, cut, 0.5,
         np.zeros(2, np.float32),
     )  # fmt: skip
-    xyxy = np.zeros((2, 4), np.float32)
-    kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy)
     kernels.object_boxes(
         np.ones((16, 16), np.uint16), np.ones((16, 16), np.float32), np.zeros((1, 4), np.int32),
         np.zeros(1, np.int32), np.zeros(1, np.float32),

@@ -90,11 +90,12 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     k = kernels.suppress(boxes, anchor, label, score, m, 0.5, keep)
     assert list(keep[:k]) == suppress(boxes, t_anchor, t_label, t_score, 0.5, 10)
     against = np.zeros(10, np.float32)
-    competes = random.random((targets, targets + rest)) < 0.5
+    competes = random.random((2, targets, targets + rest)) < 0.5
+    cut = random.random(10) < 0.5
     kernels.strongest_rivals(
-        boxes, scores, competes, TAU, top, anchor, label, keep, k, 0.5, against
+        boxes, scores, competes, TAU, top, anchor, label, keep, k, cut, 0.5, against
     )
-    expected = strongest_rivals(boxes, scores, competes, TAU, anchor, label, keep[:k], 0.5)
+    expected = strongest_rivals(boxes, scores, competes, TAU, anchor, label, keep[:k], cut[:k], 0.5)
     np.testing.assert_array_equal(against[:k], expected)
 
 
@@ -115,13 +116,15 @@ def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
 
 def test_boxes_come_back_to_the_image_and_are_clipped():
     boxes = np.array([[-10, 8, 160, 128], [0, 0, 320, 4], [40, 18, 50, 28]], np.float32)
+    cut = np.zeros(3, np.bool_)
     keep = np.array([2, 0, 1], np.int32)
     anchor = np.array([1, 2, 0], np.int32)
     out = np.zeros((3, 4), np.float32)
-    n = kernels.to_image(boxes, anchor, keep, 3, 0.5, 8, 0, 640, 480, out)
+    n = kernels.to_image(boxes, anchor, keep, 3, 0.5, 8, 0, 640, 480, out, cut)
     assert n == 2  # the second lies on the letterbox's rim only
     assert list(keep[:2]) == [2, 1]
     np.testing.assert_allclose(out[:2], [[0, 0, 320, 240], [80, 20, 100, 40]])
+    assert list(cut[:2]) == [True, False]
 
 
 @given(seed=seeds, n=st.integers(0, 5))

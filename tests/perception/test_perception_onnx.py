@@ -261,23 +261,28 @@ def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
 
 
 def test_what_a_prompt_is_not_competes_though_it_is_a_thing_of_that_name(tiny, monkeypatch):
-    """The vocabulary takes a red chair for a chair, so both score alike at the same place."""
-    contrasts = {"chair": ["red chair"]}
-    monkeypatch.setattr(TextEmbeddings, "contrasts", lambda _, prompt: contrasts.get(prompt, []))
+    """The vocabulary takes a red chair for a chair, so both score alike at the same place; a tall
+    one too, but of a chair that the image cuts off the size cannot be told."""
+    contrasts = {"chair": ["red chair", "tall chair"]}
+
+    def seen(_, prompt, whole=True):
+        return contrasts.get(prompt, [])[: 2 if whole else 1]
+
+    monkeypatch.setattr(TextEmbeddings, "contrasts", seen)
     detector = tiny(prompts=("chair", "sofa"))
-    assert detector._competitors(("chair", "sofa"), ("chair", "sofa", "red chair")).tolist() == [
-        [False, True, True],
-        [True, False, True],
-    ]
+    columns = ("chair", "sofa", "red chair", "tall chair")
+    whole, cut = detector._competitors(("chair", "sofa"), columns).tolist()
+    assert whole == [[False, True, True, True], [True, False, True, True]]
+    assert cut == [[False, True, True, False], [True, False, True, True]]
     contrasts.clear()
-    assert detector._competitors(("chair",), ("chair", "red chair")).tolist() == [[False, False]]
+    assert not detector._competitors(("chair",), ("chair", "red chair")).any()
 
 
 def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("chair",))
     seen = make_observation(rgb=image())
     assert detector.detect(seen).rival.tolist() == [0.0]
-    monkeypatch.setattr(TextEmbeddings, "contrasts", lambda *_: ["red chair"])
+    monkeypatch.setattr(TextEmbeddings, "contrasts", lambda *_, **__: ["red chair"])
     detector.set_prompts(("chair",))
     found = detector.detect(seen)
     assert found.prompts == ("chair",)

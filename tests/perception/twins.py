@@ -38,15 +38,15 @@ def suppress(boxes, anchor, label, score, iou_max, limit):
     return kept
 
 
-def strongest_rivals(boxes, scores, competes, tau, anchor, label, keep, iou_max):
+def strongest_rivals(boxes, scores, competes, tau, anchor, label, keep, cut, iou_max):
     """The best score of a competing column on the place of each kept box."""
     finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
     clean = np.where(finite[:, None] & (scores >= tau), scores, 0).astype(np.float32)
     best = []
-    for k in keep:
+    for k, part in zip(keep, cut, strict=True):
         i = anchor[k]
         place = [j == i or iou(boxes[i], b) > iou_max for j, b in enumerate(boxes)]
-        best.append(clean[place][:, competes[label[k]]].max(initial=0.0))
+        best.append(clean[place][:, competes[int(part), label[k]]].max(initial=0.0))
     return np.array(best, np.float32)
 
 
