@@ -103,10 +103,12 @@ class Advisers:
         choice: ChoiceScorer | None,
         from_detections: str | None = None,
         inline: bool = False,
+        rest_s: float = 0.0,
     ) -> None:
         """
         Args:
             from_detections: card of a similarity scorer that takes the running detector's scores.
+            rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
         """
         run = InlineScorer if inline else ScorerWorker
@@ -116,7 +118,7 @@ class Advisers:
         self._round = 0
         asker = None if similarity is None else _SimilarityAsker(similarity)
         self._similarity = None if asker is None else run("similarity", asker)
-        self._choice = None if choice is None else run("choice", choice)
+        self._choice = None if choice is None else run("choice", choice, rest_s)
 
     def ask(
         self,
@@ -232,12 +234,15 @@ def make_advisers(config: Config, targets: Sequence[str]) -> Advisers | None:
     asked = None if isinstance(choice, ChoiceNone) else make_choice(choice)
     if card is None and asked is None:
         return None
-    inline = config.loop.lockstep
+    how = {
+        "inline": config.loop.lockstep,
+        "rest_s": 0.0 if isinstance(choice, ChoiceNone) else choice.rest_s,
+    }
     if card is None:
-        return Advisers(None, asked, inline=inline)
+        return Advisers(None, asked, **how)
     if is_running_detector(card, perception):
-        return Advisers(None, asked, from_detections=card.name, inline=inline)
-    return Advisers(make_similarity(card, perception, targets), asked, inline=inline)
+        return Advisers(None, asked, from_detections=card.name, **how)
+    return Advisers(make_similarity(card, perception, targets), asked, **how)
 
 
 def _counts(worker: ScorerWorker | InlineScorer | None, otherwise: str) -> dict[str, object]:

@@ -209,13 +209,17 @@ class ChoiceNone(Section):
 
 
 class ChoiceOpenai(Section):
-    """ViTL eq. 4 and 5 by a server that speaks OpenAI's protocol, with images and logprobs."""
+    """ViTL eq. 4 and 5 by a server that speaks OpenAI's protocol, with images and logprobs.
+
+    `rest_s` is how long after an answer the next question is asked; a paid server's price.
+    """
 
     kind: Literal["openai"] = "openai"
     url: str
     model: str
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
 
 
@@ -227,6 +231,7 @@ class ChoiceText(Section):
     model: str
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
 
 
 class Perception(Section):

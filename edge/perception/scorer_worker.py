@@ -77,13 +77,16 @@ class ScorerWorker(Generic[Q, A]):
 
     Args:
         kind: what the scorer is for, in messages.
+        rest_s: how long it stays busy after an answer, too.
         pause_s: how long after the first failure.
     """
 
-    def __init__(self, kind: str, scorer: Scorer[Q, A], pause_s: float = PAUSE_S) -> None:
+    def __init__(
+        self, kind: str, scorer: Scorer[Q, A], rest_s: float = 0.0, pause_s: float = PAUSE_S
+    ) -> None:
         self.name = scorer.name
         self.stats = ScorerStats()
-        self._kind, self._scorer, self._pause_s = kind, scorer, pause_s
+        self._kind, self._scorer, self._rest_s, self._pause_s = kind, scorer, rest_s, pause_s
         self._wake = threading.Condition()
         self._question: Q | None = None
         self._result: A | None = None
@@ -142,10 +145,11 @@ class ScorerWorker(Generic[Q, A]):
                 if self._closed:
                     return
                 took_ns = perf_counter_ns() - begin_ns
-                if _count(self.stats, outcome, took_ns, self._kind):
+                went_well = _count(self.stats, outcome, took_ns, self._kind)
+                if went_well:
                     self._result = outcome
-                else:
-                    self._wake.wait_for(lambda: self._closed, self._pause())
+                rest_s = self._rest_s if went_well else self._pause()
+                self._wake.wait_for(lambda: self._closed, rest_s)
                 self._idle = True
 
     def _next(self) -> Q | None:
@@ -164,10 +168,11 @@ class ScorerWorker(Generic[Q, A]):
 class InlineScorer(Generic[Q, A]):
     """Has the methods of `ScorerWorker`, but `submit` answers at once, so that a run replays.
 
-    After a failure it takes no question for a while, which it counts in questions.
+    After a failure it takes no question for a while, which it counts in questions. Time does not
+    pass for it, so that it needs no rest.
     """
 
-    def __init__(self, kind: str, scorer: Scorer[Q, A]) -> None:
+    def __init__(self, kind: str, scorer: Scorer[Q, A], rest_s: float = 0.0) -> None:
         self.name = scorer.name
         self.stats = ScorerStats()
         self._kind, self._scorer = kind, scorer

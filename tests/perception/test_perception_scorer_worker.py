@@ -160,6 +160,16 @@ def test_a_pause_is_bounded_and_ends_with_the_worker(questions):
     assert not worker._thread.is_alive()
 
 
+def test_it_rests_after_an_answer_which_is_there_at_once(questions):
+    worker = ScorerWorker("choice", open_gate(Fake()), rest_s=3600)
+    assert worker.submit(questions[0])
+    assert eventually(worker.poll) == 1
+    assert not worker.idle
+    assert not worker.submit(questions[1])
+    worker.close()
+    assert holds(questions) == [0, 0, 0, 0]
+
+
 def test_closing_gives_up_what_is_being_answered(questions, caplog):
     worker = ScorerWorker("choice", fake := Fake())
     worker.submit(questions[0])
