@@ -15,7 +15,7 @@ from edge import topics
 from edge.desk import PATIENCE_S, Desk, Request, check_text, read_order
 from edge.errors import UserError
 from edge.perception.cards import load_detector_card
-from edge.perception.swap import Swapper
+from edge.perception.swap.swapper import Swapper
 
 MAX_NAME_CHARS = 200
 

@@ -30,7 +30,7 @@ from edge.orders import Orders
 from edge.perception.inline import InlineWorker
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
-from edge.perception.swap import Swapper
+from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.policies.select import GoalSelector

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import UserError
-from edge.perception.swap import OVER
+from edge.perception.swap.swapper import OVER
 
 if TYPE_CHECKING:
     from edge.runner import Running

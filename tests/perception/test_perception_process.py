@@ -18,12 +18,12 @@ from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGF
 from patience import PATIENCE_S, eventually
 
 from edge import config, resources
-from edge.perception import swap
 from edge.perception.cards import ModelError, card_names
 from edge.perception.detector import Health, log_progress, make_detector
 from edge.perception.process import detector as process_detector
 from edge.perception.process import frames, link
 from edge.perception.process.messages import ModelProcessError
+from edge.perception.swap import swapper as swaps
 from edge.perception.text import PromptError
 from edge.perception.worker import DetectorWorker
 
@@ -328,7 +328,7 @@ def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):
 
 
 def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatch):
-    monkeypatch.setattr(swap, "_CLOSE_S", PATIENCE_S)
+    monkeypatch.setattr(swaps, "_CLOSE_S", PATIENCE_S)
     (tmp_path / "script").write_text("wait")
     old = SimpleNamespace(name="old", prompts=("chair",))
     perception = config.Perception(
@@ -337,7 +337,7 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
         detector=config.DetectorOnnx(model="old", vocabulary=str(tmp_path / "script")),
     )
     worker = SimpleNamespace(detector=old, uses=lambda detector: False)
-    swapper = swap.Swapper(perception, worker, lambda text, now_ns: None)
+    swapper = swaps.Swapper(perception, worker, lambda text, now_ns: None)
     swapper.request("steered", False, 0)
     eventually(psutil.Process().children)
     swapper.close()

@@ -15,13 +15,13 @@ from hypothesis.extra.numpy import arrays
 from patience import PATIENCE_S, eventually
 
 from edge.config import parse
-from edge.perception import attempt
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
-from edge.perception.swap import SwapError, Swapper
+from edge.perception.swap import attempt
+from edge.perception.swap.swapper import SwapError, Swapper
+from edge.perception.swap.trial import Sample, boxes_found_again, iou, sample
 from edge.perception.text import PromptError
-from edge.perception.trial import Sample, boxes_found_again, iou, sample
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
 
@@ -427,7 +427,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
 
 
 def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
-    monkeypatch.setattr("edge.perception.swap._CLOSE_S", 0.01)
+    monkeypatch.setattr("edge.perception.swap.swapper._CLOSE_S", 0.01)
     b = bench(Slow())
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)

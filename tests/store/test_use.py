@@ -12,7 +12,7 @@ from edge.cli import main
 from edge.config import parse
 from edge.models_desk import ModelOrder, handle, parse_order
 from edge.perception.sim_detector import SimDetector
-from edge.perception.swap import Swapper
+from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import WorkerBase
 from edge.store.use import follow
 

@@ -13,7 +13,7 @@ from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
-from edge.perception.trial import Unfit, failure, judge, median_ms, not_finite, sample
+from edge.perception.swap.trial import Unfit, failure, judge, median_ms, not_finite, sample
 from edge.perception.worker import WorkerBase
 from edge.types import Detections, Observation
 

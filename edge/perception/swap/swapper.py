@@ -2,8 +2,8 @@
 
 The running model goes on until the new one was tried on its images, and it is kept, open, until
 the new one has run clean on `perception.swap.probation` images. Loading and trying happen on a
-thread (`edge.perception.attempt`); the loop only looks, once a tick, whether it is time for the
-next step. A swap that fails at any point leaves the model that ran before, and one line.
+thread (`attempt.py`); the loop only looks, once a tick, whether it is time for the next step. A
+swap that fails at any point leaves the model that ran before, and one line.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 from edge.config import Perception
 from edge.errors import UserError
-from edge.perception.attempt import Attempt, Make
 from edge.perception.detector import Detector, make_detector
+from edge.perception.swap.attempt import Attempt, Make
 from edge.perception.worker import WorkerBase
 
 log = logging.getLogger("edge.swap")
