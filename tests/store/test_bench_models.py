@@ -321,7 +321,7 @@ def test_without_cards_it_says_which_families_there_are(place, capsys):
     place("tiny-fp32", None)
     assert bench("other", "--config", "demo") == 2
     assert "'other' (choices: tiny)" in capsys.readouterr().err
-    assert bench("--config", "demo") == 2  # its detector is no model
+    assert bench("--config", "rover-lidar") == 2  # its detector is no model
     assert "name a family (choices: tiny)" in capsys.readouterr().err
     assert bench("tiny", "--providers", "cpu,tpu") == 2
     assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
