@@ -10,8 +10,8 @@ from edge import names
 from edge.errors import UserError
 from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
+from edge.files import write_atomically
 from edge.mission.ltl import parse, propositions, to_text
-from edge.report.files import write_atomically
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from edge.eval.intervals import Interval
 from edge.eval.task_report import Row
+from edge.files import write_atomically
 from edge.report import palette
-from edge.report.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

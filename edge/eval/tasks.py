@@ -87,7 +87,7 @@ def _report(
     """Print the figures, write them and the plots."""
     from edge.eval import task_report
     from edge.eval.task_plots import write_plots
-    from edge.report.files import write_atomically
+    from edge.files import write_atomically
 
     rows = task_report.rows_of(results)
     print(task_report.legend(results.planners), end="\n\n")
@@ -110,7 +110,7 @@ def _writable(directory: Path) -> Path:
     Raises:
         UserError: they cannot.
     """
-    from edge.report.files import write_atomically
+    from edge.files import write_atomically
 
     try:
         directory.mkdir(parents=True, exist_ok=True)

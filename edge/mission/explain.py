@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, automaton, steps: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
+    from edge.files import write_atomically
     from edge.mission import drawing
-    from edge.report.files import write_atomically
 
     content = {
         ".svg": lambda: drawing.draw_svg(automaton, 0, steps).encode(),

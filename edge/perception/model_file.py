@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 from pathlib import Path
 
 from edge import resources
 from edge.errors import UserError
+from edge.files import write_atomically
 
 
 class ModelError(UserError):
@@ -42,17 +42,7 @@ def remembered_sha256(path: Path) -> str:
     digest = sha256_of(path)
     prefix = f"{path.resolve()}|"
     known = {k: v for k, v in dict(known).items() if not k.startswith(prefix)} | {key: digest}
-    _write_quietly(memory, json.dumps(known, indent=1))
+    with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
+        memory.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(memory, json.dumps(known, indent=1).encode())
     return digest
-
-
-def _write_quietly(path: Path, text: str) -> None:
-    """Atomic; a read-only cache only costs hashing again."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink()

@@ -14,9 +14,9 @@ import yaml
 
 import edge
 from edge.errors import UserError
+from edge.files import write_atomically
 from edge.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, story
-from edge.report.files import write_atomically
 from edge.report.style import CSS
 from edge.sinks.record import Frame, RunRecord
 

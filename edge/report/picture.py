@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from edge.files import write_atomically
 from edge.report import key, marks, palette, raster, way
-from edge.report.files import write_atomically
 from edge.sinks.record import RunRecord
 
 if TYPE_CHECKING:

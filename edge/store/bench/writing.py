@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import yaml
 
 from edge import machine, resources
 from edge.errors import UserError
+from edge.files import write_atomically
 from edge.perception.cards import card_path
 from edge.store.bench.variants import RUNTIMES
 
@@ -89,12 +89,8 @@ def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    half = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        half.write_text(text, encoding="utf-8")
-        half.replace(path)
+        write_atomically(path, text.encode())
     except OSError as error:
-        half.unlink(missing_ok=True)
         raise UserError(f"{path}: cannot be written: {error.strerror}") from None
