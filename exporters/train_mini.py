@@ -15,7 +15,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-HOUSES, PER_HOUSE = 2000, 11
+HOUSES, PER_HOUSE = 3000, 11
 
 
 def main(argv: list[str] | None = None) -> int:

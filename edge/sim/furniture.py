@@ -47,6 +47,19 @@ def _doors(y_handles: tuple[float, float]) -> tuple[tuple, ...]:
     )
 
 
+def _wardrobe() -> tuple[tuple, ...]:
+    """Two long doors with bar handles over one wide drawer, under a cornice."""
+    return (
+        (B, (-0.02, 0, 0.5), (0.92, 0.96, 0.94), "main", s.GRAIN),
+        (B, (0, 0, 0.975), (1.0, 1.0, 0.05), "dark", s.GRAIN),
+        *((B, (0.455, y, 0.6), (0.03, 0.45, 0.68), "light", s.GRAIN) for y in (-0.235, 0.235)),
+        *((B, (0.48, y, 0.6), (0.04, 0.02, 0.3), "steel") for y in (-0.05, 0.05)),
+        (B, (0.455, 0, 0.15), (0.03, 0.92, 0.16), "dark", s.GRAIN),
+        *((B, (0.48, y, 0.15), (0.04, 0.1, 0.015), "steel") for y in (-0.24, 0.24)),
+        (B, (-0.03, 0, 0.02), (0.86, 0.92, 0.04), "black"),
+    )
+
+
 FURNITURE: dict[str, Category] = {
     "chair": Category(
         (0.46, 0.44, 0.92),
@@ -134,7 +147,7 @@ FURNITURE: dict[str, Category] = {
         ),
     ),
     "cabinet": Category((0.45, 0.95, 1.1), (*WOODS, *WHITES), _doors((0.05, -0.05))),
-    "wardrobe": Category((0.6, 1.4, 2.0), (*WOODS, *WHITES), _doors((0.04, -0.04))),
+    "wardrobe": Category((0.6, 1.4, 2.0), (*WOODS, *WHITES), _wardrobe()),
     "dresser": Category((0.48, 1.1, 0.85), (*WOODS, *WHITES), _drawers(4)),
     "nightstand": Category((0.4, 0.45, 0.5), (*WOODS, *WHITES), _drawers(2)),
     "stool": Category(

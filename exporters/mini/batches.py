@@ -137,7 +137,8 @@ def make_batch(
         boxes[i, :m], taught[i, :m], answers[i, :m] = moved, good, said
         same = objects["category"][:, None] == phrases[i][None, :, 0]
         hard[i, :m] = same & (said == looks.NO) & good[:, None]
-    truth = Truth(*(torch.from_numpy(x) for x in (boxes, taught, answers, hard)))
+    most = max(1, int(boxes.any(2).sum(1).max()))
+    truth = Truth(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
     planes = torch.from_numpy(images).permute(0, 3, 1, 2)
     return Batch(planes, torch.from_numpy(phrases), truth)
 

@@ -23,7 +23,7 @@ import onnxruntime
 from exporters.files import ExportError
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
-from exporters.mini.views import Frames, make_frames
+from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames, make_frames
 
 SEEDS = range(HELD_OUT, HELD_OUT + 100)
 PER_HOUSE = 6
@@ -40,7 +40,8 @@ class Report:
     Attributes:
         ap50: by category.
         things: how many count, by category.
-        pairs: (right, asked) by "color", "size".
+        pairs: (right, asked) by kind of question: "color", "size" (of two things that are wholly
+            in view) and "cut_off_size" (at least one is not, so that its size is a guess).
         phrases: scores (right one, wrong one) of each question.
         latency_ms: median and 95th percentile on 2 threads, 8 phrases.
     """
@@ -56,8 +57,9 @@ class Report:
         return float(np.mean(list(self.ap50.values())))
 
     def pair_share(self, kind: str | None = None) -> float:
-        """Share of attribute questions that the right one of two won."""
-        kinds = [kind] if kind else list(self.pairs)
+        """Share of attribute questions that the right one of two won; of those about colour and
+        about the size of whole things, unless `kind` says otherwise."""
+        kinds = [kind] if kind else ["color", "size"]
         right, asked = np.sum([self.pairs[k] for k in kinds], axis=0)
         return float(right / max(1, asked))
 
@@ -70,6 +72,7 @@ class Report:
             "pairs_told_apart": round(self.pair_share(), 3),
             "color_pairs": round(self.pair_share("color"), 3),
             "size_pairs": round(self.pair_share("size"), 3),
+            "cut_off_size_pairs": round(self.pair_share("cut_off_size"), 3),
             "questions": sum(asked for _, asked in self.pairs.values()),
             "right_above_0.25": round(float(right), 3),
             "wrong_below_0.25": round(1.0 - float(wrong), 3),
@@ -111,7 +114,7 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
     categories[:, 0] = np.arange(1, 1 + len(categories))
     found: dict[int, list[tuple[float, int]]] = defaultdict(list)
     things: dict[int, int] = defaultdict(int)
-    pairs = {"color": [0, 0], "size": [0, 0]}
+    pairs = {"color": [0, 0], "size": [0, 0], "cut_off_size": [0, 0]}
     phrases: list[tuple[float, float]] = []
     for index in range(len(frames)):
         objects = frames.of(index)
@@ -159,15 +162,22 @@ def _counts(objects: np.ndarray) -> np.ndarray:
     return (side >= MIN_SIDE_PX) & (objects["visible"] >= MIN_VISIBLE)
 
 
+def _whole(objects: np.ndarray) -> np.ndarray:
+    """(o,) bool: ends before the picture's edges, so that its size can be told."""
+    box = objects["box"]
+    return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
+
+
 def _questions(objects: np.ndarray) -> list[_Question]:
     questions = []
-    usable = np.flatnonzero(_counts(objects))
+    usable, whole = np.flatnonzero(_counts(objects)), _whole(objects)
     for i in usable:
         for j in usable:
             if i == j or objects["category"][i] != objects["category"][j]:
                 continue
-            for kind, place in (("color", 1), ("size", 2)):
-                yes, no = objects[kind][i], objects[kind][j]
+            size = "size" if whole[i] and whole[j] else "cut_off_size"
+            for kind, field, place in (("color", "color", 1), (size, "size", 2)):
+                yes, no = objects[field][i], objects[field][j]
                 for word in np.flatnonzero((yes[1:] == looks.YES) & (no[1:] == looks.NO)) + 1:
                     phrase = np.zeros(3, np.int64)
                     phrase[0], phrase[place] = objects["category"][i], word

@@ -37,9 +37,14 @@ ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
 USUAL_ON = {"tv stand": "television", "desk": "laptop"}
 EXTRA = (
     *assemblies.CATEGORIES,
-    "desk", "coffee table", "dresser", "door", "door", "tv stand", "stool", "suitcase", "vase",
+    *("sofa", "bed", "bathtub", "wardrobe", "tv stand", "backpack", "pillar", "microwave") * 4,
+    *("table", "suitcase", "box", "television", "refrigerator", "dresser", "vase", "coffee table",
+      "washing machine", "toilet", "oven", "ball") * 2,
 )  # fmt: skip
-"""Where random things are drawn from: hard ones come more often."""
+"""Where random things are drawn from: more often those that rooms seldom have or have room for."""
+SQUARE = 0.6
+"""From this ratio of depth and width on, "wide" and "narrow" change both: nobody can tell which is
+which of a thing that may stand at any angle."""
 
 FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
                 (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
@@ -91,8 +96,11 @@ class _Builder:
             style = self.pick(looks.styles_of(category))
             w0, w1, h0, h1 = looks.STYLES[style]
             wide, high = rng.uniform(w0, w1), rng.uniform(h0, h1)
-            both = (wide > 1.0 and high > 1.0) or (wide < 1.0 and high < 1.0)
-            factors = np.array([wide if both else 1.0, wide, high if not both else wide])
+            ratio = min(size[0] / size[1], size[1] / size[0])
+            alike = style in ("large", "small")
+            factors = np.array(
+                [wide if alike or ratio >= SQUARE else 1.0, wide, wide if alike else high]
+            )
             if size[2] * factors[2] + z_m > self.height_m - 0.05:
                 style = None
             else:
@@ -119,9 +127,9 @@ class _Builder:
     def take(self, x: float, y: float, reach: float) -> None:
         self._taken.append((x, y, reach))
 
-    def by_wall(self, category: str, room: _Rect, look=None) -> bool:
-        """Against a random wall, facing into the room."""
-        look = look or self.look(category)
+    def by_wall(self, category: str, room: _Rect, load: str | None = None) -> bool:
+        """Against a random wall, facing into the room; see `_place` for `load`."""
+        look = self.look(category)
         depth, width = look[0][0], look[0][1]
         for _ in range(12):
             side = int(self.rng.integers(4))
@@ -136,12 +144,12 @@ class _Builder:
                 (room.x1 - off, room.y0 + along, 180.0),
                 (room.x0 + along, room.y1 - off, -90.0),
             )[side]
-            if self._place(category, x, y, yaw + self.rng.uniform(-4, 4), look):
+            if self._place(category, x, y, yaw + self.rng.uniform(-4, 4), look, load):
                 return True
         return False
 
-    def in_middle(self, category: str, room: _Rect, look=None) -> bool:
-        look = look or self.look(category)
+    def in_middle(self, category: str, room: _Rect) -> bool:
+        look = self.look(category)
         reach = 0.5 * max(look[0][0], look[0][1])
         if min(room.x1 - room.x0, room.y1 - room.y0) < 2 * reach + 0.6:
             return False
@@ -152,7 +160,10 @@ class _Builder:
                 return True
         return False
 
-    def _place(self, category: str, x: float, y: float, yaw_deg: float, look) -> bool:
+    def _place(
+        self, category: str, x: float, y: float, yaw_deg: float, look, load: str | None = None
+    ) -> bool:
+        """Whether there was room; `load` is what stands on top, something or nothing if None."""
         size = look[0]
         if category == "rug":  # things stand on rugs, but rugs not on each other
             reach = 0.5 * max(size[:2])
@@ -175,13 +186,16 @@ class _Builder:
         for spot in spots:
             self.take(*spot)
         self.add(category, (x, y), yaw_deg, look)
-        if category in SUPPORTS and self.chance(0.65) and size[2] < 1.5:
-            self.on_top(category, x, y, yaw_deg, size)
+        if category in SUPPORTS and size[2] < 1.5 and (load or self.chance(0.65)):
+            self.on_top(load or self.usual_load(category), x, y, yaw_deg, size)
         return True
 
-    def on_top(self, support: str, x: float, y: float, yaw_deg: float, size) -> None:
+    def usual_load(self, support: str) -> str:
         usual = USUAL_ON.get(support)
-        category = usual if usual and self.chance(0.6) else self.pick(ON_TOP)
+        return usual if usual and self.chance(0.6) else self.pick(ON_TOP)
+
+    def on_top(self, category: str, x: float, y: float, yaw_deg: float, size) -> None:
+        """Put a thing on one of this size, if it fits."""
         look = self.look(category, size[2])
         need = look[0]
         if need[0] > size[0] * 1.3 or need[1] > size[1] * 1.1 or need[2] > 1.2:
@@ -209,16 +223,16 @@ class _Builder:
         )[side]
         self.add("picture", (x, y), yaw, look, z_m=float(self.rng.uniform(1.0, 1.55)))
 
-    def put(self, category: str, room: _Rect, look=None) -> None:
+    def put(self, category: str, room: _Rect) -> None:
         """Wherever a thing of this kind belongs."""
         if category == "picture":
             self.hang(room)
         elif category in ("rug", "pillar") or (category in FREE and self.chance(0.6)):
-            self.in_middle(category, room, look)
+            self.in_middle(category, room)
         elif category in ("laptop", "microwave", "television", "vase") and self.chance(0.85):
-            self.by_wall(self.pick(SUPPORTS), room)
+            self.by_wall(self.pick(SUPPORTS), room, load=category)
         else:
-            self.by_wall(category, room, look)
+            self.by_wall(category, room)
 
     def leaf(self, x: float, y: float, along_deg: float, width_m: float) -> None:
         """A door in its frame: shut, or open about one edge."""
@@ -268,10 +282,9 @@ def _fill(b: _Builder, rect: _Rect, kind: str) -> None:
     wanted = list(ROOMS[kind])
     b.rng.shuffle(wanted)
     area = (rect.x1 - rect.x0) * (rect.y1 - rect.y0)
-    wanted = wanted[: max(4, int(area / 1.8))]
-    wanted += [b.pick(EXTRA) for _ in range(int(b.rng.integers(2, 7)))]
-    if b.chance(0.25):
-        wanted.append("picture")
+    wanted = wanted[: max(3, int(area / 2.6))]
+    wanted += [b.pick(EXTRA) for _ in range(int(b.rng.integers(3, 9)))]
+    wanted.sort(key=lambda category: -assemblies.CATEGORIES[category].size_m[1])
     for category in wanted:
         b.put(category, rect)
         if b.chance(0.4) and category != "picture":

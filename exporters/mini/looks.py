@@ -49,8 +49,20 @@ NO, YES, UNSURE = 0, 1, -1
 NEARLY_AS_NEAR = (1.35, 3.0)
 """A second colour at most 1.35 d + 3 away [CIE76] is as good a name as the nearest at d."""
 
-_FLAT = ("rug", "ball")
-"""Things that nobody calls tall or short."""
+_NOT_SAID: dict[str, tuple[str, ...]] = {
+    "rug": ("tall", "short", "wide", "narrow"),
+    "ball": ("tall", "short", "wide", "narrow"),
+    "door": ("wide", "narrow"),
+    "armchair": ("wide", "large"),
+    "sofa": ("narrow", "small"),
+    "wardrobe": ("short", "small", "narrow"),
+    "cabinet": ("tall", "large"),
+    "dresser": ("narrow", "small"),
+    "nightstand": ("tall", "wide", "large"),
+    "table": ("short", "small"),
+    "coffee table": ("tall", "large"),
+}
+"""Sizes that nobody asks for, or that make another kind of a thing: a wide armchair is a sofa."""
 
 
 def _lab(rgb: np.ndarray) -> np.ndarray:
@@ -68,7 +80,7 @@ def has_color(category: str) -> bool:
 
 def styles_of(category: str) -> tuple[str, ...]:
     """Size words that apply to a category."""
-    return tuple(s for s in SIZES if not (category in _FLAT and s in ("tall", "short")))
+    return tuple(s for s in SIZES if s not in _NOT_SAID.get(category, ()))
 
 
 def color_answers(rgb: np.ndarray) -> np.ndarray:

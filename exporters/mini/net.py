@@ -23,7 +23,7 @@ BINS = 8
 class Widths:
     """Channels of the trunk's stages, of the neck's levels and of the heads."""
 
-    trunk: tuple[int, int, int, int, int] = (16, 32, 64, 128, 192)
+    trunk: tuple[int, int, int, int, int] = (16, 32, 64, 128, 256)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 1)
     neck: tuple[int, int, int] = (64, 96, 128)
     box_head: int = 48

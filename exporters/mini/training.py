@@ -33,18 +33,14 @@ class Plan:
     Attributes:
         stages: (steps, (height, width), plain phrases) one after another; see
             `batches.sample_phrases`.
-        cycles: (steps, share of `rate` to start from); the rate falls as half a cosine in each
-            (SGDR, arXiv:1608.03983).
+        rate: what the learning rate rises to in the `warm_up`, to fall as half a cosine from there.
     """
 
     stages: tuple[tuple[int, tuple[int, int], int], ...] = (
-        (3000, (160, 192), 0),
-        (700, (192, 256), 0),
-        (600, (224, 288), 0),
-        (800, FULL_HW, 0),
-        (1500, FULL_HW, 16),
+        (2500, (160, 192), 0),
+        (1000, (208, 256), 0),
+        (8000, FULL_HW, 12),
     )
-    cycles: tuple[tuple[int, float], ...] = ((5100, 1.0), (1500, 0.5))
     batch: int = 32
     seed: int = 0
     rate: float = 2e-3
@@ -185,21 +181,12 @@ def _optimizer(model: nn.Module, plan: Plan) -> torch.optim.Optimizer:
 
 
 def _rate(step: int, plan: Plan) -> float:
-    """Linear up at first, then half a cosine down to one percent in each cycle."""
+    """Linear up at first, then half a cosine down to one percent (arXiv:1608.03983, eq. 5)."""
     if step < plan.warm_up:
         return (step + 1) / plan.warm_up
-    first = plan.warm_up
-    for end, peak in _ends(plan.cycles):
-        if step < end:
-            share = (step - first) / max(1, end - first)
-            return 0.01 + (peak - 0.01) * 0.5 * (1.0 + math.cos(math.pi * share))
-        first = end
-    return 0.01
-
-
-def _ends(cycles: tuple[tuple[int, float], ...]) -> list[tuple[int, float]]:
-    """Cycles by the step they end at."""
-    return [(sum(n for n, _ in cycles[: k + 1]), peak) for k, (_, peak) in enumerate(cycles)]
+    steps = sum(count for count, *_ in plan.stages)
+    share = (step - plan.warm_up) / max(1, steps - plan.warm_up)
+    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
 
 
 @torch.no_grad()

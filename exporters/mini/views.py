@@ -19,9 +19,9 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2, CameraModel, camera_mount
 from edge.perception import kernels as perception
-from edge.sim import kernels
+from edge.sim import assemblies, kernels
 from edge.sim.boxworld import BoxWorld
-from edge.sim.house import build_house
+from edge.sim.house import House, build_house
 from exporters.mini import looks
 from exporters.mini.houses import Look, random_house
 
@@ -29,6 +29,8 @@ HEIGHT_PX, WIDTH_PX = 256, 320
 MIN_PIXELS = 40
 """Things with fewer visible pixels are not listed."""
 CLEARANCE_M = 0.28
+COLORED = 0.15
+"""Whoever sees less of a thing in its colour cannot name it: a plant whose pot is hidden."""
 _PREVIEW = 4
 _CANDIDATES = 3
 
@@ -110,12 +112,21 @@ def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]
     rng = np.random.default_rng([8, seed])
     depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)
-    found = []
+    tinted, found = _tinted(house, world), []
     for k in range(count):
         camera = _choose_view(world, things, rng)
         world.render(camera.model, camera.T_map_camera, out_rgb[k], depth, ids)
-        found.append(_contents(world, things, camera, ids, depth))
+        found.append(_contents(world, things, tinted, camera, ids, depth))
     return found
+
+
+def _tinted(house: House, world: BoxWorld) -> np.ndarray:
+    """(primitives,) bool: has the colour that its thing is called by, or one made from it."""
+    tinted = np.zeros(len(world.owner), bool)
+    for k, thing in enumerate(house.objects, 1):
+        rows = assemblies.CATEGORIES[thing.category].rows
+        tinted[world.owner == k] = [row[3] in ("main", "dark", "light") for row in rows]
+    return tinted
 
 
 def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
@@ -128,8 +139,8 @@ def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
         # The plan has a free margin around the house.
         if 0.3 < x < 2 * world.start.x_m - 0.3 and 0.3 < y < 2 * world.start.y_m - 0.3:
             break
-    z = 0.6 if rng.random() < 0.5 else float(rng.uniform(0.25, 1.3))
-    hfov = 75.0 if rng.random() < 0.5 else float(rng.uniform(60, 95))
+    z = 0.6 if rng.random() < 0.6 else float(rng.uniform(0.35, 1.1))
+    hfov = 75.0 if rng.random() < 0.6 else float(rng.uniform(60, 95))
     pitch = math.radians(rng.normal(5.0, 5.0))
     model = CameraModel.from_hfov(WIDTH_PX, HEIGHT_PX, math.radians(hfov))
     pose = SE2(x, y, float(rng.uniform(-math.pi, math.pi)))
@@ -158,23 +169,29 @@ def _worth(world: BoxWorld, things: list[Look], camera: _Camera) -> float:
 
 
 def _contents(
-    world: BoxWorld, things: list[Look], camera: _Camera, ids: np.ndarray, depth: np.ndarray
+    world: BoxWorld,
+    things: list[Look],
+    tinted: np.ndarray,
+    camera: _Camera,
+    ids: np.ndarray,
+    depth: np.ndarray,
 ) -> np.ndarray:
     n = len(things)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
     alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
+    lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
+    kernels.render_depth(world.shape, world.pose, *lens, alone_depth, prim)
+    seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
+    colored = np.bincount(world.owner, seen * tinted, minlength=n + 1)[1:]
     rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
     for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
         mine = world.owner == k + 1
-        kernels.render_depth(
-            world.shape[mine], world.pose[mine], camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px,
-            m.cy_px, alone_depth, prim,
-        )  # fmt: skip
-        row["category"], row["color"], row["size"] = (
-            things[k].category, things[k].color, things[k].size,
-        )  # fmt: skip
+        kernels.render_depth(world.shape[mine], world.pose[mine], *lens, alone_depth, prim)
+        row["category"], row["size"] = things[k].category, things[k].size
+        named = colored[k] >= COLORED * pixels[k]
+        row["color"] = things[k].color if named else looks.unsure_color()
         row["box"], row["pixels"] = box[k], pixels[k]
         row["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
     return rows

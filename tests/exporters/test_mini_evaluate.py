@@ -9,7 +9,7 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 
 from exporters.mini import looks
 from exporters.mini.evaluate import _average_precision, _counts, _match, _questions
-from exporters.mini.views import OBJECT
+from exporters.mini.views import OBJECT, WIDTH_PX
 
 CHAIR = 1 + looks.CATEGORIES.index("chair")
 ARMCHAIR = 1 + looks.CATEGORIES.index("armchair")
@@ -19,7 +19,7 @@ def things(*rows) -> np.ndarray:
     made = np.zeros(len(rows), OBJECT)
     for row, (category, box, rgb, style) in zip(made, rows, strict=True):
         row["category"], row["box"], row["visible"] = category, box, 1.0
-        row["color"] = looks.color_answers(looks.PALETTE[rgb])
+        row["color"] = looks.color_answers(looks.PALETTE[rgb]) if rgb else looks.unsure_color()
         row["size"] = looks.size_answers(style, "chair")
     return made
 
@@ -48,6 +48,14 @@ def test_two_of_a_kind_are_asked_for_by_what_differs():
     asked = [(q.kind, tuple(q.phrase), q.right, q.wrong) for q in _questions(pair)]
     red, blue = (1 + looks.COLORS.index(c) for c in ("red", "blue"))
     assert asked == [("color", (CHAIR, red, 0), 0, 1), ("color", (CHAIR, blue, 0), 1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("x1", "kind"), [(100, "size"), (WIDTH_PX, "cut_off_size")], ids=["whole", "cut off"]
+)
+def test_sizes_are_asked_apart_where_a_thing_is_cut_off(x1, kind):
+    pair = things((CHAIR, (10, 10, 40, 90), None, "tall"), (CHAIR, (60, 10, x1, 50), None, "short"))
+    assert [(q.kind, q.right, q.wrong) for q in _questions(pair)] == [(kind, 0, 1), (kind, 1, 0)]
 
 
 def test_small_and_hidden_things_do_not_count():

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.sim import assemblies
-from exporters.mini import looks, views
+from exporters.mini import houses, looks, views
 from exporters.mini.houses import SUPPORTS, random_house
 
 
@@ -120,6 +120,26 @@ def test_pictures_of_a_seed_are_the_same_again(house_frames):
     for a, b in zip(found, views.render_house(0, len(rgb), again), strict=True):
         np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(rgb, again)
+
+
+def test_a_thing_whose_colour_cannot_be_seen_has_no_colour(monkeypatch):
+    rgb = np.zeros((3, views.HEIGHT_PX, views.WIDTH_PX, 3), np.uint8)
+    monkeypatch.setattr(views, "COLORED", 1.01)
+    objects = np.concatenate(views.render_house(0, len(rgb), rgb))
+    assert len(objects)
+    assert (objects["color"] == looks.unsure_color()).all()
+
+
+@pytest.mark.parametrize("category", ["stool", "sofa"])
+def test_wide_things_are_deeper_too_if_they_are_square(category):
+    depth, width, _ = assemblies.CATEGORIES[category].size_m
+    builder = houses._Builder(np.random.default_rng(0), 2.6)
+    wide = [
+        size for size, _, style in (builder.look(category) for _ in range(80)) if style == "wide"
+    ]
+    assert wide
+    assert all(size[1] > 1.2 * width for size in wide)
+    assert all((size[0] > 1.2 * depth) == (category == "stool") for size in wide)
 
 
 def test_frames_are_made_once(tmp_path, monkeypatch):

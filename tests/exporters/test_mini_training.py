@@ -29,7 +29,6 @@ def frames(tmp_path_factory):
 def plan(steps: int, **changes) -> training.Plan:
     return training.Plan(
         stages=((steps, HW, 2),),
-        cycles=((steps, 1.0),),
         batch=4,
         warm_up=5,
         keep_every=5,
@@ -44,22 +43,19 @@ def truth(boxes, answers=1) -> loss.Truth:
     return loss.Truth(boxes, taught, said, torch.zeros_like(said, dtype=torch.bool))
 
 
-def test_the_rate_climbs_and_falls_in_each_cycle():
-    shape = training.Plan(cycles=((100, 1.0), (50, 0.5)), warm_up=10)
-    rates = [training._rate(step, shape) for step in range(160)]
+def test_the_rate_climbs_and_falls():
+    shape = training.Plan(stages=((60, HW, 0), (40, HW, 0)), warm_up=10)
+    rates = [training._rate(step, shape) for step in range(120)]
     assert rates[0] == pytest.approx(0.1)
     assert rates[10] == pytest.approx(1.0)
-    assert rates[99] < 0.02
-    assert rates[100] == pytest.approx(0.5)
-    assert rates[149] < 0.02
-    assert rates[150:] == [0.01] * 10
-    assert all(a > b for a, b in pairwise(rates[10:100]))
+    assert all(a > b for a, b in pairwise(rates[10:101]))
+    assert rates[100:] == [pytest.approx(0.01)] * 20
 
 
-def test_the_plan_of_the_shipped_model_adds_up():
-    plan_ = training.Plan()
-    assert sum(n for n, *_ in plan_.stages) == sum(n for n, _ in plan_.cycles) == len(plan_.steps)
-    assert plan_.steps[-1][0] == training.FULL_HW
+def test_the_shipped_model_ends_at_the_size_it_runs_at():
+    steps = training.Plan().steps
+    assert len(steps) == sum(count for count, *_ in training.Plan().stages)
+    assert steps[-1][0] == training.FULL_HW
 
 
 def test_anchors_lie_in_their_cells():
