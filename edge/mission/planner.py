@@ -1,7 +1,7 @@
 """Planners by name, and what they are asked and answer.
 
-A new planner is a file with a class that plans, a section in `edge/config.py` and a line in
-`REGISTRY`.
+A new planner is a file with a class that plans, a section in `edge/config/mission.py` and a line
+in `REGISTRY`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Goal choice: one small file a policy, one interface, chosen by `policy.kind`.
 
-A new policy is a file with a class that scores candidates, a section in `edge/config.py`
+A new policy is a file with a class that scores candidates, a section in `edge/config/policy.py`
 and a line in `REGISTRY`.
 """
 

@@ -15,7 +15,8 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError, field_validator
 
 from edge import names
-from edge.config import Config, Positive, Section, WorldHouse
+from edge.config import Config, Section, WorldHouse
+from edge.config.section import Positive
 from edge.geometry import SE2
 from edge.sim import assemblies, kernels, shading
 from edge.sim.base import WorldError, WorldObject

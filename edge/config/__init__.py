@@ -1,0 +1,70 @@
+"""The configuration: one YAML file in, frozen and validated objects out.
+
+`load("demo")` finds a ready configuration by name, `load("my/robot.yaml")` a file.
+`EDGE__POLICY__KIND=nearest_frontier` in the environment overrides `policy.kind`.
+Everything is checked here, once; the loop checks nothing.
+"""
+
+from edge.config.loop import Loop, Report, Source, Zenoh
+from edge.config.mapping import Mapping
+from edge.config.mission import (
+    Mission,
+    PlannerExpected,
+    PlannerVitl,
+    TranslatorGrammar,
+    TranslatorLlm,
+    TranslatorLtl,
+)
+from edge.config.perception import (
+    ChoiceNone,
+    ChoiceOpenai,
+    ChoiceText,
+    DetectorOnnx,
+    DetectorSim,
+    ModelProcess,
+    Perception,
+    Swap,
+)
+from edge.config.policy import PolicyHvl, PolicyNearest
+from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
+from edge.config.root import Config, load, parse
+from edge.config.section import ConfigError, Section
+from edge.config.sim import Sim, WorldHouse, WorldMesh, WorldProcthor
+
+__all__ = [
+    "Camera",
+    "ChoiceNone",
+    "ChoiceOpenai",
+    "ChoiceText",
+    "Config",
+    "ConfigError",
+    "DetectorOnnx",
+    "DetectorSim",
+    "Lidar",
+    "Loop",
+    "Mapping",
+    "Mission",
+    "ModelProcess",
+    "Motion",
+    "Perception",
+    "PlannerExpected",
+    "PlannerVitl",
+    "PolicyHvl",
+    "PolicyNearest",
+    "Report",
+    "Robot",
+    "Section",
+    "Sensors",
+    "Sim",
+    "Source",
+    "Swap",
+    "TranslatorGrammar",
+    "TranslatorLlm",
+    "TranslatorLtl",
+    "WorldHouse",
+    "WorldMesh",
+    "WorldProcthor",
+    "Zenoh",
+    "load",
+    "parse",
+]

@@ -1,0 +1,37 @@
+"""The occupancy map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from edge.config.section import NonNegative, Positive, Section
+
+
+class Mapping(Section):
+    """The rolling occupancy map (VL-Nav III.A, III.B)."""
+
+    input: Literal["depth", "cloud"] = "depth"
+    resolution_m: Annotated[float, Field(ge=0.01, le=1.0)] = 0.05
+    extent_m: Positive = 50.0
+    range_m: Positive = 5.0
+    min_range_m: NonNegative = 0.1
+    inflation_m: NonNegative = 0.25
+    obstacle_min_m: Positive = 0.10
+    obstacle_max_m: Positive = 1.0
+    ground_slope: NonNegative = 0.3
+    clear_after: Annotated[int, Field(ge=1, le=100)] = 2
+    frontier_min_cells: Annotated[int, Field(ge=1)] = 6
+    frontier_large_cells: Annotated[int, Field(ge=2)] = 40
+    frontier_spacing_m: Positive = 1.0
+    max_frontiers: Annotated[int, Field(ge=8, le=4096)] = 256
+    reach_cells_per_tick: Annotated[int, Field(ge=100)] = 8000
+
+    @model_validator(mode="after")
+    def _fits(self) -> Mapping:
+        if self.extent_m < 2 * (self.range_m + 2 * self.inflation_m) + 1.0:
+            raise ValueError("extent_m: must be over twice range_m plus inflation on both sides")
+        if self.obstacle_max_m <= self.obstacle_min_m:
+            raise ValueError("obstacle_max_m: must be above obstacle_min_m")
+        return self

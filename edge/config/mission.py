@@ -1,0 +1,89 @@
+"""What to do: the instruction, its translator and its planner."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Union
+
+from pydantic import Field
+
+from edge.config.section import NonNegative, Positive, Section
+
+
+class TranslatorLtl(Section):
+    """The instruction is itself a formula of linear temporal logic."""
+
+    kind: Literal["ltl"] = "ltl"
+
+
+class TranslatorGrammar(Section):
+    """Controlled English, read offline by rules."""
+
+    kind: Literal["grammar"] = "grammar"
+
+
+class TranslatorLlm(Section):
+    """Any OpenAI-compatible server; `constrain` names what keeps its answer to a grammar: the
+    field of llama.cpp, or that of vLLM from 0.11 on. Without it only the time and size limits hold.
+    """
+
+    kind: Literal["llm"] = "llm"
+    url: str = "http://127.0.0.1:8080/v1"
+    model: str = "default"
+    api_key_env: str = "OPENAI_API_KEY"
+    constrain: Literal["gbnf", "guided_grammar", "none"] = "none"
+    time_limit_s: Positive = 30.0
+    max_answer_kb: Positive = 64.0
+
+
+class PlannerVitl(Section):
+    """ViTL eq. 1 and 2: the shortest path under constant weights, or under driving distances.
+
+    With `weights: distance` a known object weighs the metres to it, an unknown one
+    `explore_m`, and the plan is also made anew when it gets better by `replan_margin_m`.
+    `w_fail` is what a failed object counts in the costs that status shows: whatever it is, no plan
+    needs one while another can do without.
+    """
+
+    kind: Literal["vitl"] = "vitl"
+    weights: Literal["constant", "distance"] = "constant"
+    w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    w_fail: Annotated[float, Field(gt=1)] = 1000.0
+    explore_m: Positive = 10.0
+    replan_margin_m: NonNegative = 1.0
+
+
+class PlannerExpected(Section):
+    """Least expected cost: a stochastic shortest path over automaton and knowledge."""
+
+    kind: Literal["expected"] = "expected"
+    p_obs: Annotated[float, Field(gt=0, le=1)] = 0.5
+    prior: Literal["constant", "cooccurrence"] = "constant"
+    w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
+
+
+class Mission(Section):
+    """What to do, and when to give up. `instruction` takes the place of `target` (which means
+    just "reach it") and is read by `translator`; see `edge mission explain`. A target that was
+    pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
+    `checkpoint` is the file that a mission goes on from after a restart."""
+
+    target: Annotated[str, Field(min_length=1)] = "chair"
+    instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
+    translator: Annotated[
+        Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
+    ] = TranslatorGrammar()
+    planner: Annotated[Union[PlannerVitl, PlannerExpected], Field(discriminator="kind")] = (
+        PlannerVitl()
+    )
+    compiler: Literal["own", "spot"] = "own"
+    compile_limit_s: Positive = 5.0
+    max_states: Annotated[int, Field(ge=2)] = 20000
+    max_targets: Annotated[int, Field(ge=1, le=40)] = 16
+    checkpoint: str | None = None
+    search_limit_s: Positive | None = None
+    time_limit_s: Positive = 300.0
+    path_limit_m: Positive = 100.0
+    reach_m: Annotated[float, Field(gt=0, le=1.0)] = 0.9
+    verify_s: Positive = 2.0
+    stuck_s: Positive = 12.0
+    discard_s: Positive = 45.0

@@ -1,0 +1,145 @@
+"""Detectors, scorers, and what is made of their answers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Union
+
+from pydantic import Field, model_validator
+
+from edge.config.section import Fraction, NonNegative, Positive, Section
+
+
+class DetectorOnnx(Section):
+    """An ONNX detector; `model` names a card in `models/`.
+
+    `providers` are onnxruntime's, in the order of preference, or `tensorrt` alone: TensorRT itself,
+    without onnxruntime. `device_id` is the GPU. Engines of TensorRT are kept in `engine_cache`, by
+    default beside the models.
+    """
+
+    kind: Literal["onnx"] = "onnx"
+    model: str = "yolo-world-s-256x320-int8-cpu"
+    providers: tuple[str, ...] = ("CPUExecutionProvider",)
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+    vocabulary: str | None = None
+    background: tuple[str, ...] = ()
+    nms_iou: Fraction = 0.5
+    max_detections: Annotated[int, Field(ge=1, le=1000)] = 64
+    tau_vl: Fraction = 0.05
+    device_id: Annotated[int, Field(ge=0)] = 0
+    engine_cache: str | None = None
+
+
+class DetectorSim(Section):
+    """Object ids from the simulator's ray caster with a noise model: no neural network."""
+
+    kind: Literal["sim"] = "sim"
+    max_range_m: Positive = 6.0
+    min_visible_px: Annotated[int, Field(ge=1)] = 40
+    miss_rate: Fraction = 0.1
+    false_positive_rate: Fraction = 0.005
+    score_noise: NonNegative = 0.08
+    tau_vl: Fraction = 0.05
+    seed: int = 0
+
+
+class ModelProcess(Section):
+    """How a model in a process of its own is looked after (`isolation: process`).
+
+    A frame that takes longer than `timeout_s` counts as a hang; what the worker waited for a core
+    is added to that, at most as much again. A worker that ended is started again after
+    `backoff_s`, twice as long each time up to `backoff_max_s`, and at most `restarts` times within
+    `window_s`: beyond that the detector is `degraded`.
+    """
+
+    timeout_s: Positive = 0.8
+    start_timeout_s: Positive = 60.0
+    backoff_s: Positive = 0.2
+    backoff_max_s: Positive = 5.0
+    restarts: Annotated[int, Field(ge=0)] = 8
+    window_s: Positive = 60.0
+
+
+class Swap(Section):
+    """What a model must do to take another's place in the running service.
+
+    It is tried on the last `images` images: finite, at most `budget_ms` at the median, and, where
+    both are of one family, `min_recall` of the boxes above `tau_det` that the old one finds. The
+    old one is kept until the new one has run clean on `probation` images.
+    """
+
+    images: Annotated[int, Field(ge=1, le=32)] = 4
+    budget_ms: Positive = 33.0
+    min_recall: Fraction = 0.5
+    probation: Annotated[int, Field(ge=1)] = 60
+    load_timeout_s: Positive = 600.0
+
+
+class ChoiceNone(Section):
+    """No model is asked which way to go."""
+
+    kind: Literal["none"] = "none"
+
+
+class ChoiceOpenai(Section):
+    """ViTL eq. 4 and 5 by a server that speaks OpenAI's protocol, with images and logprobs.
+
+    `rest_s` is how long after an answer the next question is asked; a paid server's price.
+    """
+
+    kind: Literal["openai"] = "openai"
+    url: str
+    model: str
+    api_key_env: str = "OPENAI_API_KEY"
+    time_limit_s: Positive = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
+
+
+class ChoiceText(Section):
+    """The same by a language model without eyes, told what was detected and where."""
+
+    kind: Literal["text"] = "text"
+    url: str
+    model: str
+    api_key_env: str = "OPENAI_API_KEY"
+    time_limit_s: Positive = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+
+
+class Perception(Section):
+    """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run."""
+
+    isolation: Literal["thread", "process"] = "thread"
+    process: ModelProcess = ModelProcess()
+    swap: Swap = Swap()
+    similarity: str | None = None
+    choice: Annotated[Union[ChoiceNone, ChoiceOpenai, ChoiceText], Field(discriminator="kind")] = (
+        ChoiceNone()
+    )
+    detector: Annotated[Union[DetectorOnnx, DetectorSim], Field(discriminator="kind")] = (
+        DetectorSim()
+    )
+    tau_det: Fraction = 0.3
+    lift: Literal["depth", "cloud"] = "depth"
+    lift_min_points: Annotated[int, Field(ge=1)] = 8
+    lift_max_range_m: Positive = 8.0
+    voxel_m: Positive = 0.1
+    merge_m: Positive = 0.6
+    max_instances: Annotated[int, Field(ge=1, le=4096)] = 128
+    min_hits: Annotated[int, Field(ge=1)] = 2
+    confirm_score: Fraction = 0.35
+    confirm_range_m: Positive = 3.0
+    confirm_hits: Annotated[int, Field(ge=1)] = 3
+    confirm_mean: Fraction = 0.12
+    confirm_lead: Annotated[float, Field(ge=1)] = 1.5
+    refute_radius_m: NonNegative = 0.6
+
+    @model_validator(mode="after")
+    def _isolable(self) -> Perception:
+        if self.isolation == "process" and self.detector.kind != "onnx":
+            raise ValueError(
+                f"isolation: process: only for perception.detector.kind: onnx, "
+                f"{self.detector.kind} runs in the service"
+            )
+        return self

@@ -1,0 +1,75 @@
+"""The robot: its body, its sensors, and how the reference controller drives it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from edge.config.section import NonNegative, Positive, Section
+
+
+class Robot(Section):
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] = "robot"
+    radius_m: Positive = 0.2
+    height_m: Positive = 0.8
+    max_speed_mps: Positive = 0.5
+    max_turn_radps: Positive = 1.2
+    max_accel_mps2: Positive = 1.0
+    max_turn_accel_radps2: Positive = 3.0
+
+
+class Camera(Section):
+    """A forward camera on the robot; intrinsics serve the simulator, a real one sends its own."""
+
+    width_px: Annotated[int, Field(ge=16, le=4096)] = 320
+    height_px: Annotated[int, Field(ge=16, le=4096)] = 256
+    hfov_deg: Annotated[float, Field(gt=10, lt=150)] = 75.0
+    x_m: float = 0.1
+    z_m: Positive = 0.6
+    pitch_deg: float = 5.0
+    rate_hz: Positive = 30.0
+    depth_min_m: NonNegative = 0.1
+    depth_max_m: Positive = 8.0
+
+
+class Lidar(Section):
+    """A 2D (`rings: 1`) or 3D LiDAR; `pitch_deg` tilts it nose down (VL-Nav: 23 degrees)."""
+
+    rings: Annotated[int, Field(ge=1, le=256)] = 16
+    columns: Annotated[int, Field(ge=16, le=4096)] = 720
+    vfov_deg: Annotated[float, Field(gt=0, le=170)] = 60.0
+    x_m: float = 0.0
+    z_m: Positive = 0.5
+    pitch_deg: float = 0.0
+    rate_hz: Positive = 10.0
+    range_m: Positive = 20.0
+    noise_m: NonNegative = 0.01
+
+
+class Sensors(Section):
+    camera: Camera = Camera()
+    lidar: Lidar | None = None
+    odometry_hz: Positive = 60.0
+
+
+class Motion(Section):
+    """The reference motion controller: A* on the published map, pure pursuit.
+
+    `clearance_m` is kept from occupied cells on top of the map's own inflation; `near_m` and
+    `near_cost` make cells near obstacles dearer; `give_up_s` is how long a goal may stay
+    without a path.
+    """
+
+    rate_hz: Positive = 20.0
+    lookahead_m: Positive = 0.45
+    goal_tolerance_m: Positive = 0.12
+    yaw_tolerance_rad: Positive = 0.15
+    replan_s: Positive = 0.5
+    stuck_s: Positive = 4.0
+    stuck_m: Positive = 0.05
+    unknown_cost: Positive = 3.0
+    clearance_m: NonNegative = 0.0
+    near_m: Positive = 0.4
+    near_cost: NonNegative = 4.0
+    give_up_s: Positive = 3.0

@@ -1,0 +1,90 @@
+"""The whole configuration, and how it is read."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from edge import resources
+from edge.config.faults import explain
+from edge.config.loop import Loop, Report, Source, Zenoh
+from edge.config.mapping import Mapping
+from edge.config.mission import Mission
+from edge.config.perception import Perception
+from edge.config.policy import Policy, PolicyHvl
+from edge.config.robot import Motion, Robot, Sensors
+from edge.config.section import ConfigError, Section
+from edge.config.sim import Sim
+
+ENV_PREFIX = "EDGE__"
+
+
+class Config(Section):
+    """A whole configuration; `path` is where it came from."""
+
+    path: str = "<defaults>"
+    robot: Robot = Robot()
+    sensors: Sensors = Sensors()
+    zenoh: Zenoh = Zenoh()
+    source: Source = Source()
+    loop: Loop = Loop()
+    mapping: Mapping = Mapping()
+    perception: Perception = Perception()
+    policy: Policy = PolicyHvl()
+    mission: Mission = Mission()
+    motion: Motion = Motion()
+    sim: Sim = Sim()
+    report: Report = Report()
+
+
+def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
+    """Read a configuration, apply the environment's overrides, validate.
+
+    Args:
+        name_or_path: a YAML file, or the name of a ready configuration (`demo`).
+        environ: where overrides are looked for; the process's environment by default.
+
+    Raises:
+        ConfigError: with one line per fault: file, key, what is wrong, what would be right.
+    """
+    path = resources.find_config(name_or_path)
+    try:
+        with open(path, encoding="utf-8") as file:
+            data = yaml.safe_load(file)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: expected sections (robot:, sensors:, …) at the top")
+    _override(data, os.environ if environ is None else environ)
+    return parse(data, str(path))
+
+
+def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
+    """Validate a mapping; see `load`."""
+    try:
+        return Config.model_validate({**data, "path": path})
+    except ValidationError as error:
+        raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
+
+
+def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:
+    """Put `EDGE__A__B=value` (value read as YAML) into data[a][b], in place."""
+    for key in sorted(k for k in environ if k.startswith(ENV_PREFIX)):
+        *sections, leaf = key[len(ENV_PREFIX) :].lower().split("__")
+        node = data
+        for section in sections:
+            child = node.get(section)
+            if not isinstance(child, dict):
+                child = node[section] = {}
+            node = child
+        try:
+            node[leaf] = yaml.safe_load(environ[key])
+        except yaml.YAMLError:
+            raise ConfigError(f"environment {key}: not a YAML value: {environ[key]!r}") from None
