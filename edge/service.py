@@ -14,26 +14,23 @@ import numpy as np
 
 from edge import stages
 from edge.advice import Advice, Advisers
-from edge.candidates import FRONTIER, INSTANCE, CandidatePool
+from edge.candidates import CandidatePool
 from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mapping.grid import RollingMap
-from edge.mission.approach import Approach, Verdict
 from edge.mission.brief import Brief
 from edge.mission.keeper import Keeper
 from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
-from edge.mission.sight import Neighbours, newest_ids, places
-from edge.motion.stuck import StuckDetector
-from edge.orders import Orders
+from edge.mission.sight import newest_ids, places
 from edge.perception.inline import InlineWorker
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
-from edge.policies.select import GoalSelector
+from edge.pursuit import Pursuit
 from edge.sinks import Sink
 from edge.status import status_of
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
@@ -56,8 +53,7 @@ class Service:
 
     Attributes:
         mission: the one under way, or the last one.
-        goal: where the robot is sent; None: nowhere.
-        orders: what of that was told to the controller.
+        pursuit: of the present goal.
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
@@ -80,7 +76,6 @@ class Service:
         self.tracker = InstanceTracker(config.perception)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = make_policy(config.policy)
-        self.selector = GoalSelector(self.policy)
         self.pool = CandidatePool(
             config.mapping.max_frontiers + config.perception.max_instances,
             config.policy.r_assoc_m,
@@ -88,7 +83,7 @@ class Service:
         )
         self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing()
-        self.goal: Goal | None = None
+        self.pursuit = Pursuit(config, self.policy, self.pool, self.tracker, self._tell, self.event)
         self.epoch = 0
         self.stamp_ns = 0
         planner = config.mission.planner
@@ -99,13 +94,8 @@ class Service:
         self.swapper = Swapper(config.perception, worker, self.event)
         self._sinks = sinks
         self._lifter = Lifter(config.perception)
-        self._approach = Approach(config.mission)
-        self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
-        self.orders = Orders(self._tell)
         self._seen: Detections | None = None
         self.pose: SE2 | None = None
-        self._second_look = False
-        self._neighbours = Neighbours(config.mission.reach_m)
         self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation came
         self._blind_ns = _blind_ns(config)
@@ -218,8 +208,8 @@ class Service:
         if self._surveyor is not None:
             self._survey(self._surveyor, pose, now_ns)
         if self._turns == mission.turns and not (mission.done or mission.paused):
-            self._judge(pose, now_ns)
-            if self.selector.exhausted and not self._look_again():
+            self.pursuit.judge(mission, pose, now_ns, self._worker.stats.done)
+            if self.pursuit.exhausted and not self.pursuit.look_again():
                 found = "no way to" if mission.target in mission.detected else "found no"
                 reason = f"explored all that can be reached, {found} {mission.target}"
                 mission.give_up(reason, now_ns)
@@ -235,118 +225,27 @@ class Service:
             letters = self.mission.brief.automaton.letters
             surveyor.ask(self.grid, pose, places(self.tracker, letters), now_ns)
 
-    def _judge(self, pose: SE2, now_ns: int) -> None:
-        """What has become of the present goal."""
-        goal, answer = self.goal, self.orders.answer
-        instance = None
-        if goal is not None and goal.kind == "instance":
-            instance = self.tracker.get(goal.candidate_id)
-        confirmed = instance is not None and self.tracker.confirmed(instance)
-        looks = self._worker.stats.done
-        verdict = self._approach.advance(goal, instance, confirmed, answer, pose, now_ns, looks)
-        if verdict is not None:
-            self._act_on(verdict, now_ns)
-        elif goal is not None:
-            self._follow(goal, answer, pose, now_ns)
-
     def _turn(self, observation: Observation, now_ns: int) -> None:
         """The plan set out for a target: choose among its candidates, by its scores, at once."""
         self._turns = self.mission.turns
         if self.mission.done:
             return
-        self._drop_goal()
-        self.selector.start_over()
-        self._second_look = False
-        self.orders.target = self.mission.target
+        self.pursuit.set_out(self.mission.target)
         self.pool.channel = self.mission.brief.targets.index(self.mission.target)
         self._gather(observation, now_ns)
         self.policy.score(self.pool, self.grid, self._seen, observation.pose)
 
-    def _act_on(self, verdict: Verdict, now_ns: int) -> None:
-        instance = verdict.instance
-        x, y, _ = instance.center_m
-        where = f"{instance.label} #{instance.id} at ({x:.1f}, {y:.1f})"
-        if verdict.kind == "reached":
-            self.tracker.mark_reached(instance.id)
-            label = self.mission.target
-            self.mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
-            if self.mission.target == label and not self.mission.done:
-                # A second visit to a thing of this kind: another one, or later.
-                self._discard(now_ns)
-            return
-        if verdict.kind == "refuted":
-            self.tracker.refute(instance.id)
-            self._drop_goal()
-        else:
-            self._discard(now_ns)
-        self.event(f"{verdict.kind.replace('_', ' ')}: {where}", now_ns)
-
-    def _follow(self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int) -> None:
-        """Take up the controller's answers about frontiers and turns, and notice standstill.
-
-        Where no controller answers, it is no candidate's fault that the robot stands.
-        """
-        moving = answer is not None and answer.state == "accepted"
-        if goal.kind == "look":
-            if answer is not None and answer.state in ("reached", "failed"):
-                self.selector.looked(now_ns)
-                self._drop_goal()
-        elif answer is not None and answer.state == "failed":
-            self.event(f"goal failed: {answer.reason}", now_ns)
-            self._discard(now_ns)
-        elif goal.kind == "frontier" and (
-            (answer is not None and answer.state == "reached")
-            or pose.distance_to(*goal.candidate_xy_m) <= self.policy.delta_reached_m
-        ):
-            # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
-            # turn to another frontier, and back as soon as it is a little farther away.
-            self._discard(now_ns)
-        if self._stuck.update(pose, moving and self.goal is not None, now_ns):
-            self.event("stuck: goal discarded", now_ns)
-            self._discard(now_ns)
-
-    def _discard(self, now_ns: int) -> None:
-        """Leave the present goal's candidate alone for a while and choose another."""
-        goal = self.goal
-        if goal is not None and goal.kind == "look":
-            self.selector.looked(now_ns)
-        elif goal is not None:
-            kind = INSTANCE if goal.kind == "instance" else FRONTIER
-            until_ns = now_ns + int(self.config.mission.discard_s * 1e9)
-            self.pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
-        self._drop_goal()
-
-    def _drop_goal(self) -> None:
-        self.selector.drop()
-        self.orders.withdraw()
-        self.goal = None
-
-    def _look_again(self) -> bool:
-        """Before giving up, go once more through the candidates that were discarded."""
-        if self._second_look:
-            return False
-        self._second_look = True
-        self.pool.lift_discards()
-        self.selector.start_over()
-        return True
-
     def _select(self, pose: SE2, now_ns: int) -> Goal | None:
         """Stage 8: algorithm 2, or nowhere when the mission is over or paused."""
         if self.mission.done or self.mission.paused:
-            self.selector.drop()
-            self.orders.withdraw(at_once=True)
+            self.pursuit.rest()
             return None
         by_id = {i.id: i for i in self._instances()}
-        return self.selector.select(self.pool, self.grid, by_id, pose, now_ns, self.mission.target)
+        return self.pursuit.choose(self.grid, by_id, pose, now_ns, self.mission.target)
 
     def _publish(self, goal: Goal | None, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
-        if goal is None:
-            self.orders.give_none(observation.pose, now_ns)
-        elif self.orders.give(goal, now_ns):
-            self._stuck.reset()
-            self._neighbours.look(goal, self.mission, self.tracker, now_ns)
-        self.goal = goal
+        self.pursuit.give(goal, self.mission, observation.pose, now_ns)
         self._report(observation, now_ns)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
@@ -376,19 +275,18 @@ class Service:
         self.tracker.forget_reached()
         self.pool.set_channels(len(brief.targets))
         self._seen, self._turns = None, -1
-        self._neighbours.forget()
         if self._surveyor is not None:
             self._surveyor.forget()
         if self._advisers is not None:
             self._advisers.forget()
-        self._drop_goal()
+        self.pursuit.forget_mission()
         self.mission.start(now_ns)
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
         for sink in self._sinks:
             sink.answered(answer)
-        self.orders.answered(answer)
+        self.pursuit.orders.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None) -> None:
         """No observation came: limits still hold, status still goes out, no one drives blind.
@@ -407,11 +305,12 @@ class Service:
         self._report(None, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
-        if self.orders.driving:
+        orders = self.pursuit.orders
+        if orders.driving:
             if not (self.mission.done or self.mission.paused):
                 self.event("nothing to be seen: standing still", now_ns)
-            self.orders.stand(pose, now_ns)
-        self._drop_goal()
+            orders.stand(pose, now_ns)
+        self.pursuit.drop()
 
     def forget_places(self, now_ns: int) -> None:
         """The pose jumped: map, instances and goals of the old frame mean nothing now.
@@ -429,11 +328,7 @@ class Service:
             self._surveyor.forget()
         if self._advisers is not None:
             self._advisers.forget()
-        self._drop_goal()
-        self.orders.withdraw(at_once=True)
-        self.selector.start_over()
-        self._stuck.reset()
-        self._second_look = False
+        self.pursuit.forget_places()
         self._void_seq = self._newest_seq
 
     def event(self, text: str, now_ns: int) -> None:
@@ -454,8 +349,13 @@ class Service:
         self.event(step.text, step.stamp_ns)
 
     @property
+    def goal(self) -> Goal | None:
+        """Where the robot is sent; None: nowhere."""
+        return self.pursuit.goal
+
+    @property
     def status(self) -> MissionStatus:
-        return self.mission.status(self._approach.phase)
+        return self.mission.status(self.pursuit.phase)
 
     def status_dict(self) -> dict[str, object]:
         """The status message; see `edge.status`."""

@@ -19,6 +19,7 @@ def status_of(
 ) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
     pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
+    orders = service.pursuit.orders
     return {
         "instruction": s.instruction,
         "target": s.target,
@@ -37,9 +38,9 @@ def status_of(
             "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
             "candidate_xy_m": list(goal.candidate_xy_m),
             "score": goal.score,
-            "answer": "" if service.orders.answer is None else service.orders.answer.state,
+            "answer": "" if orders.answer is None else orders.answer.state,
         },
-        "controller": "answers" if service.orders.heard else "silent",
+        "controller": "answers" if orders.heard else "silent",
         "frontiers": service.grid.frontiers.n,
         "instances": [
             {

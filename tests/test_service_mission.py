@@ -202,7 +202,9 @@ def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
     goal = loop.service.goal
     lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
     loop.service.tracker.adopt(lamp)
-    loop.service._neighbours.look(goal, loop.service.mission, loop.service.tracker, START_NS)
+    loop.service.pursuit._neighbours.look(
+        goal, loop.service.mission, loop.service.tracker, START_NS
+    )
     step = loop.service.mission.steps[-1]
     assert (step.kind, step.label) == ("warning", "lamp")
     assert "0.4 m" in step.text

@@ -38,7 +38,7 @@ class Plan:
 
     stages: tuple[tuple[int, tuple[int, int], int], ...] = (
         (2500, (160, 192), 0),
-        (1000, (208, 256), 0),
+        (1000, (192, 256), 0),
         (8000, FULL_HW, 12),
     )
     batch: int = 32

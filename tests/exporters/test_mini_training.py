@@ -52,10 +52,11 @@ def test_the_rate_climbs_and_falls():
     assert rates[100:] == [pytest.approx(0.01)] * 20
 
 
-def test_the_shipped_model_ends_at_the_size_it_runs_at():
+def test_the_shipped_models_plan_has_sizes_that_the_network_takes_and_ends_at_its_own():
     steps = training.Plan().steps
     assert len(steps) == sum(count for count, *_ in training.Plan().stages)
     assert steps[-1][0] == training.FULL_HW
+    assert all(side % STRIDES[-1] == 0 for hw, _ in set(steps) for side in hw)
 
 
 def test_anchors_lie_in_their_cells():

@@ -1,0 +1,194 @@
+"""The goal that the robot is sent to: chosen, told to the controller, judged, given up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from edge.candidates import FRONTIER, INSTANCE, CandidatePool
+from edge.config import Config
+from edge.geometry import SE2
+from edge.mapping.grid import RollingMap
+from edge.mission.approach import Approach, Verdict
+from edge.mission.run import MissionRun
+from edge.mission.sight import Neighbours
+from edge.motion.stuck import StuckDetector
+from edge.orders import Orders
+from edge.perception.instances import InstanceTracker
+from edge.policies.base import Policy
+from edge.policies.select import GoalSelector
+from edge.types import Goal, GoalStatus, Instance, MissionPhase
+
+
+class Pursuit:
+    """Follows one goal after another; for one thread.
+
+    Args:
+        pool: the candidates; those that were tried in vain are discarded there.
+        tracker: the instances; those that were reached or refuted are marked there.
+        tell: hands a goal to those who send it.
+        event: tells of something that a person would want to know.
+
+    Attributes:
+        goal: where the robot is sent; None: nowhere.
+        orders: what of that was told to the controller.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        policy: Policy,
+        pool: CandidatePool,
+        tracker: InstanceTracker,
+        tell: Callable[[Goal], None],
+        event: Callable[[str, int], None],
+    ) -> None:
+        self.goal: Goal | None = None
+        self.orders = Orders(tell)
+        self._policy, self._pool, self._tracker, self._event = policy, pool, tracker, event
+        self._selector = GoalSelector(policy)
+        self._approach = Approach(config.mission)
+        self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
+        self._neighbours = Neighbours(config.mission.reach_m)
+        self._discard_ns = int(config.mission.discard_s * 1e9)
+        self._second_look = False
+
+    @property
+    def phase(self) -> MissionPhase:
+        """What the robot is at: searching, approaching or verifying."""
+        return self._approach.phase
+
+    @property
+    def exhausted(self) -> bool:
+        """Nothing is left to go to, and looking around showed nothing new."""
+        return self._selector.exhausted
+
+    def judge(self, mission: MissionRun, pose: SE2, now_ns: int, looks: int) -> None:
+        """What has become of the present goal.
+
+        Args:
+            looks: how often the detector has answered so far.
+        """
+        goal, answer = self.goal, self.orders.answer
+        instance = None
+        if goal is not None and goal.kind == "instance":
+            instance = self._tracker.get(goal.candidate_id)
+        confirmed = instance is not None and self._tracker.confirmed(instance)
+        verdict = self._approach.advance(goal, instance, confirmed, answer, pose, now_ns, looks)
+        if verdict is not None:
+            self._act_on(verdict, mission, now_ns)
+        elif goal is not None:
+            self._follow(goal, answer, pose, now_ns)
+
+    def set_out(self, target: str) -> None:
+        """For another target: nothing that held for the last one does."""
+        self.drop()
+        self._selector.start_over()
+        self._second_look = False
+        self.orders.target = target
+
+    def choose(
+        self,
+        grid: RollingMap,
+        instances: Mapping[int, Instance],
+        pose: SE2,
+        now_ns: int,
+        target: str,
+    ) -> Goal | None:
+        """Algorithm 2 of VL-Nav over the scored candidates; see `GoalSelector.select`."""
+        return self._selector.select(self._pool, grid, instances, pose, now_ns, target)
+
+    def rest(self) -> None:
+        """There is nothing to be done: the robot stands in the next tick."""
+        self._selector.drop()
+        self.orders.withdraw(at_once=True)
+
+    def give(self, goal: Goal | None, mission: MissionRun, pose: SE2, now_ns: int) -> None:
+        """Tell the controller, where it has not heard of this goal yet."""
+        if goal is None:
+            self.orders.give_none(pose, now_ns)
+        elif self.orders.give(goal, now_ns):
+            self._stuck.reset()
+            self._neighbours.look(goal, mission, self._tracker, now_ns)
+        self.goal = goal
+
+    def drop(self) -> None:
+        """Leave the present goal; its candidate may be chosen again."""
+        self._selector.drop()
+        self.orders.withdraw()
+        self.goal = None
+
+    def look_again(self) -> bool:
+        """Before giving up, go once more through what was discarded; False: that was done."""
+        if self._second_look:
+            return False
+        self._second_look = True
+        self._pool.lift_discards()
+        self._selector.start_over()
+        return True
+
+    def forget_mission(self) -> None:
+        """Another mission has other goals, and forbids other things."""
+        self._neighbours.forget()
+        self.drop()
+
+    def forget_places(self) -> None:
+        """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
+        self.drop()
+        self.orders.withdraw(at_once=True)
+        self._selector.start_over()
+        self._stuck.reset()
+        self._second_look = False
+
+    def _act_on(self, verdict: Verdict, mission: MissionRun, now_ns: int) -> None:
+        instance = verdict.instance
+        x, y, _ = instance.center_m
+        where = f"{instance.label} #{instance.id} at ({x:.1f}, {y:.1f})"
+        if verdict.kind == "reached":
+            self._tracker.mark_reached(instance.id)
+            label = mission.target
+            mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
+            if mission.target == label and not mission.done:
+                # A second visit to a thing of this kind: another one, or later.
+                self._discard(now_ns)
+            return
+        if verdict.kind == "refuted":
+            self._tracker.refute(instance.id)
+            self.drop()
+        else:
+            self._discard(now_ns)
+        self._event(f"{verdict.kind.replace('_', ' ')}: {where}", now_ns)
+
+    def _follow(self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int) -> None:
+        """Take up the controller's answers about frontiers and turns, and notice standstill.
+
+        Where no controller answers, it is no candidate's fault that the robot stands.
+        """
+        moving = answer is not None and answer.state == "accepted"
+        if goal.kind == "look":
+            if answer is not None and answer.state in ("reached", "failed"):
+                self._selector.looked(now_ns)
+                self.drop()
+        elif answer is not None and answer.state == "failed":
+            self._event(f"goal failed: {answer.reason}", now_ns)
+            self._discard(now_ns)
+        elif goal.kind == "frontier" and (
+            (answer is not None and answer.state == "reached")
+            or pose.distance_to(*goal.candidate_xy_m) <= self._policy.delta_reached_m
+        ):
+            # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
+            # turn to another frontier, and back as soon as it is a little farther away.
+            self._discard(now_ns)
+        if self._stuck.update(pose, moving and self.goal is not None, now_ns):
+            self._event("stuck: goal discarded", now_ns)
+            self._discard(now_ns)
+
+    def _discard(self, now_ns: int) -> None:
+        """Leave the present goal's candidate alone for a while and choose another."""
+        goal = self.goal
+        if goal is not None and goal.kind == "look":
+            self._selector.looked(now_ns)
+        elif goal is not None:
+            kind = INSTANCE if goal.kind == "instance" else FRONTIER
+            until_ns = now_ns + self._discard_ns
+            self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
+        self.drop()
