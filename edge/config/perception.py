@@ -48,8 +48,8 @@ class ModelProcess(Section):
 
     A frame that takes longer than `timeout_s` counts as a hang; what the worker waited for a core
     is added to that, at most as much again. A worker that ended is started again after
-    `backoff_s`, twice as long each time up to `backoff_max_s`, and at most `restarts` times within
-    `window_s`: beyond that the detector is `degraded`.
+    `backoff_s`, twice as long each time up to `backoff_max_s`. After more than `restarts` ends in a
+    row, none after a run of `window_s`, the detector is `degraded`: one more try each `window_s`.
     """
 
     timeout_s: Positive = 0.8

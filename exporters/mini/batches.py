@@ -14,7 +14,7 @@ from torch import Tensor
 
 from exporters.mini import looks
 from exporters.mini.loss import Truth
-from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames
+from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
 
 PAD = 114
 PHRASES = 24
@@ -24,6 +24,8 @@ HARD_SHARE = 0.6
 """Share of the wrong phrases that name something in the picture, but not its colour or size."""
 MIN_SIDE_PX, MIN_VISIBLE = 8.0, 0.25
 """Things smaller (in a picture of 320 columns) or hidden more than this are not taught."""
+WHOLE = 0.9
+"""The size of a thing of which less is left cannot be told, and is not taught."""
 THINGS = 32
 ZOOM = (0.8, 1.6)
 
@@ -56,12 +58,8 @@ def cut(
     view_w, view_h = w / scale, h / scale
     fx, fy = (0.5, 0.5) if rng is None else rng.random(2)
     x0, y0 = fx * (WIDTH_PX - view_w), fy * (HEIGHT_PX - view_h)
-    a, b = max(0, round(x0)), max(0, round(y0))
-    c, d = min(WIDTH_PX, round(x0 + view_w)), min(HEIGHT_PX, round(y0 + view_h))
-    left, top = round((a - x0) * scale), round((b - y0) * scale)
-    left, top = max(0, left), max(0, top)
-    right = min(w, max(left + 1, round((c - x0) * scale)))
-    bottom = min(h, max(top + 1, round((d - y0) * scale)))
+    a, c, left, right = _span(x0, view_w, WIDTH_PX, w)
+    b, d, top, bottom = _span(y0, view_h, HEIGHT_PX, h)
     out = np.full((h, w, 3), PAD, np.uint8)
     how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
     out[top:bottom, left:right] = cv2.resize(
@@ -78,6 +76,14 @@ def cut(
         out = out[:, ::-1]
         moved[:, [0, 2]] = w - moved[:, [2, 0]]
     return out, moved, share
+
+
+def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, int, int]:
+    """Of a view along one side: its ends in the picture, and where they come in a cut of `size`."""
+    if length <= full:
+        return round(start), min(full, round(start + length)), 0, size
+    scale = size / length
+    return 0, full, round(-start * scale), round((full - start) * scale)
 
 
 def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0) -> np.ndarray:
@@ -129,6 +135,7 @@ def make_batch(
         side = np.minimum(moved[:, 2] - moved[:, 0], moved[:, 3] - moved[:, 1])
         kept = np.flatnonzero(side > 2.0)[:THINGS]
         objects, moved, share, side = objects[kept], moved[kept], share[kept], side[kept]
+        objects["size"][~whole(objects) | (share < WHOLE), 1:] = looks.UNSURE
         good = (side >= min_side) & (objects["visible"] * share >= MIN_VISIBLE)
         good &= share >= 0.3
         phrases[i] = sample_phrases(objects[good], rng, plain)

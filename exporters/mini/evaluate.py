@@ -23,7 +23,7 @@ import onnxruntime
 from exporters.files import ExportError
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
-from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames, make_frames
+from exporters.mini.views import Frames, make_frames, whole
 
 SEEDS = range(HELD_OUT, HELD_OUT + 100)
 PER_HOUSE = 6
@@ -162,20 +162,14 @@ def _counts(objects: np.ndarray) -> np.ndarray:
     return (side >= MIN_SIDE_PX) & (objects["visible"] >= MIN_VISIBLE)
 
 
-def _whole(objects: np.ndarray) -> np.ndarray:
-    """(o,) bool: ends before the picture's edges, so that its size can be told."""
-    box = objects["box"]
-    return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
-
-
 def _questions(objects: np.ndarray) -> list[_Question]:
     questions = []
-    usable, whole = np.flatnonzero(_counts(objects)), _whole(objects)
+    usable, uncut = np.flatnonzero(_counts(objects)), whole(objects)
     for i in usable:
         for j in usable:
             if i == j or objects["category"][i] != objects["category"][j]:
                 continue
-            size = "size" if whole[i] and whole[j] else "cut_off_size"
+            size = "size" if uncut[i] and uncut[j] else "cut_off_size"
             for kind, field, place in (("color", "color", 1), (size, "size", 2)):
                 yes, no = objects[field][i], objects[field][j]
                 for word in np.flatnonzero((yes[1:] == looks.YES) & (no[1:] == looks.NO)) + 1:

@@ -76,6 +76,12 @@ class _Camera:
     T_map_camera: np.ndarray
 
 
+def whole(objects: np.ndarray) -> np.ndarray:
+    """(o,) bool: ends before the picture's edges, so that its size can be told."""
+    box = objects["box"]
+    return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
+
+
 def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int = 1) -> Frames:
     """Pictures of the houses of these seeds; made once, found in `folder` the next time."""
     name = f"{seeds[0]}-{seeds[-1]}x{per_house}"

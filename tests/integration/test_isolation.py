@@ -150,13 +150,12 @@ def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live
 
 
 @pytest.mark.slow
-def test_ten_kills_in_a_minute(live):
+def test_ten_kills_in_a_minute(live, capsys):
     """With backoff and limit as they are by default: the loop goes on, then `degraded`.
 
-    The loop's rate before and meanwhile is printed. A slow machine takes longer than a minute to
-    start the process as often: the window is wider.
+    The loop's rate before and meanwhile is printed.
     """
-    with live(start_timeout_s=PATIENCE_S, window_s=1e6) as (life, _):
+    with live(start_timeout_s=PATIENCE_S) as (life, _):
         life.until_it_sees()
         began_s = time.monotonic()
         before_hz = life.until(lambda: True, 150) / (time.monotonic() - began_s)
@@ -168,7 +167,9 @@ def test_ten_kills_in_a_minute(live):
             ticks += life.until_it_sees()
             assert life.images() > before
         took_s = time.monotonic() - began_s
-        print(f"{before_hz:.1f} Hz; {ticks / took_s:.1f} Hz over {kills} kills in {took_s:.0f} s")
+        hz = f"{before_hz:.1f} Hz before, {ticks / took_s:.1f} Hz"
+        with capsys.disabled():
+            print(f"\n{hz} over {kills} kills in {took_s:.0f} s")
         assert kills == ModelProcess().restarts + 1
         before = life.images()
         life.until(lambda: True, TICKS)

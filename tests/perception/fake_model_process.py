@@ -14,6 +14,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
+from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 
 from edge import resources
 from edge.perception.cards import ModelError
@@ -29,10 +31,19 @@ def fail(error: BaseException) -> None:
     raise error
 
 
+def hungry() -> onnxruntime.InferenceSession:
+    """A model that makes as many zeros as it is told."""
+    ends = {"inputs": {"x": (INT64, (1,))}, "outputs": {"y": (FLOAT, None)}}
+    return onnxruntime.InferenceSession(
+        model(graph(interface(**ends), (node("ConstantOfShape"),))),
+        providers=["CPUExecutionProvider"],
+    )
+
+
 ORDERS = {
     SEGFAULT: lambda: os.kill(os.getpid(), signal.SIGSEGV),
     HANG: signal.pause,
-    NO_MEMORY: lambda: fail(MemoryError("Unable to allocate 8 GiB")),
+    NO_MEMORY: lambda: hungry().run(None, {"x": np.array([1 << 45], np.int64)}),
     FAILURE: lambda: fail(RuntimeError("no luck\nat all")),
     EXIT: lambda: os._exit(3),
 }

@@ -14,49 +14,44 @@ from edge.perception.process.restarts import Pause, Restarts
 CONFIG = ModelProcess(backoff_s=1.0, backoff_max_s=5.0, restarts=4, window_s=60.0)
 
 
-def pauses(ends, **changes):
-    """The pause after each end, given as (ran_s, now_s)."""
+def pauses(runs, **changes):
+    """The pause after each end of a process that was ready for so many seconds."""
     restarts = Restarts(CONFIG.model_copy(update=changes))
-    return [restarts.after(*end) for end in ends]
+    return [restarts.after(ran_s) for ran_s in runs]
+
+
+def starts(*seconds):
+    return [Pause(s, False) for s in seconds]
 
 
 @pytest.mark.parametrize(
-    ("ends", "expected"),
+    ("runs", "expected"),
     [
         ([], []),
-        ([(0, 0)], [Pause(1, False)]),
-        ([(0, 0), (0, 1), (2, 5), (0, 9)], [Pause(s, False) for s in (1, 2, 4, 5)]),
-        ([(0, 0), (0, 1), (6, 9), (0, 10)], [Pause(s, False) for s in (1, 2, 1, 2)]),
-        # Started at 1, 3, 9 and 15: the first of these leaves the window at 61.
-        ([(0, 0), (0, 1), (0, 5), (0, 10), (0, 20)], [*(Pause(s, False) for s in (1, 2, 4, 5)),
-                                                      Pause(41, True)]),
-        # What is due anyhow when there is room again is not held up by the limit.
-        ([(0, 0), (0, 1), (0, 5), (0, 10), (0, 56)], [*(Pause(s, False) for s in (1, 2, 4, 5)),
-                                                      Pause(5, False)]),
+        ([0], starts(1)),
+        ([0, 0, 2, 0], starts(1, 2, 4, 5)),
+        ([0, 0, 6, 0], starts(1, 2, 1, 2)),
+        ([0, 3, 0, 40, 0, 50], [*starts(1, 2, 4, 1), Pause(60, True), Pause(60, True)]),
+        ([0, 0, 0, 0, 0, 61, 0], [*starts(1, 2, 4, 5), Pause(60, True), *starts(1, 2)]),
     ],
-    ids=["none", "one", "backoff", "a while of health", "limit", "room again"],
-)  # fmt: skip
-def test_pauses(ends, expected):
-    assert pauses(ends) == expected
+    ids=["none", "one", "backoff", "a while of health", "limit", "well again"],
+)
+def test_pauses(runs, expected):
+    assert pauses(runs) == expected
 
 
 def test_no_restart_at_all():
-    assert pauses([(9, 0), (9, 1)], restarts=0) == [Pause(math.inf, True)] * 2
+    assert pauses([9, 9], restarts=0) == [Pause(math.inf, True)] * 2
 
 
-@given(
-    st.lists(st.tuples(st.floats(0, 20), st.floats(0, 20)), max_size=60),
-    st.integers(1, 6),
-    st.floats(1, 100),
-)
-def test_never_more_starts_in_a_window_than_allowed(ends, restarts, window_s):
-    rules = Restarts(CONFIG.model_copy(update={"restarts": restarts, "window_s": window_s}))
-    now_s, starts = 0.0, []
-    for ran_s, took_s in ends:
-        now_s += took_s + ran_s
-        pause = rules.after(ran_s, now_s)
-        assert pause.seconds >= CONFIG.backoff_s
-        now_s += pause.seconds
-        starts.append(now_s)
-    for first, beyond in zip(starts, starts[restarts:], strict=False):
-        assert beyond - first >= window_s - 1e-6
+@given(st.lists(st.floats(0, 200), max_size=60), st.integers(1, 6), st.floats(1, 100))
+def test_so_many_ends_in_a_row_reach_the_limit_and_only_a_long_run_lifts_it(
+    runs, restarts, window_s
+):
+    made = pauses(runs, restarts=restarts, window_s=window_s)
+    for k, pause in enumerate(made):
+        in_a_row = 1
+        while in_a_row <= k and runs[k + 1 - in_a_row] <= window_s:
+            in_a_row += 1
+        assert pause.limit == (in_a_row > restarts)
+        assert pause.seconds >= (window_s if pause.limit else CONFIG.backoff_s)

@@ -146,7 +146,7 @@ class ProcessDetector:
             if not first.done():
                 first.set_exception(failed)
                 return
-            pause = restarts.after(ran_s, time.monotonic())
+            pause = restarts.after(ran_s)
             state = "degraded" if pause.limit else state
             if not self._closing.is_set():
                 self._say(Health(state, f"{why}; {self._outlook(pause)}"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import NamedTuple
 
 from edge.config import ModelProcess
@@ -19,33 +18,31 @@ class Pause(NamedTuple):
 class Restarts:
     """Backoff and limit of `config.ModelProcess`.
 
-    A process that ran for longer than `backoff_max_s` was well: the backoff begins anew.
+    Ends count in a row, however long each start takes: one after a run of over `window_s` is the
+    first again. The backoff begins anew after a run of over `backoff_max_s`.
     """
 
     def __init__(self, config: ModelProcess) -> None:
         self._config = config
-        self._starts_s: deque[float] = deque()
+        self._ends = 0
         self._backoff_s = config.backoff_s
 
-    def after(self, ran_s: float, now_s: float) -> Pause:
-        """What a process's end calls for; its next start is counted.
+    def after(self, ran_s: float) -> Pause:
+        """What a process's end calls for.
 
         Args:
             ran_s: how long it was ready; 0 if it never was.
-            now_s: on any clock that goes on evenly.
 
         Returns:
             The pause; infinite where no restart is allowed at all.
         """
         c = self._config
+        self._ends = 1 if ran_s > c.window_s else self._ends + 1
         if ran_s > c.backoff_max_s:
             self._backoff_s = c.backoff_s
         seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, c.backoff_max_s)
         if c.restarts == 0:
             return Pause(math.inf, True)
-        limit = False
-        if len(self._starts_s) == c.restarts:
-            room_s = self._starts_s.popleft() + c.window_s - now_s
-            limit, seconds = room_s > seconds, max(room_s, seconds)
-        self._starts_s.append(now_s + seconds)
-        return Pause(seconds, limit)
+        if self._ends > c.restarts:
+            return Pause(max(seconds, c.window_s), True)
+        return Pause(seconds, False)

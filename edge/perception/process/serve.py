@@ -29,6 +29,7 @@ Make = Callable[[config.Perception, Sequence[str], Progress], Detector]
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _FIRST_TO_GO = "1000"  # for the kernel when memory runs out: the robot can do without this process
 _LINGER_MS = 2000
+_NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
 def main(make: Make = make_detector) -> int:
@@ -113,9 +114,15 @@ def answer_images(images: zmq.Socket, detector: Detector, frames: FrameView) -> 
             if not frames.is_whole(seq):
                 raise ValueError(f"frame {seq}: torn, another was written meanwhile")
         except Exception as error:
-            images.send(messages.encode_error(error, seq=seq))
+            images.send(messages.encode_error(_by_kind(error), seq=seq))
         else:
             images.send_multipart(messages.encode_answer(seq, found, detector))
+
+
+def _by_kind(error: Exception) -> Exception:
+    """Want of memory as what it is: onnxruntime and CUDA have types of their own for it."""
+    text = str(error).lower()
+    return MemoryError(str(error)) if any(sign in text for sign in _NO_MEMORY) else error
 
 
 if __name__ == "__main__":
