@@ -12,7 +12,6 @@ from chat_server import likeliest, send, serving
 from closed_loop import START_NS, ClosedLoop
 from patience import PATIENCE_S, eventually
 
-from edge import advice as advice_module
 from edge.advice import SIGHTED_NS, Advisers, make_advisers, sightings
 from edge.config import Config, parse
 from edge.geometry import SE2
@@ -160,20 +159,18 @@ def test_similarity_is_for_every_target(monkeypatch):
     advisers.close()
 
 
-def test_the_running_detectors_scores_are_taken_from_its_detections(monkeypatch):
-    monkeypatch.setattr(advice_module, "is_running_detector", lambda card, perception: True)
-    monkeypatch.setattr(
-        advice_module, "similarity_card", lambda p: type("Card", (), {"name": "by-sim"})
-    )
-    config = parse({"loop": {"lockstep": True}, "sim": {"lockstep": True}})
+def test_the_running_detectors_scores_are_taken_from_its_detections():
+    name = "running-detector-similarity"
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+    config = parse({**lockstep, "perception": {"similarity": name}})
     loop = ClosedLoop(config).run(3)
     similarity = loop.service.advice.similarity
     assert similarity.targets == ("chair",)
     assert similarity.score.shape == (1,)
     status = loop.service.status_dict()["scorers"]
-    assert status["similarity"]["model"].startswith("by-sim (sim")
+    assert status["similarity"]["model"].startswith(f"{name} (sim")
     assert "choice" not in status
-    assert loop.advisers.names() == ["by-sim"]
+    assert loop.advisers.names() == [name]
 
 
 def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():

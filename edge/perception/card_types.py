@@ -192,7 +192,10 @@ class ImageCard(_FileCard):
 
 
 class SimilarityCard(BaseCard):
-    """An image-text scorer: two encoders of one embedding, or a detector. It has no file."""
+    """An image-text scorer: two encoders of one embedding, or a detector. It has no file.
+
+    `detector` names a card, or is `running detector`.
+    """
 
     task: Literal["similarity"]
     sources: tuple[Source, ...] = ()

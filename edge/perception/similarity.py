@@ -16,6 +16,8 @@ from edge.perception.text import TextEncoder, open_text_encoder
 from edge.types import Detections
 
 THREADS = 2
+RUNNING = "running detector"
+"""What a card names in the place of one detector: whichever runs."""
 SENTENCE = "Seems like there is a {} ahead."  # VLFM's, word for word
 
 
@@ -128,7 +130,8 @@ def best_scores(detections: Detections) -> np.ndarray:
 def is_running_detector(card: SimilarityCard, perception: Perception) -> bool:
     """Whether a scorer's detector is the one that looks for the targets: it need not run twice."""
     running = perception.detector
-    return isinstance(running, DetectorOnnx) and running.model == card.detector
+    same = isinstance(running, DetectorOnnx) and running.model == card.detector
+    return same or card.detector == RUNNING
 
 
 def make_similarity(
@@ -145,6 +148,7 @@ def make_similarity(
     """
     running = perception.detector if isinstance(perception.detector, DetectorOnnx) else None
     if card.detector is not None:
+        assert card.detector != RUNNING, "that one is asked anyway"
         settings = running or DetectorOnnx()
         own = settings.model_copy(update={"model": card.detector, "background": ()})
         return DetectorSimilarity(card.name, OnnxDetector(own, prompts))
