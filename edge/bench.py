@@ -34,7 +34,6 @@ Message = tuple[Topic, int, bytes]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge bench`."""
-    from edge import swap_bench
     from edge.cli import stop_on_signals
 
     started_s = process_age_s()
@@ -44,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
     figures = run_bench(config, recording, args.seconds, stop, started_s, args.swap)
     print(figures.pop("table"))
     if args.swap is not None:
-        print(swap_bench.table(figures["swap"]))
+        from edge.swap_bench import table
+
+        print(table(figures["swap"]))
     for name, (value, unit, limit) in figures["verdicts"].items():
         verdict = "ok  " if value <= limit else "OVER"
         print(f"{verdict}  {name:24} {value:9.2f} {unit}   (budget {limit:g} {unit})")
@@ -76,10 +77,10 @@ def run_bench(
         UserError: no tick, or no detection, came about, or the swap did not end.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
+    from edge import swap_bench
     from edge.ports import free_port
     from edge.recording import player
     from edge.runner import loop, open_service
-    from edge.swap_bench import SwapBench
 
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = config.model_copy(
@@ -94,10 +95,10 @@ def run_bench(
         log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
         with player(config, recording, loop=True) as process:
             look = _stopwatch(running.source.counters, process, seconds, stop)
-            swapping = None if swap is None else SwapBench(running, swap, seconds)
+            swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
             each = look if swapping is None else lambda: (look(), swapping.look())
             loop(running, stop, each=each)
-        swapped = {} if swapping is None else {"swap": swapping.figures()}
+        swap_figures = None if swapping is None else swapping.figures()
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
@@ -116,8 +117,9 @@ def run_bench(
             "tick p99": (tick.p99_ms, "ms", stages.TICK_DEADLINE_MS),
             "resident memory": (memory_mb, "MB", stages.MEMORY_BUDGET_MB),
             "ready after": (ready_s, "s", stages.READY_BUDGET_S),
+            **({} if swap_figures is None else swap_bench.verdicts(swap_figures)),
         },
-        **swapped,
+        **({} if swap_figures is None else {"swap": swap_figures}),
     }
 
 

@@ -121,6 +121,14 @@ _ROWS: tuple[tuple[str, str, str], ...] = (
 )
 
 
+def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
+    """What a swap has to do, as `edge.bench.run_bench` says it: be kept, and lose no tick."""
+    return {
+        "swaps given up": (float(figures["state"] != "kept"), "", 0.0),
+        "ticks lost by the swap": (float(figures["during"]["lost"]), "", 0.0),
+    }
+
+
 def table(figures: Mapping[str, Any]) -> str:
     """What `SwapBench.figures` found, as aligned text."""
     lines = [

@@ -77,3 +77,16 @@ def test_what_was_lost_is_told_by_stretch(bench):
     text = swap_bench.table(figures)
     assert text.splitlines()[0] == "swap of old to new: kept: fine"
     assert "ticks lost                      98           2" in text
+
+
+@pytest.mark.parametrize(
+    ("state", "lost", "over"),
+    [
+        ("kept", 0, []),
+        ("kept", 2, ["ticks lost by the swap"]),
+        ("rolled back", 0, ["swaps given up"]),
+    ],
+)
+def test_a_swap_has_to_be_kept_and_to_lose_no_tick(state, lost, over):
+    verdicts = swap_bench.verdicts({"state": state, "during": {"lost": lost}})
+    assert [name for name, (value, _, limit) in verdicts.items() if value > limit] == over
