@@ -6,13 +6,13 @@ import logging
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from edge.children import python_module
 from edge.config import Config
 from edge.errors import UserError
 from edge.latency import LatencyReport
@@ -155,7 +155,7 @@ def children(
         started: list[subprocess.Popen[bytes]] = []
         try:
             for command, *options in commands:
-                arguments = [sys.executable, "-m", "edge.cli", "--log-level", "warning"]
+                arguments = [*python_module("edge.cli"), "--log-level", "warning"]
                 arguments += [command, str(path), "--with-parent", str(os.getpid()), *options]
                 try:
                     # A session of its own keeps the terminal's Ctrl-C for the parent, which

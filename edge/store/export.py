@@ -7,10 +7,10 @@ import importlib.util
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 from edge import resources
+from edge.children import python_module
 from edge.perception.cards import FileCard, ModelError, load_card
 from edge.perception.text import VOCABULARY_FILE
 from edge.store.places import pulled_weights
@@ -69,7 +69,7 @@ def exporter(module: str, name: str, options: dict[str, Path | None]) -> int:
     """Run `python -m MODULE NAME --option …`, which writes to the models' cache; its exit code."""
     given = [part for key, path in options.items() if path is not None for part in (key, str(path))]
     cache = str(resources.models_dir())
-    command = [sys.executable, "-m", module, name, *given, "--cache", cache]
+    command = [*python_module(module), name, *given, "--cache", cache]
     return subprocess.run(command, check=False).returncode
 
 

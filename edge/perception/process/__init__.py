@@ -2,7 +2,7 @@
 
 The protocol, between the service (`detector.py`, `link.py`) and the model process (`serve.py`):
 
- 1. The service starts `python -m edge.perception.process.serve` and writes one JSON object to its
+ 1. The service starts the program `edge.perception.process.serve`, writes one JSON object to its
     stdin: configuration, prompts, a private folder, the frame file's descriptor (`messages.Start`).
  2. The process connects to two ZeroMQ PAIR sockets in that folder, `ipc://…/control` and
     `ipc://…/frames`. While it loads its model it says {health} on control now and then; when that

@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,13 +21,14 @@ import numpy as np
 import zmq
 
 from edge import config
+from edge.children import python_module
 from edge.logs import LEVELS, JsonFormatter
 from edge.perception.detector import Progress
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
 
-PROGRAM = (sys.executable, "-m", "edge.perception.process.serve")
+PROGRAM = python_module("edge.perception.process.serve")
 
 _LOOK_MS = 50  # how long an end may go unnoticed while an answer is awaited
 _END_S = 0.2

@@ -1,4 +1,4 @@
-"""`python -m edge.perception.process.serve`: the model process, started by `link.py` only."""
+"""The program of a model process, started by `link.py` only."""
 
 from __future__ import annotations
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from edge.children import python_module
 from edge.config import DetectorOnnx
 from edge.perception.cards import how_to_get
 from edge.store.bench.figures import Measured
 from edge.store.bench.variants import PROVIDERS, Variant
 
-WORKER = (sys.executable, "-m", "edge.store.bench.worker")
+WORKER = python_module("edge.store.bench.worker")
 
 
 class Bench:
