@@ -9,13 +9,13 @@ from time import perf_counter_ns
 from typing import Any, Generic, Protocol, TypeVar
 
 from edge.errors import UserError
+from edge.perception.worker import one_line
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
 
 PAUSE_S, MAX_PAUSE_S = 1.0, 30.0
 MAX_DOUBLINGS = 6
-LONGEST_ERROR = 500
 
 
 class Question(Protocol):
@@ -230,7 +230,7 @@ def _count(stats: ScorerStats, outcome: Any, took_ns: int, kind: str) -> bool:
     stats.in_a_row += 1
     known = isinstance(outcome, UserError)
     text = str(outcome) if known else f"{type(outcome).__name__}: {outcome}"
-    stats.last_error = " ".join(text.split())[:LONGEST_ERROR]
+    stats.last_error = one_line(text)
     if stats.in_a_row == 1:
         log.error("%s: %s (until it goes well again, this is only counted)",
                   kind, stats.last_error)  # fmt: skip

@@ -13,16 +13,24 @@ from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
 
+LONGEST_ERROR = 500
+
+
+def one_line(error: str) -> str:
+    """What a model says when it fails, as one line of at most `LONGEST_ERROR` characters."""
+    return " ".join(error.split())[:LONGEST_ERROR]
+
 
 @dataclass(slots=True)
 class WorkerStats:
-    """Counts since the start; written by the worker and its user, read by anyone.
+    """Counts since the start; written by the worker and its user, read by anyone at any time.
 
     Attributes:
         replaced: observations that a newer one displaced before their turn.
         unread: detections that a newer result displaced before they were polled.
         last_latency_ns: image to boxes of the newest result.
-        last_error: the newest failure in words, empty when there was none.
+        last_error: the newest failure in words (`one_line`), empty when there was none.
+        failures: type of failure → how many; replaced by another dict, never changed.
     """
 
     submitted: int = 0
@@ -38,8 +46,8 @@ class WorkerStats:
         """Count what a model raised; whether it is the first of its kind."""
         kind = type(error).__name__
         self.failed += 1
-        self.last_error = f"{kind}: {error}"
-        self.failures[kind] = self.failures.get(kind, 0) + 1
+        self.last_error = one_line(f"{kind}: {error}")
+        self.failures = {**self.failures, kind: self.failures.get(kind, 0) + 1}
         return self.failures[kind] == 1
 
 
@@ -209,5 +217,5 @@ class DetectorWorker(WorkerBase):
 
 def log_failure(detector: Detector, error: Exception) -> None:
     """Say once what kind of failure a detector has."""
-    log.error("detector %s: %s: %s (more of these are only counted)",
-              detector.name, type(error).__name__, error)  # fmt: skip
+    log.error("detector %s: %s (more of these are only counted)",
+              detector.name, one_line(f"{type(error).__name__}: {error}"))  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 from patience import PATIENCE_S
 
 from edge.perception.inline import InlineWorker
-from edge.perception.worker import DetectorWorker
+from edge.perception.worker import LONGEST_ERROR, DetectorWorker, WorkerStats
 from edge.types import Detections
 
 
@@ -46,7 +46,7 @@ class Fake:
         self.started.release()
         assert self.gate.acquire(timeout=PATIENCE_S)
         if observation.seq in self.bad:
-            raise RuntimeError(f"no luck with {observation.seq}")
+            raise RuntimeError(f"no luck\nwith {observation.seq}")
         one = np.ones(self.boxes, np.float32)
         return Detections(
             observation, np.zeros((self.boxes, 4), np.float32), one, one.astype(np.int32),
@@ -110,10 +110,22 @@ def test_a_failure_is_counted_told_once_and_outlived(frames, caplog):
     assert worker.stats.failed == 2
     assert worker.stats.failures == {"RuntimeError": 2}
     assert "no luck with 1" in worker.stats.last_error
-    assert len(caplog.records) == 1
+    (told,) = (record.getMessage() for record in caplog.records)
+    assert told.startswith("detector fake: RuntimeError: no luck with 0 (")
     assert worker.poll().observation is frames[2]
     assert [f.slot.holds for f in frames[:3]] == [0, 0, 1]
     worker.close()
+
+
+def test_a_failure_is_one_bounded_line_and_counts_that_are_read_stay_as_they_are():
+    stats = WorkerStats()
+    before = stats.failures
+    assert stats.count_failure(RuntimeError("no\nluck " + "x" * 1000))
+    assert not stats.count_failure(RuntimeError())
+    assert (before, stats.failures) == ({}, {"RuntimeError": 2})
+    stats.count_failure(ValueError("no\nluck " + "x" * 1000))
+    assert stats.last_error.startswith("ValueError: no luck xxx")
+    assert len(stats.last_error) == LONGEST_ERROR
 
 
 def test_inline_a_failure_is_counted_told_once_a_kind_and_outlived(frames, caplog):
