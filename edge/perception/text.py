@@ -12,6 +12,7 @@ import difflib
 import logging
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -29,6 +30,13 @@ VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 VOCABULARY_FAMILY = "clip-vit-b-32"
 """Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
 elsewhere, many of them at the same length, so neither can stand in for the other."""
+
+
+_UNREADABLE = (
+    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zlib.error,
+    zipfile.BadZipFile,
+)  # fmt: skip
+"""What NumPy raises for a damaged .npz, and what comes of a file that holds other things."""
 
 
 class PromptError(UserError, ValueError):
@@ -172,7 +180,7 @@ class TextEmbeddings:
             with np.load(self.path, allow_pickle=False) as file:
                 words = [str(word).lower() for word in file["names"]]
                 self._rows = file["emb"].astype(np.float32)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise PromptError(
                 f"{self.path}: not a vocabulary (needs arrays `names` and `emb`): {error}"
             ) from None
@@ -180,7 +188,14 @@ class TextEmbeddings:
             raise PromptError(
                 f"{self.path}: {len(words)} names but embeddings of shape {self._rows.shape}"
             )
-        self._rows /= np.linalg.norm(self._rows, axis=1, keepdims=True)
+        norms = np.linalg.norm(self._rows, axis=1, keepdims=True)
+        usable = np.isfinite(norms) & (norms > 0.0)
+        if not usable.all():
+            raise PromptError(
+                f"{self.path}: the embedding of {words[int(np.argmin(usable))]!r} is zero or not "
+                "finite: make the vocabulary anew, or leave the word out"
+            )
+        self._rows /= norms
         self._row_of: dict[str, int] = {}
         for row, word in enumerate(words):
             self._row_of.setdefault(word, row)

@@ -98,10 +98,43 @@ def test_a_damaged_vocabulary_is_named(tmp_path, content):
         TextEmbeddings(str(path))
 
 
-def test_rows_must_match_names(tmp_path):
+def torn_zip(path):
+    """The compressed bytes of the first array are changed, not those that say where they are."""
+    np.savez_compressed(path, names=np.array(["a", "b"]), emb=np.eye(2))
+    content = bytearray(path.read_bytes())
+    content[60:70] = b"\xff" * 10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: np.save(path.open("wb"), np.eye(2)),
+        lambda path: np.savez(path, names=np.array("a"), emb=np.eye(1)),
+        lambda path: np.savez(path, names=np.array(["a"]), emb=np.array([["b"]])),
+        torn_zip,
+    ],
+)
+def test_a_file_with_other_things_is_no_vocabulary(tmp_path, write):
+    write(tmp_path / "v.npz")
+    with pytest.raises(PromptError, match=r"v\.npz: not a vocabulary"):
+        TextEmbeddings(str(tmp_path / "v.npz"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (np.ones((3, 4), np.float16), "2 names but embeddings"),
+        (np.array([[1, 0], [0, 0]]), "the embedding of 'b' is zero or not finite"),
+        (np.array([[np.nan, 1], [1, 0]]), "the embedding of 'a' is zero or not finite"),
+        (np.array([[1, 0], [1, np.inf]]), "the embedding of 'b' is zero or not finite"),
+        (np.ones((2, 0)), "the embedding of 'a' is zero or not finite"),
+    ],
+)
+def test_every_word_must_have_an_embedding(tmp_path, rows, says):
     path = tmp_path / "v.npz"
-    np.savez(path, names=np.array(["a", "b"]), emb=np.ones((3, 512), np.float16))
-    with pytest.raises(PromptError, match="2 names but embeddings"):
+    np.savez(path, names=np.array(["a", "b"]), emb=rows)
+    with pytest.raises(PromptError, match=rf"v\.npz: {says}"):
         TextEmbeddings(str(path))
 
 
