@@ -1,8 +1,8 @@
 """Holds benchmarks to `budgets.yaml` and prints where each stands.
 
 A benchmark names its budget: `benchmark.extra_info["budget"] = "astar_weighted_1000"`.
-`--enforce-budgets` turns an exceeded budget into a failed run; without it the table only says so,
-since a shared machine's speed is not the code's.
+`--enforce-budgets` turns an exceeded budget, or one that nothing was measured for, into a failed
+run; without it the table only says so, since a shared machine's speed is not the code's.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ def _verdicts(config: pytest.Config) -> list[tuple[str, float, str, bool]]:
             ratio = median / medians[limit["ratio_of"]]
             words = f"ratio {ratio:.2f} <= {limit['max_ratio']} of {limit['ratio_of']}"
             rows.append((name, median, words, ratio <= limit["max_ratio"]))
+        elif "ratio_of" in limit:
+            rows.append((name, median, f"{limit['ratio_of']} was not measured", False))
         else:
             rows.append((name, median, "reference", True))
     return rows
@@ -52,6 +54,9 @@ def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    enforce = session.config.getoption("--enforce-budgets")
-    if enforce and exitstatus == 0 and not all(row[3] for row in _verdicts(session.config)):
+    if not session.config.getoption("--enforce-budgets") or exitstatus != 0:
+        return
+    rows = _verdicts(session.config)
+    skipped = session.config.pluginmanager.get_plugin("terminalreporter").stats.get("skipped")
+    if skipped or not rows or not all(row[3] for row in rows):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

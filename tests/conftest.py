@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,24 @@ settings.register_profile(
 settings.load_profile("edge")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(autouse=True)
+def _logging_as_before() -> Iterator[None]:
+    """Commands that run in this process set up logging; the next test must not inherit it."""
+    root, edge = logging.getLogger(), logging.getLogger("edge")
+    before = (root.level, list(root.handlers), edge.level)
+    yield
+    root.handlers[:] = before[1]
+    root.setLevel(before[0])
+    edge.setLevel(before[2])
+
+
+@pytest.fixture(autouse=True)
+def _no_overrides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the developer has set to override configurations is none of the tests' business."""
+    for name in [name for name in os.environ if name.startswith("EDGE__")]:
+        monkeypatch.delenv(name)
 
 
 @pytest.fixture(scope="session")

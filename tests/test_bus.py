@@ -48,7 +48,9 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
 
 def test_who_connects_waits_until_somebody_comes(free_endpoint):
     settings, opened = Zenoh(endpoint=free_endpoint), []
-    thread = threading.Thread(target=lambda: opened.append(bus.open_session(settings, "connect")))
+    thread = threading.Thread(
+        target=lambda: opened.append(bus.open_session(settings, "connect")), daemon=True
+    )
     thread.start()
     time.sleep(1.0)
     assert thread.is_alive()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import nullcontext
 
 import numpy as np
@@ -14,13 +16,21 @@ import pytest
 from edge import cli
 from edge.cli import main
 from edge.errors import Stopped
+from edge.parsers import make_parser
 
 HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
-COMMANDS = (
-    "", "run", "demo", "sim", "motion", "config", "models", "models list", "models pull",
-    "models export", "models quantize", "models check", "models bench", "models use", "record",
-    "bench", "eval", "eval episodes", "doctor",
-)  # fmt: skip
+
+
+def commands(parser: argparse.ArgumentParser, words: str = "") -> Iterator[str]:
+    """Every command and its parts, as words."""
+    yield words
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, part in action.choices.items():
+                yield from commands(part, f"{words} {name}".strip())
+
+
+COMMANDS = tuple(commands(make_parser("", {})))
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +47,8 @@ def test_no_command_is_told_the_usage(capsys):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command, capsys):
+def test_every_command_explains_itself(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as caught:
         main([*command.split(), "--help"])
     assert caught.value.code == 0

@@ -8,6 +8,7 @@ import socket
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 
 from edge import bus, config, doctor, resources
 from edge.config import parse
@@ -128,7 +129,7 @@ def test_a_cache_that_cannot_be_written(cache):
 
 
 def test_no_message_over_zenoh(monkeypatch):
-    assert doctor.loopback_ms(5.0) > 0
+    assert doctor.loopback_ms(PATIENCE_S) > 0
     monkeypatch.setattr(doctor, "loopback_ms", lambda _: None)
     (finding,) = doctor.check_zenoh(SIM)
     assert finding.level == "fail"

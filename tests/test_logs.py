@@ -16,16 +16,6 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.fixture(autouse=True)
-def _as_before():
-    root, edge = logging.getLogger(), logging.getLogger("edge")
-    before = (root.level, list(root.handlers), edge.level)
-    yield
-    root.handlers[:] = before[1]
-    root.setLevel(before[0])
-    edge.setLevel(before[2])
-
-
 def test_human_lines():
     out = io.StringIO()
     logs.setup("info", stream=out)

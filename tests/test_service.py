@@ -44,7 +44,7 @@ def test_it_reaches_what_it_was_told_to_find(target):
 @pytest.mark.parametrize(
     ("seed", "rate_hz"),
     [
-        (1, 30),
+        pytest.param(1, 30, marks=pytest.mark.slow),
         pytest.param(2, 30, marks=pytest.mark.slow),
         pytest.param(3, 30, marks=pytest.mark.slow),
         (1, 5),

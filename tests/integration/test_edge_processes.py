@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-from edge_processes import STOP_S, write_config
+from edge_processes import LOCKSTEP, STOP_S, write_config
 
 from edge import topics
 from edge.bus import open_session
@@ -45,8 +45,11 @@ def check_report(folder: Path, outcome: str) -> None:
     assert "<script" not in page
 
 
-def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path):
-    demo = edge("demo")
+@pytest.mark.parametrize(
+    "environ", [LOCKSTEP, pytest.param({}, marks=pytest.mark.slow)], ids=["lockstep", "real time"]
+)
+def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path, environ):
+    demo = edge("demo", **environ, EDGE__MISSION__TIME_LIMIT_S="1e6")
     assert demo.wait() == 0, demo.output
     assert demo.lines[-3].startswith("reached: ")
     assert [Path(line).name for line in demo.lines[-2:]] == ["report.html", "report.png"]

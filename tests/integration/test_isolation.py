@@ -155,7 +155,7 @@ def test_ten_kills_in_a_minute(live, capsys):
 
     The loop's rate before and meanwhile is printed.
     """
-    with live(start_timeout_s=PATIENCE_S) as (life, _):
+    with live(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S) as (life, _):
         life.until_it_sees()
         began_s = time.monotonic()
         before_hz = life.until(lambda: True, 150) / (time.monotonic() - began_s)

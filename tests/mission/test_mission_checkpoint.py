@@ -291,6 +291,7 @@ path, chance = Path(sys.argv[1]), random.Random(3)
 for life in range(30):
     state = load(path).saved
     if (child := os.fork()) == 0:
+        signal.alarm(60)  # should the parent fail, this one must not write for ever
         n = state.stamp_ns
         while True:
             n += 1
