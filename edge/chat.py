@@ -15,8 +15,10 @@ import socket
 import ssl
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
@@ -121,6 +123,10 @@ class ChatClient:
         self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
         self._parts, self._api_key = parts, (api_key or "").strip()
         self._lock, self._closed = threading.Lock(), False
+        self._connection: Callable[..., http.client.HTTPConnection] = http.client.HTTPConnection
+        if parts.scheme == "https":  # reading the certificates takes longer than a short answer
+            context = ssl.create_default_context()
+            self._connection = partial(http.client.HTTPSConnection, context=context)
         self._under_way: set[_Exchange] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
@@ -194,12 +200,7 @@ class ChatClient:
 
     def _exchange(self, body: bytes, left_s: float) -> _Reply:
         parts, end_s = self._parts, time.monotonic() + left_s
-        if parts.scheme == "https":
-            connection = http.client.HTTPSConnection(
-                parts.hostname, parts.port, timeout=left_s, context=ssl.create_default_context()
-            )
-        else:
-            connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=left_s)
+        connection = self._connection(parts.hostname, parts.port, timeout=left_s)
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
         if self._api_key:
             headers["Authorization"] = f"Bearer {self._api_key}"

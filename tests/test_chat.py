@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+import ssl
 import threading
 import tracemalloc
 from http.server import BaseHTTPRequestHandler
@@ -202,6 +203,21 @@ def test_nothing_listens():
         url = f"http://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(ChatError, match="nothing listens there; start the server"):
             ChatClient(url, "m").ask(HELLO)
+
+
+@pytest.mark.parametrize(("scheme", "read"), [("http", 0), ("https", 1)])
+def test_certificates_are_read_once_for_all_questions(monkeypatch, scheme, read):
+    contexts, make = [], ssl.create_default_context
+    monkeypatch.setattr(
+        ssl, "create_default_context", lambda: contexts.append(make()) or contexts[0]
+    )
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        client = ChatClient(f"{scheme}://127.0.0.1:{taken.getsockname()[1]}", "m")
+        for _ in range(2):
+            with pytest.raises(ChatError, match="nothing listens there"):
+                client.ask(HELLO)
+    assert len(contexts) == read
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 70 + ".invalid"])
