@@ -85,7 +85,10 @@ def read_page(url: str, accept: str, limits: Limits = LIMITS) -> tuple[str, str,
 
 def shown(url: str) -> str:
     """An address as messages may show it: without user and password."""
-    split = urlsplit(url)
+    try:
+        split = urlsplit(url)
+    except ValueError:
+        return url.rpartition("@")[2]
     return urlunsplit(split._replace(netloc=_host(split)))
 
 
@@ -124,7 +127,10 @@ def _agree_on_start(response: Any, part: Part) -> int | None:
 
 def _open(url: str, headers: dict[str, str], limits: Limits) -> Any:
     """A response of 2xx; raises FetchError, or Interrupted where another try may help."""
-    split = urlsplit(url)
+    try:
+        split = urlsplit(url)
+    except ValueError as error:
+        raise FetchError(f"no address: {error}") from None
     plain = urlunsplit(split._replace(netloc=_host(split)))
     agent = {"User-Agent": f"edge-vln/{__version__}", "Accept-Encoding": "identity"}
     request = urllib.request.Request(plain, headers={**agent, **headers})

@@ -79,8 +79,10 @@ def find_wheels(package: str, index: str, limits: Limits = LIMITS) -> list[Wheel
     base, files = _read_index(address, limits)
     wheels = []
     for href, sha256, size in files:
-        url = urljoin(base, href)
-        split = urlsplit(url)
+        try:
+            split = urlsplit(urljoin(base, href))
+        except ValueError:  # no address; the page has others
+            continue
         # A page from the network has no say over files of this machine.
         local = urlsplit(base).scheme == "file"
         allowed = ("http", "https", "file") if local else ("http", "https")
@@ -93,9 +95,10 @@ def find_wheels(package: str, index: str, limits: Limits = LIMITS) -> list[Wheel
 
 def is_wheel_of(path: str, name: str, version: str) -> bool:
     """Whether a file's name is that of a wheel of this package and version."""
-    parts = path.rpartition("/")[2].removesuffix(".whl").split("-")
+    file = path.rpartition("/")[2]
+    parts = file.removesuffix(".whl").split("-")
     return (
-        path.endswith(".whl")
+        re.fullmatch(r"[A-Za-z0-9_.!+-]+\.whl", file) is not None
         and len(parts) in (5, 6)
         and _normal(parts[0]) == _normal(name)
         and parts[1].lower() == version.lower()
@@ -122,6 +125,8 @@ def _read_index(address: str, limits: Limits):  # type: ignore[no-untyped-def]
             return page.resolve().as_uri(), list(_from_html(page.read_bytes()))
         except OSError as error:
             raise FetchError(f"{page}: {error.strerror}") from None
+        except ValueError:
+            raise FetchError(f"{page}: is no page of a package index") from None
     base, kind, content = read_page(address, _ACCEPT, limits)
     try:
         return base, list(_from_json(content) if kind == _JSON else _from_html(content))
@@ -139,7 +144,10 @@ def _from_json(content: bytes) -> Iterator[tuple[str, str | None, int | None]]:
 
 def _from_html(content: bytes) -> Iterator[tuple[str, str | None, int | None]]:
     parser = _Links()
-    parser.feed(content.decode("utf-8", "replace"))
+    try:
+        parser.feed(content.decode("utf-8", "replace"))
+    except AssertionError as error:  # what HTMLParser raises for `<![foo[x]]>`
+        raise ValueError(str(error)) from None
     for href in parser.found:
         told = re.search(r"#(?:.*&)?sha256=([0-9a-f]{64})", href)
         yield href, told[1] if told else None, None

@@ -6,14 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import urljoin
 
 from edge import resources
 from edge.perception.card_types import Card, FileCard, Source, TextCard
 from edge.perception.cards import ModelError, load_card
 from edge.perception.model_file import remembered_sha256
 from edge.store import index
-from edge.store.download import LIMITS, Limits, download
+from edge.store.download import LIMITS, Limits, download, shown
 from edge.store.local import copy_from, extract
 from edge.store.made import take_made
 from edge.store.part import FetchError, Part
@@ -167,7 +166,7 @@ def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> N
             copy_from(index.local_path(attempt), part, file.sources)
         else:
             name = source_file_name(file.sources[0])
-            _download(urljoin(attempt, name) if attempt.endswith("/") else attempt, part, where)
+            _download(attempt + name if attempt.endswith("/") else attempt, part, where)
     elif attempt.kind == "path":
         copy_from(Path(attempt.path).expanduser(), part, file.sources)
     elif attempt.kind == "url":
@@ -178,7 +177,7 @@ def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> N
 
 def _download(url: str, part: Part, where: Where) -> None:
     if where.offline:
-        raise FetchError(f"{url}: not asked, as --offline was given")
+        raise FetchError(f"{shown(url)}: not asked, as --offline was given")
     download(url, part, where.limits)
 
 
@@ -194,7 +193,7 @@ def _from_index(package: str, member: str, part: Part, where: Where) -> None:
     for address in places.indexes:
         local = address.startswith("file:") or "://" not in address
         if where.offline and not local:
-            reasons.append(f"{address}: not asked, as --offline was given")
+            reasons.append(f"{shown(address)}: not asked, as --offline was given")
             continue
         try:
             wheel = index.find_wheels(package, address, where.limits)[0]

