@@ -2,7 +2,8 @@
 
 Started in place of `edge.perception.process.serve`. With a model other than `steered` it serves
 that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
-`wait` or `build` a steered one is not ready; what else it says keeps it from loading.
+`wait` or `build` a steered one is not ready; with `lie` it tells nonsense of its health; what else
+the file says keeps it from loading.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 from edge import resources
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health, make_detector
-from edge.perception.process import serve
+from edge.perception.process import messages, serve
 from edge.perception.text import PromptError
 from edge.types import Detections
 
-SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE = range(1, 8)
+SEGFAULT, HANG, NO_MEMORY, NAN, FAILURE, EXIT, ENGINE, TOO_MANY = range(1, 9)
 
 
 def fail(error: BaseException) -> None:
@@ -70,6 +71,8 @@ class Steered:
     def detect(self, observation):
         height, width = observation.rgb.shape[:2]
         order, n = int(observation.rgb[0, 0, 0]), len(self.prompts)
+        if order == TOO_MANY:  # a box takes more than a byte
+            n = messages.MAX_BYTES
         ORDERS.get(order, lambda: None)()
         self._health = Health("building engine", "3 of 9") if order == ENGINE else Health()
         right = np.nan if order == NAN else width
@@ -77,7 +80,7 @@ class Steered:
             observation=observation,
             xyxy_px=np.tile(np.array([[0, 0, right, height]], np.float32), (n, 1)),
             score=np.full(n, observation.rgb.mean(dtype=np.float64) / 255, np.float32),
-            class_id=np.arange(n, dtype=np.int32),
+            class_id=np.arange(n, dtype=np.int32) % len(self.prompts),
             prompts=self.prompts,
             rival=np.zeros(n, np.float32),
         )
@@ -94,6 +97,8 @@ def make(perception, prompts, progress):
         progress(Health("building engine", "1 of 2"))
     while (said := script.read_text()) in ("wait", "build"):
         time.sleep(0.01)
+    if said == "lie":
+        progress(Health("splendid"))
     if said == "exit":
         os._exit(4)
     if said:

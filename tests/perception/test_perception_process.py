@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import psutil
 import pytest
-from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT
+from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT, TOO_MANY
 from patience import PATIENCE_S, eventually
 
 from edge import config, resources
@@ -169,14 +171,15 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
 
 
 def test_a_hang_is_ended(make, seen):
-    """Of the model, and of the whole process."""
+    """Of the model, of the whole process, and an answer that is too long to be taken."""
     detector = make(timeout_s=0.1)
     says = r"no answer within 0\.1 s .*timeout_s.*killed"
-    pid = pid_of(detector)
-    with pytest.raises(ModelProcessError, match=says):
-        detector.detect(seen(HANG))
-    eventually(lambda: pid_of(detector) != pid and detector.health().state == "ok")
-    assert not psutil.pid_exists(pid)
+    for order in (HANG, TOO_MANY):
+        pid = pid_of(detector)
+        with pytest.raises(ModelProcessError, match=says):
+            detector.detect(seen(order))
+        eventually(lambda pid=pid: pid_of(detector) != pid and detector.health().state == "ok")
+        assert not psutil.pid_exists(pid)
     halt(pid_of(detector))
     with pytest.raises(ModelProcessError, match=says):
         detector.detect(seen())
@@ -311,6 +314,7 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         ("tiny.onnx: truncated", ModelError, "^tiny.onnx: truncated$"),
         ("exit", ModelProcessError, "ended with exit code 4 before it was ready"),
         ("wait", ModelProcessError, r"not ready after 0\.1 s \(.*start_timeout_s\)"),
+        ("lie", ModelProcessError, r"damaged message \(health 'splendid' .*\): killed$"),
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],
 )
@@ -352,6 +356,49 @@ def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch)
     halt(pid_of(detector))
     detector.close()
     assert not psutil.pid_exists(pid_of(detector))
+
+
+def outlive(monkeypatch):
+    """Stand-in for a process that the kernel cannot end: nobody's SIGKILL reaches it."""
+    monkeypatch.setattr(link.subprocess.Popen, "kill", lambda process: None)
+    for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (process_detector, "_CLOSE_S")):
+        monkeypatch.setattr(module, limit, 0.01)
+
+
+def test_a_process_that_cannot_be_ended_is_left_behind(monkeypatch, caplog):
+    detector = steered()
+    pid, thread = pid_of(detector), detector._thread
+    halt(pid)
+    outlive(monkeypatch)
+    detector.close()
+    (told,) = (r.getMessage() for r in caplog.records if r.levelno == logging.ERROR)
+    assert f"its process {pid} does not end, though it was killed: left behind" in told
+    os.kill(pid, signal.SIGKILL)
+    thread.join(PATIENCE_S)
+
+
+def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, caplog, tmp_path):
+    (tmp_path / "script").write_text("wait")
+    outlive(monkeypatch)
+    with pytest.raises(ModelProcessError, match="not ready after"):
+        steered(script=tmp_path / "script", start_timeout_s=0.01)
+    pid = int(re.search(r"its process (\d+) does not end, .*left behind", caplog.text)[1])
+    with contextlib.suppress(ProcessLookupError, ChildProcessError):  # it ends with its thread
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        (0, "ended with exit code 0"),
+        (-signal.SIGSEGV, "ended by SIGSEGV"),
+        (-signal.SIGKILL, "ended by SIGKILL, out of memory?"),
+        (-35, "ended by signal 35"),
+    ],
+)
+def test_how_a_process_ended(code, says):
+    assert link._how(code) == says
 
 
 PARENT = """

@@ -22,6 +22,7 @@ from edge.types import Detections, Observation
 log = logging.getLogger(__name__)
 
 _CHECK_S = 0.25  # how long the loop may wait to hear whether prompts will do
+_CLOSE_S = 10.0  # for the thread to end once its process was killed
 
 
 class ProcessDetector:
@@ -124,11 +125,16 @@ class ProcessDetector:
         return self._told
 
     def close(self) -> None:
-        """End the process; no detect afterwards."""
+        """End the process; no detect afterwards.
+
+        One that does not end though it was killed is left behind, and so is the thread.
+        """
         self._closing.set()
         if self._link is not None:
             self._link.stop()
-        self._thread.join()
+        self._thread.join(_CLOSE_S)
+        if self._thread.is_alive() and self._link is not None:
+            self._link.leave()
         self._frames.close()
 
     def _run(self, first: Future[None]) -> None:

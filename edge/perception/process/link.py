@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zmq
@@ -28,11 +28,16 @@ from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
 
+log = logging.getLogger(__name__)
+
 PROGRAM = python_module("edge.perception.process.serve")
 
 _LOOK_MS = 50  # how long an end may go unnoticed while an answer is awaited
 _END_S = 0.2
 _STOP_S = 2.0
+_KILL_S = 5.0  # one that is deep in the kernel, such as in a GPU's driver, does not even die
+
+T = TypeVar("T")
 
 
 class Link:
@@ -93,7 +98,7 @@ class Link:
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
         while "health" in (header := self._hear(self._control, timeout_s, told_to_end)):
-            progress(messages.decode_health(header))
+            progress(self._decode(messages.decode_health, header))
         messages.raise_error(header, self.name)
         self._hear(self._images, timeout_s, told_to_end)
         self._drop_folder()
@@ -106,10 +111,7 @@ class Link:
         while True:
             code = self._process.poll()  # before: what it said at its end is still to be heard
             if (said := _receive(socket)) is not None:
-                try:
-                    return messages.decode_header(said[0])
-                except ValueError as error:
-                    raise self.give_up(f"damaged message ({error}): killed") from None
+                return self._decode(messages.decode_header, said[0])
             if told_to_end():
                 raise self.give_up("told to end while it was started")
             if time.monotonic() >= deadline_s:
@@ -117,6 +119,13 @@ class Link:
                 raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
             if code is not None:
                 raise self.give_up(f"{_how(code)} before it was ready")
+
+    def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
+        """What a process says that is not yet ready; nonsense is its end."""
+        try:
+            return decode(said)
+        except ValueError as error:
+            raise self.give_up(f"damaged message ({error}): killed") from None
 
     def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> messages.Answer:
         """Have it look for the prompts in an image.
@@ -202,9 +211,13 @@ class Link:
         self._process.kill()
         return ModelProcessError(self.fault)
 
-    def join(self) -> None:
-        """Wait for the process to end; `fault` says how."""
-        code = self._process.wait()
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait for the process to end; `fault` says how.
+
+        Raises:
+            subprocess.TimeoutExpired: it has not.
+        """
+        code = self._process.wait(timeout_s)
         self.fault = self.fault or f"model {self.name}: its process: {_how(code)}"
         self._ended.set()
 
@@ -215,11 +228,23 @@ class Link:
             self._process.kill()
 
     def close(self) -> None:
-        """Let go of everything, the process included."""
+        """Let go of everything; a process that does not end though it was killed is left behind."""
         self._process.kill()
-        self.join()
+        try:
+            self.join(_KILL_S)
+        except subprocess.TimeoutExpired:
+            self.leave()
         with self._asking, self._checking:
             self._stack.close()
+
+    def leave(self) -> None:
+        """Say that the process is left behind, and have nobody wait for its answer."""
+        self.fault = self.fault or f"model {self.name}: its process: left behind"
+        self._ended.set()
+        log.error(
+            "model %s: its process %d does not end, though it was killed: left behind; if it is "
+            "still there later, restart the machine", self.name, self._process.pid,
+        )  # fmt: skip
 
 
 def _bind(context: zmq.Context[zmq.Socket[bytes]], address: str) -> zmq.Socket[bytes]:
@@ -276,7 +301,10 @@ def _how(code: int) -> str:
     """How a process ended, by its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
-    name = signal.Signals(-code).name
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:  # real-time signals but the first and the last have no name
+        name = f"signal {-code}"
     return f"ended by {name}" + (", out of memory?" if -code == signal.SIGKILL else "")
 
 
