@@ -29,7 +29,19 @@ def remembered_sha256(path: Path) -> str:
     """Hash of a file; remembered across starts in the cache, as large files take a while.
 
     It is computed anew when the file's size or its time of change is another.
+
+    Raises:
+        ModelError: the file cannot be read.
     """
+    try:
+        return _remembered_sha256(path)
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot be read ({error.strerror}); make it readable, or remove it"
+        ) from None
+
+
+def _remembered_sha256(path: Path) -> str:
     stat = path.stat()
     key = f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}"
     memory = resources.cache_dir() / "sha256.json"

@@ -221,6 +221,18 @@ def test_the_hash_is_remembered_until_the_file_changes(place, monkeypatch):
     assert len(counted) == 1
 
 
+def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):
+    place()
+
+    def refuse(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(model_file, "sha256_of", refuse)
+    line = r"^\S*tiny\.onnx: cannot be read \(Permission denied\); make it readable, or remove it$"
+    with pytest.raises(cards.ModelError, match=line):
+        cards.verify_model(put_model())
+
+
 def test_a_broken_memory_of_hashes_does_no_harm(place):
     place()
     card = put_model()
