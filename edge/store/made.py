@@ -37,15 +37,13 @@ def take_made(card: FileCard, place: str, offline: bool, limits: Limits = LIMITS
     if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
         return None
     target = resources.models_dir() / card.file
-    with Part(target, sha256, size if isinstance(size, int) else None) as part:
+    # Held against what another export said, a sound model would seem damaged.
+    sidecar = target.with_name(f"{target.name}.json"), (json.dumps(said, indent=2) + "\n").encode()
+    with Part(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
         if remote:
             download(urljoin(place, card.file), part, limits)
         else:
             copy_from(index.local_path(place) / card.file, part, ())
-    sidecar = target.with_name(f"{target.name}.json")
-    half = sidecar.with_name(f".{sidecar.name}.part")
-    half.write_text(json.dumps(said, indent=2) + "\n", encoding="utf-8")
-    half.replace(sidecar)
     return target
 
 

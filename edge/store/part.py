@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
+from edge.files import write_atomically
 from edge.perception.model_file import ModelError
 
 MAX_BYTES = 4 << 30
@@ -34,8 +35,18 @@ class Part:
         have: bytes that are there.
     """
 
-    def __init__(self, target: Path, sha256: str | None, size: int | None = None) -> None:
-        self.target, self.sha256, self.size = target, sha256, size
+    def __init__(
+        self,
+        target: Path,
+        sha256: str | None,
+        size: int | None = None,
+        beside: tuple[Path, bytes] | None = None,
+    ) -> None:
+        """
+        Args:
+            beside: another file and its content, put in place with the whole one and only then.
+        """
+        self.target, self.sha256, self.size, self._beside = target, sha256, size, beside
         key = (sha256 or "unknown")[:12]
         self.path = target.with_name(f".{target.name}.{key}.part")
         self.have = 0
@@ -50,7 +61,8 @@ class Part:
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("ab+")
+            # Unbuffered: what a full disk did not take would be written again at the close.
+            self._file = self.path.open("ab+", buffering=0)
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._close()
@@ -86,8 +98,10 @@ class Part:
         if self.have + len(block) > limit:
             self.restart()
             raise FetchError(f"is longer than the {limit} bytes it should have")
+        left = memoryview(block)
         try:
-            self._file.write(block)
+            while left:  # a disk that is nearly full takes a part
+                left = left[self._file.write(left) :]
         except OSError as error:
             raise ModelError(f"{self.path}: cannot be written ({error.strerror})") from None
         self._digest.update(block)
@@ -114,6 +128,7 @@ class Part:
             Interrupted: it is not what it should be, but began with the part of an earlier run
                 or of another source, which may be to blame: that is forgotten now.
             FetchError: it is not what it should be, and is forgotten.
+            ModelError: the disk does not take it.
         """
         if self.size is not None and self.have != self.size:
             have = self.have
@@ -125,9 +140,10 @@ class Part:
             kind = Interrupted if resumed else FetchError
             raise kind(f"sha256 is {found[:12]}…, not {self.sha256[:12]}…: removed")
         try:
-            self._file.flush()
             os.fchmod(self._file.fileno(), 0o644)
             os.fsync(self._file.fileno())
+            if self._beside is not None:
+                write_atomically(*self._beside)
             self.path.replace(self.target)
             _sync_folder(self.target.parent)
         except OSError as error:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import resource
 
 import pytest
 
@@ -178,6 +180,33 @@ def test_a_place_that_cannot_be_written(tmp_path):
         Part(tmp_path / "file" / "w", SHA256),
     ):
         pass
+
+
+@contextlib.contextmanager
+def full_disk(limit):
+    """No file may grow longer; what does not fit is refused as by a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def write_in_blocks(tmp_path):
+    with part(tmp_path) as target:
+        for begin in range(0, len(CONTENT), 1024):
+            target.write(CONTENT[begin : begin + 1024])
+
+
+def test_a_full_disk_is_one_line_and_what_fits_is_kept(tmp_path):
+    with full_disk(50_000), pytest.raises(ModelError, match=r"part: cannot be written \(File too"):
+        write_in_blocks(tmp_path)
+    with part(tmp_path) as target:
+        assert target.have == 50_000
+        target.write(CONTENT[target.have :])
+        target.finish()
+    assert left(tmp_path) == {"w.pt": len(CONTENT)}
 
 
 def test_a_page_is_small(server):

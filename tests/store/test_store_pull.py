@@ -210,7 +210,7 @@ def test_a_wheel_of_an_index(store, server, tmp_path, monkeypatch, kind):
         (b'<a href="/my_pkg-1.0-py3-none-%1b[2Jany.whl">', wheel(), "no wheel of my-pkg"),
         (b'<a href="/my_pkg-1.0-py3-none-%00.whl">', wheel(), "no wheel of my-pkg"),
     ],
-    ids="empty no-zip truncated member hash file address html escape nul".split(),
+    ids=["empty", "no-zip", "truncated", "member", "hash", "file", "url", "html", "esc", "nul"],
 )
 def test_a_wheel_that_does_not_do(store, server, monkeypatch, capsys, page, content, message):
     monkeypatch.delenv("PIP_NO_INDEX")
@@ -369,6 +369,34 @@ def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
     assert pulled().keys() == {"tiny.onnx", "tiny.onnx.json"}
     assert pulled()["tiny.onnx"] == MODEL
     assert json.loads(pulled()["tiny.onnx.json"])["bytes"] == len(MODEL)
+
+
+def put_export(folder, model, of=None):
+    """What an export leaves in a folder; `of` is the model it speaks of, if that is another."""
+    folder.mkdir(exist_ok=True)
+    (folder / "tiny.onnx").write_bytes(model)
+    (folder / "tiny.onnx.json").write_text(json.dumps({"sha256": sha(of or model)}))
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
+    store, tmp_path, monkeypatch, broken
+):
+    store(card(url("https://example.org/w.pt")))
+    stick = tmp_path / "stick"
+    words = ["models", "pull", "tiny", "--offline", "--from", str(stick)]
+    put_export(stick, MODEL)
+    assert main(words) == 0
+    put_export(stick, b"broken" if broken else WEIGHTS, of=WEIGHTS)
+    if not broken:
+        monkeypatch.setattr("edge.store.part.write_atomically", no_space)
+    assert main(words) == 2
+    assert pulled()["tiny.onnx"] == MODEL
+    assert json.loads(pulled()["tiny.onnx.json"]) == {"sha256": sha(MODEL)}
+
+
+def no_space(*_):
+    raise OSError(28, "No space left on device")
 
 
 @pytest.mark.parametrize("said", [b"", b"[]", b'{"sha256": 3}', b'{"sha256": "%s"}' % (b"0" * 64)])
