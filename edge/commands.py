@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from edge.children import python_module
 from edge.config import Config
-from edge.errors import UserError
+from edge.errors import Stopped, UserError
 from edge.latency import LatencyReport
 from edge.ports import free_port
 from edge.runner import loop, open_service
@@ -51,6 +51,7 @@ def run_service(
 
     Raises:
         UserError: no report can be written there (said before the run).
+        Stopped: `stop` was set before the service was ready.
     """
     _prepare(report)
     return _conclude(_serve(config, stop, once, asked, formula), report)
@@ -67,7 +68,7 @@ def _serve(
     config: Config, stop: threading.Event, once: bool, asked: str | None, formula: str | None
 ) -> Outcome:
     recorder = RecorderSink(config)
-    with open_service(config, [ConsoleSink(), recorder], asked, formula) as running:
+    with open_service(config, [ConsoleSink(), recorder], asked, formula, stop) as running:
         instruction = running.service.mission.brief.translation.instruction
         log.info("ready: %s, on %s", instruction, config.zenoh.endpoint)
         status = loop(running, stop, once)
@@ -116,7 +117,8 @@ def run_demo(
     _prepare(report)
     outcome = None
     try:
-        with children(config, stop, ("sim", "--no-motion"), ("motion",)):
+        started = children(config, stop, ("sim", "--no-motion"), ("motion",))
+        with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
             outcome = _serve(config, stop, True, asked, formula)
     finally:  # a child's failure must not cost the report
         code = 0 if outcome is None else _conclude(outcome, report)

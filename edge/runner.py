@@ -7,7 +7,7 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,11 +21,13 @@ from edge.advice import make_advisers
 from edge.bus import open_session
 from edge.config import Config
 from edge.desk import Desk
+from edge.errors import Stopped
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
 from edge.mission.keeper import Keeper
 from edge.models_desk import ModelsDesk
-from edge.perception.detector import make_detector
+from edge.perception.cards import ModelError
+from edge.perception.detector import Detector, make_detector
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.priority import real_time
@@ -63,7 +65,11 @@ class Running:
 
 @contextmanager
 def open_service(
-    config: Config, sinks: list[Sink], asked: str | None = None, formula: str | None = None
+    config: Config,
+    sinks: list[Sink],
+    asked: str | None = None,
+    formula: str | None = None,
+    stop: threading.Event | None = None,
 ) -> Iterator[Running]:
     """Prepare the mission, load the detector, compile kernels, open Zenoh; all closed at exit.
 
@@ -72,14 +78,18 @@ def open_service(
         asked: the configuration's mission, where the command line named it.
         formula: the mission, in place of the configuration's. With neither, a checkpoint's
             unfinished mission goes on, whatever the configuration says.
+        stop: once set, the start is broken off: at once where a model's process is waited for,
+            else when the step at hand is done.
 
     Raises:
+        Stopped: `stop` was set before the service was ready.
         UserError: the mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's or a scorer's model is missing or unusable.
         ChatError: the URL of a scorer's server cannot be used.
         BusError: the endpoint cannot be listened on.
     """
+    stop = stop or threading.Event()
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -89,17 +99,21 @@ def open_service(
             brief = keeper.brief()
         if brief is None:
             brief = prepare(mission, formula=formula)
-        detector = make_detector(config.perception, brief.targets)
+        _go_on(stop)
+        detector = _load(config, brief.targets, stop)
         worker = (
             InlineWorker(detector, config.loop.detect_every)
             if config.loop.lockstep
             else DetectorWorker(detector)
         )
         stack.callback(worker.close)
+        _go_on(stop)
         advisers = make_advisers(config, brief.targets)
         if advisers is not None:
             stack.callback(advisers.close)
+        _go_on(stop)
         warm_up(config)
+        _go_on(stop)
         session = stack.enter_context(open_session(config.zenoh, role="listen"))
         source = ZenohSource(session, config)
         stack.callback(source.close)
@@ -120,6 +134,22 @@ def open_service(
         models = ModelsDesk(session, config.zenoh.prefix)
         stack.callback(models.close)
         yield Running(config, session, service, worker, source, inbox, desk, models, every)
+
+
+def _go_on(stop: threading.Event) -> None:
+    """Raises Stopped once `stop` is set."""
+    if stop.is_set():
+        log.info("stopped before it was ready")
+        raise Stopped
+
+
+def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
+    """See `make_detector`; raises Stopped where that fails since `stop` was set."""
+    try:
+        return make_detector(config.perception, targets, cancelled=stop)
+    except ModelError:
+        _go_on(stop)
+        raise
 
 
 def loop(

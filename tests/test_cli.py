@@ -8,14 +8,14 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 import pytest
 
 from edge import cli
 from edge.cli import main
-from edge.errors import Stopped
+from edge.errors import Stopped, UserError
 from edge.parsers import make_parser
 
 HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
@@ -198,7 +198,7 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     """A formula leaves the configuration as it is: later orders are read by its translator."""
     opened = []
 
-    def open_service(config, sinks, asked=None, formula=None):
+    def open_service(config, sinks, asked, formula, stop):
         assert config.mission.translator.kind == "grammar"
         opened.append((asked, formula, config.mission.target, config.mission.instruction))
         raise Stopped
@@ -209,6 +209,25 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     path.write_text(json.dumps({"mission": {"target": "chair"}}))
     assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
     assert opened == [expected]
+
+
+def test_a_demo_whose_simulator_ends_before_the_service_is_ready_is_an_error(
+    tmp_path, monkeypatch, capsys
+):
+    """What ends then sets `stop`, but nobody asked for it."""
+
+    def open_service(*_):
+        raise Stopped
+
+    @contextmanager
+    def children(*_):
+        yield
+        raise UserError("edge sim ended before its time")
+
+    monkeypatch.setattr("edge.commands.open_service", open_service)
+    monkeypatch.setattr("edge.commands.children", children)
+    error = fails(capsys, "demo", "demo", "--report", str(tmp_path / "report"))
+    assert "edge sim ended before its time" in error
 
 
 def test_output_that_nobody_reads_on_is_no_error():

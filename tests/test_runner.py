@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import logging
 import subprocess
 import sys
 import threading
@@ -12,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from edge import runner
 from edge.config import Config, parse
+from edge.errors import Stopped
 from edge.mission.checkpoint import save
 from edge.mission.order import ask
 from edge.mission.saved import Saved
@@ -97,6 +100,33 @@ def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
     settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
     with open_service(settings, [], asked, formula) as running:
         assert running.service.mission.brief.translation.instruction == expected
+
+
+STEPS = ["prepare", "make_detector", "make_advisers", "warm_up"]
+
+
+@pytest.mark.parametrize("last", STEPS)
+def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeypatch, caplog, last):
+    caplog.set_level(logging.INFO, "edge.runner")
+    stop, made = threading.Event(), []
+
+    def noting(name, step):
+        def note(*args, **kwargs):
+            made.append(name)
+            if name == last:
+                stop.set()
+            return step(*args, **kwargs)
+
+        return note
+
+    monkeypatch.setattr(runner, "warm_up", lambda config: None)
+    for name in STEPS:
+        monkeypatch.setattr(runner, name, noting(name, getattr(runner, name)))
+    with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):
+        raise AssertionError
+    assert made == STEPS[: STEPS.index(last) + 1]
+    told = [r.getMessage() for r in caplog.records if r.name == "edge.runner"]
+    assert told == ["stopped before it was ready"]
 
 
 def test_after_a_formula_orders_are_read_by_the_configured_translator():

@@ -132,7 +132,7 @@ def run_episode(
     )
     stop = stop or threading.Event()
     recorder = RecorderSink(config)
-    with open_service(config, [recorder]) as running:
+    with open_service(config, [recorder], stop=stop) as running:
         truth = Truth(running.session, config.zenoh.prefix)
         with children(config, stop, ("sim", "--no-motion"), ("motion",)):
             watchdog = threading.Timer(_EPISODE_TIMEOUT_S, stop.set)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import sys
 import threading
 import time
@@ -14,12 +15,13 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from patience import PATIENCE_S
+from patience import PATIENCE_S, eventually
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from fake_model_process import __file__ as fake
 
 from edge.config import ModelProcess, parse
+from edge.errors import Stopped
 from edge.geometry import CameraModel
 from edge.perception.process import link
 from edge.runner import Running, loop, open_service
@@ -95,13 +97,18 @@ class Life:
 
 @pytest.fixture
 def live(endpoint, tmp_path, monkeypatch) -> Iterator[Callable]:
-    """live(**process): a service whose model's process is a fake; `script` says what it does."""
+    """live(stop, says, **process): a service whose model's process is a fake.
+
+    `says` is what `script` holds at first, which tells the fake what to do.
+    """
     monkeypatch.setattr(link, "PROGRAM", (sys.executable, fake))
     switch_s, script = sys.getswitchinterval(), tmp_path / "script"
-    script.write_text("")
 
     @contextmanager
-    def start(**process: object) -> Iterator[tuple[Life, Path]]:
+    def start(
+        stop: threading.Event | None = None, says: str = "", **process: object
+    ) -> Iterator[tuple[Life, Path]]:
+        script.write_text(says)
         perception = {
             "isolation": "process",
             "process": process,
@@ -111,7 +118,7 @@ def live(endpoint, tmp_path, monkeypatch) -> Iterator[Callable]:
             "zenoh": {"endpoint": endpoint}, "perception": perception,
             "loop": {"hz": RATE_HZ}, "mission": {"target": "chair", "time_limit_s": 1e6},
         })  # fmt: skip
-        with open_service(config, []) as running:
+        with open_service(config, [], stop=stop) as running:
             zenoh, running.source = running.source, Camera()
             yield Life(running), script
             running.source = zenoh
@@ -147,6 +154,25 @@ def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live
         assert "ended too often (perception.process.restarts: 1)" in life.status()["detail"]
         assert life.status()["failures"].keys() == {"ModelProcessError"}
         assert not life.running.service.status.done
+
+
+def test_a_stop_is_obeyed_while_the_model_loads(live, caplog):
+    caplog.set_level(logging.INFO, "edge.runner")
+    stop = threading.Event()
+
+    def stop_when_it_loads() -> None:
+        eventually(lambda: [c for c in psutil.Process().children() if fake in c.cmdline()])
+        stop.set()
+
+    stopper = threading.Thread(target=stop_when_it_loads)
+    stopper.start()
+    with pytest.raises(Stopped), live(stop, "wait", start_timeout_s=1e6):
+        raise AssertionError
+    stopper.join()
+    assert not [c for c in psutil.Process().children() if fake in c.cmdline()]
+    assert [r.getMessage() for r in caplog.records if r.name == "edge.runner"] == [
+        "stopped before it was ready"
+    ]
 
 
 @pytest.mark.slow
