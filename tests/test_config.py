@@ -81,8 +81,19 @@ FAULTS = [
         "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx, sim runs",
     ),
     ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
+    (
+        {"mapping": {"extent_m": 500, "resolution_m": 0.05}},
+        "f.yaml: mapping: extent_m 500 at resolution_m 0.05: more than 4096 cells a side; "
+        "take extent_m up to 204, or resolution_m from 0.123",
+    ),
+    ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
+
+
+@pytest.mark.parametrize("mapping", [{"extent_m": 204}, {"extent_m": 500, "resolution_m": 0.123}])
+def test_the_largest_map_that_an_error_offers_is_taken(mapping):
+    assert parse({"mapping": mapping}).mapping.extent_m == mapping["extent_m"]
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])
@@ -117,6 +128,11 @@ def test_an_unlike_key_lists_the_choices():
         ("a: b: c", "not YAML"),
         (b"\x00\x01\xff\xfe\x80binary", "not YAML"),
         (b"robot: \xff\xfe", "not YAML"),
+        ("loop: {hz: 2024-13-45}", "not YAML: month must be in 1..12"),
+        ("[" * 1000, "not YAML: nested too deeply"),
+        ("loop: {hz: !!timestamp soon}", "not YAML: a value is not what its tag says"),
+        ("loop: {lockstep: !!bool perhaps}", "not YAML: a value is not what its tag says"),
+        ("loop: {hz: !!int ''}", "not YAML"),
     ],
 )
 def test_a_file_that_is_no_configuration(write, content, says):
@@ -163,6 +179,8 @@ def test_environment_overrides(write, environ, read, value):
     [
         ({"EDGE__ROBOT__RADIUS": "0.3"}, "robot.radius: unknown key"),
         ({"EDGE__ROBOT__RADIUS_M": "{"}, "environment EDGE__ROBOT__RADIUS_M: not a YAML value"),
+        ({"EDGE__LOOP__HZ": "2024-13-45"}, "environment EDGE__LOOP__HZ: not a YAML value: '2024"),
+        ({"EDGE__LOOP__HZ": "[" * 1000}, "environment EDGE__LOOP__HZ: not a YAML value"),
     ],
 )
 def test_a_wrong_override_is_an_error(write, environ, says):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from edge import resources
@@ -18,6 +17,7 @@ from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import ConfigError, Section
 from edge.config.sim import Sim
+from edge.yaml_text import parse_yaml
 
 ENV_PREFIX = "EDGE__"
 
@@ -53,11 +53,11 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
     path = resources.find_config(name_or_path)
     try:
         with open(path, encoding="utf-8") as file:
-            data = yaml.safe_load(file)
+            data = parse_yaml(file)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not YAML: {error}") from None
     if data is None:
         data = {}
     if not isinstance(data, dict):
@@ -85,6 +85,8 @@ def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) 
                 child = node[section] = {}
             node = child
         try:
-            node[leaf] = yaml.safe_load(environ[key])
-        except yaml.YAMLError:
-            raise ConfigError(f"environment {key}: not a YAML value: {environ[key]!r}") from None
+            node[leaf] = parse_yaml(environ[key])
+        except ValueError:
+            raise ConfigError(
+                f"environment {key}: not a YAML value: {environ[key]!r:.80}"
+            ) from None

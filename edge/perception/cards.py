@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import yaml
 from pydantic import Field, TypeAdapter, ValidationError
 
 from edge import resources
@@ -22,6 +21,7 @@ from edge.perception.card_types import (
 )
 from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, remembered_sha256
+from edge.yaml_text import parse_yaml
 
 C = TypeVar("C", bound=BaseCard)
 
@@ -90,8 +90,8 @@ def all_cards() -> list[Card]:
 def read_card(path: Path) -> Card:
     """Read and validate one card; see `load_card`."""
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        data = parse_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise ModelError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict):
         raise ModelError(f"{path}: expected keys such as name, task, file")

@@ -101,7 +101,7 @@ def test_every_key_is_needed(place, tmp_path, key):
         cards.load_card("tiny")
 
 
-@pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00"])
+@pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00", "a: 2024-13-45", "[" * 1000])
 def test_what_is_no_card_is_named(place, tmp_path, text):
     (tmp_path / "cards" / "tiny.yaml").write_text(text)
     with pytest.raises(cards.ModelError, match=r"tiny\.yaml: "):

@@ -1,0 +1,25 @@
+"""YAML that anybody may have written."""
+
+from __future__ import annotations
+
+from typing import Any, TextIO
+
+import yaml
+
+
+def parse_yaml(text: str | TextIO) -> Any:
+    """What a YAML text says, without tags of Python's.
+
+    Raises:
+        ValueError: it is not YAML, not UTF-8, or has a value that is not of its type (2024-13-45);
+            the message is one line.
+        OSError: the file cannot be read.
+    """
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError) as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except (AttributeError, IndexError, KeyError):  # PyYAML's at `!!timestamp x`, `!!int ""`
+        raise ValueError("a value is not what its tag says") from None
