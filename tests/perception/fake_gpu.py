@@ -175,7 +175,7 @@ class FakeTensorrt:
         def deserialize(plan):
             if self.unreadable:
                 self.unreadable -= 1
-                logger.log(self.ILogger.Severity.ERROR, "version mismatch")
+                logger.log(self.ILogger.Severity.ERROR, "out of memory")
                 return None
             return SimpleNamespace(
                 create_execution_context=lambda: self.context(self.cuda, **json.loads(plan))

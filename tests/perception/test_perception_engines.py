@@ -52,10 +52,10 @@ def quiet(health):
 
 def test_an_engine_is_built_once(tmp_path):
     build, cache = Builds(), tmp_path / "a" / "engines"
-    folder, built = obtain(KEY, cache, build, quiet)
-    assert built
+    folder = obtain(KEY, cache, build, quiet)
     assert (folder / "model.engine").read_bytes() == b"engine"
-    assert obtain(KEY, cache, build, quiet) == (folder, False)
+    assert folder.stat().st_mode & 0o777 == 0o755
+    assert obtain(KEY, cache, build, quiet) == folder
     assert build.count == 1
     assert {p.name for p in cache.iterdir()} == {folder.name, f"{folder.name}.lock"}
     assert json.loads((folder / "engine.json").read_text())["key"]["sm"] == "8.7"
@@ -76,9 +76,9 @@ def test_an_engine_is_built_once(tmp_path):
 )
 def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
     build = Builds()
-    first, _ = obtain(KEY, tmp_path, build, quiet)
-    second, built = obtain(replace(KEY, **change), tmp_path, build, quiet)
-    assert built
+    first = obtain(KEY, tmp_path, build, quiet)
+    second = obtain(replace(KEY, **change), tmp_path, build, quiet)
+    assert build.count == 2
     assert first != second
 
 
@@ -95,13 +95,28 @@ def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
 )
 def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
     build = Builds()
-    folder, _ = obtain(KEY, tmp_path, build, quiet)
+    folder = obtain(KEY, tmp_path, build, quiet)
     harm(folder)
     with caplog.at_level(logging.WARNING):
-        assert obtain(KEY, tmp_path, build, quiet) == (folder, True)
+        assert obtain(KEY, tmp_path, build, quiet) == folder
+    assert build.count == 2
     assert len(caplog.records) == 1
     assert "it is built again" in caplog.text
     assert (folder / "model.engine").read_bytes() == b"engine"
+
+
+def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
+    tmp_path, monkeypatch
+):
+    """As another user's is, whose folder may be read but not written to."""
+    build = Builds()
+    folder = obtain(KEY, tmp_path, build, quiet)
+    (folder / "model.engine").write_bytes(b"engin")
+    monkeypatch.setattr(engine_cache.shutil, "rmtree", lambda path, ignore_errors: None)
+    says = r"of no use \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
+    with pytest.raises(ModelError, match=says):
+        obtain(KEY, tmp_path, build, quiet)
+    assert build.count == 1
 
 
 def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
@@ -161,14 +176,14 @@ def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
 def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
     tmp_path, monkeypatch, number
 ):
-    folder, _ = obtain(KEY, tmp_path, Builds(), quiet)
+    folder = obtain(KEY, tmp_path, Builds(), quiet)
 
     def fail(*_, **__):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(engine_cache.tempfile, "NamedTemporaryFile", fail)
     monkeypatch.setattr(engine_cache, "_locked", fail)
-    assert obtain(KEY, tmp_path, Builds(), quiet) == (folder, False)
+    assert obtain(KEY, tmp_path, Builds(), quiet) == folder
     (folder / "model.engine").unlink()
     with pytest.raises(ModelError, match="no place for engines"):
         obtain(KEY, tmp_path, Builds(), quiet)
@@ -190,7 +205,7 @@ def test_two_at_once_build_one_engine(tmp_path):
         (made / "model.engine").write_bytes(b"engine")
         engine_cache._seal(made, KEY)
     waits.join(PATIENCE_S)
-    assert results == [(made, False)]
+    assert results == [made]
     assert build.count == 0
 
 
@@ -301,15 +316,14 @@ def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
         open_tiny().run(["boxes"], inputs)
 
 
-def test_an_engine_that_does_not_load_is_built_again_once(gpu, open_tiny):
+def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open_tiny):
+    """Whether it was built only now or is found."""
+    gpu.unreadable = 2
+    for _ in range(2):
+        with pytest.raises(ModelError, match=r"cannot load this engine: out of memory; .*remove"):
+            open_tiny()
     open_tiny()
-    gpu.unreadable = 1
-    open_tiny()
-    assert len(gpu.built) == 2
-    gpu.unreadable = 9
-    with pytest.raises(ModelError, match=r"cannot load the engine it built: version mismatch"):
-        open_tiny()
-    assert len(gpu.built) == 3
+    assert len(gpu.built) == 1
 
 
 def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):

@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 MIN_FREE_BYTES = 256 << 20
 """Room that an engine of the models here needs, with some to spare."""
 _MANIFEST = "engine.json"
+_MODE = 0o755  # of an engine's folder: that of a temporary one shuts out the cache's other users
 _WAIT_S = 0.5
 _TELL_EVERY = 10
 
@@ -68,10 +69,8 @@ class EngineKey:
         return f"{self.model}-{hashlib.sha256(content).hexdigest()[:20]}"
 
 
-def obtain(
-    key: EngineKey, cache: Path, build: Callable[[Path], None], progress: Progress
-) -> tuple[Path, bool]:
-    """The folder of an engine, and whether it was built only now.
+def obtain(key: EngineKey, cache: Path, build: Callable[[Path], None], progress: Progress) -> Path:
+    """The folder of an engine, which is built if it is not there; readable for every user.
 
     Args:
         build: writes the engine's files into the (empty) folder that it is given.
@@ -82,21 +81,22 @@ def obtain(
     """
     folder = cache / key.folder
     if damage(folder) is None:  # also where nothing can be written
-        return folder, False
+        return folder
     check_usable(cache)
     with _locked(cache / f"{key.folder}.lock", progress):
         if folder.exists():
             fault = damage(folder)
             if fault is None:
-                return folder, False
+                return folder
             log.warning("engine %s: %s; it is built again", folder, fault)
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove(folder, fault)
         for left_over in cache.glob(f".{key.folder}.*"):  # of a build that was killed
             shutil.rmtree(left_over, ignore_errors=True)
         made = Path(tempfile.mkdtemp(dir=cache, prefix=f".{key.folder}."))
         try:
             build(made)
             _seal(made, key)
+            made.chmod(_MODE)
             made.rename(folder)
         except OSError as error:
             raise ModelError(
@@ -105,12 +105,17 @@ def obtain(
             ) from None
         finally:
             shutil.rmtree(made, ignore_errors=True)
-    return folder, True
+    return folder
 
 
-def discard(folder: Path) -> None:
-    """Let go an engine that turned out to be of no use; the next `obtain` builds it again."""
+def _remove(folder: Path, fault: str) -> None:
+    """Remove an engine that is of no use; ModelError where that is not allowed."""
     shutil.rmtree(folder, ignore_errors=True)
+    if folder.exists():
+        raise ModelError(
+            f"{folder}: of no use ({fault}) and cannot be removed; remove it as the user who owns "
+            "it, or set perception.detector.engine_cache"
+        )
 
 
 def check_usable(cache: Path) -> None:

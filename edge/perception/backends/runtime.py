@@ -139,8 +139,7 @@ def _open_onnxruntime(
         with Building(engine.model, engine.progress):
             load(folder)
 
-    folder, _ = obtain(key, engine.folder, build, engine.progress)
-    return load(folder)
+    return load(obtain(key, engine.folder, build, engine.progress))
 
 
 def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]]) -> Any:

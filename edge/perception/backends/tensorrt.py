@@ -19,7 +19,7 @@ import numpy as np
 from edge.perception.backends.binding import Bound, Shapes
 from edge.perception.backends.building import Building
 from edge.perception.backends.cuda import Device
-from edge.perception.backends.engine_cache import EngineKey, discard, obtain
+from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.backends.tensorrt_report import make_logger, make_monitor
 from edge.perception.model_file import ModelError, remembered_sha256
 
@@ -68,17 +68,16 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
             plan = build_plan(trt, path, options.shapes, building.note)
         (folder / _PLAN).write_bytes(plan)
 
-    for _ in range(2):
-        folder, built = obtain(key, options.folder, build, options.progress)
-        logger = make_logger(trt)
-        runtime = trt.Runtime(logger)
-        engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
-        if engine is not None:
-            return TensorrtSession((logger, runtime), engine, device)
-        discard(folder)
-        if built:
-            break
-    raise ModelError(f"{path}: TensorRT cannot load the engine it built: {logger.last}")
+    folder = obtain(key, options.folder, build, options.progress)
+    logger = make_logger(trt)
+    runtime = trt.Runtime(logger)
+    engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
+    if engine is None:  # as it was written, for this GPU and TensorRT: want of memory
+        raise ModelError(
+            f"{folder}: TensorRT cannot load this engine: {logger.last}; free memory on the GPU, "
+            "or remove the folder to have the engine built again"
+        )
+    return TensorrtSession((logger, runtime), engine, device)
 
 
 def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
