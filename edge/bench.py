@@ -75,6 +75,7 @@ def run_bench(
 
     Raises:
         UserError: no tick, or no detection, came about, or the swap did not end.
+        Stopped: `stop` was set before the service was ready.
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
     from edge import swap_bench
@@ -90,7 +91,7 @@ def run_bench(
             "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
         }
     )
-    with open_service(config, []) as running:
+    with open_service(config, [], stop=stop) as running:
         ready_s = time.perf_counter() - began
         log.info("ready in %.1f s; playing %s for %g s", ready_s, recording.name, seconds)
         with player(config, recording, loop=True) as process:

@@ -29,6 +29,13 @@ def test_a_stopped_recording_leaves_nothing(cache):
     assert not [path for path in cache.rglob("*") if path.is_file()]
 
 
+def test_a_stop_before_the_service_is_ready_is_obeyed(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        bench.run_bench(CONFIG, tmp_path / "not.mcap", 1.0, stop)
+
+
 def test_the_recording_is_made_once_and_is_the_same_again(cache, tmp_path, monkeypatch):
     path = bench.ensure_recording(CONFIG, 2.0)
     made_ns = path.stat().st_mtime_ns

@@ -114,7 +114,11 @@ def run_episode(
     report: Path | None = None,
     stop: threading.Event | None = None,
 ) -> Outcome:
-    """One episode in this process and two children, until its end or until `stop` is set."""
+    """One episode in this process and two children, until its end or until `stop` is set.
+
+    Raises:
+        Stopped: `stop` was set before the service was ready.
+    """
     from edge.commands import children
     from edge.ports import free_port
     from edge.runner import loop, open_service

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from edge.config import parse
-from edge.errors import UserError
+from edge.errors import Stopped, UserError
 from edge.eval import episodes
 from edge.eval.episodes import Episode
 
@@ -37,6 +37,13 @@ def test_a_process_that_fails_fails_its_episode():
     (outcome,) = episodes._run_all("nowhere.yaml", planned, 1, None, stop)
     assert not outcome.success
     assert outcome.reason.startswith("crashed (2): nowhere.yaml: no such file")
+
+
+def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        episodes.run_episode(HOUSE, Episode("bed", (0.0, 0.0, 0.0), 3.0), None, stop)
 
 
 def test_nothing_begins_after_a_stop():
