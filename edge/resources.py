@@ -37,5 +37,5 @@ def cache_dir() -> Path:
 
 
 def models_dir() -> Path:
-    """Where ONNX files are kept: never in git."""
+    """Where ONNX files and own cards are kept: never in git."""
     return cache_dir() / "models"

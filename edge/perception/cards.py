@@ -1,8 +1,13 @@
-"""Model cards: reading them, and holding a model's file against its card."""
+"""Model cards: reading them, and holding a model's file against its card.
+
+Cards are those that the package brings, and own ones in the models' cache. A name that the package
+has too means the package's card.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -23,6 +28,8 @@ from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, remembered_sha256
 from edge.yaml_text import parse_yaml
 
+log = logging.getLogger(__name__)
+
 C = TypeVar("C", bound=BaseCard)
 
 _BY_TASK: dict[str, type[BaseCard]] = {
@@ -35,12 +42,26 @@ _ANY: TypeAdapter[Card] = TypeAdapter(Annotated[Card, Field(discriminator="task"
 
 
 def card_names() -> list[str]:
-    return sorted(path.stem for path in resources.data_dir("models").glob("*.yaml"))
+    return sorted(_card_paths())
 
 
 def card_path(name: str) -> Path:
-    """Where the card of this name is, or would be."""
-    return resources.data_dir("models") / f"{name}.yaml"
+    """Where the card of this name is.
+
+    Raises:
+        ModelError: no such card.
+    """
+    paths = _card_paths()
+    if name not in paths:
+        choices = ", ".join(sorted(paths)) or "none"
+        raise ModelError(f"model {name!r}: no such card (choices: {choices})")
+    return paths[name]
+
+
+def _card_paths() -> dict[str, Path]:
+    """Every card file by its card's name."""
+    folders = (resources.models_dir(), resources.data_dir("models"))  # the later one wins
+    return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
 
 
 def load_card(name: str) -> Card:
@@ -49,9 +70,6 @@ def load_card(name: str) -> Card:
     Raises:
         ModelError: no such card, or one that is not valid (file, key, what is wrong).
     """
-    names = card_names()
-    if name not in names:
-        raise ModelError(f"model {name!r}: no such card (choices: {', '.join(names) or 'none'})")
     return read_card(card_path(name))
 
 
@@ -83,8 +101,14 @@ def _of_task(card: Card, kind: type[C]) -> C:
 
 
 def all_cards() -> list[Card]:
-    """Every card, by name; see `load_card`."""
-    return [load_card(name) for name in card_names()]
+    """Every card, by name; those that are not valid are told in the log and left out."""
+    found = []
+    for _, path in sorted(_card_paths().items()):
+        try:
+            found.append(read_card(path))
+        except ModelError as error:
+            log.warning("%s: passed over", "; ".join(str(error).splitlines()))
+    return found
 
 
 def read_card(path: Path) -> Card:

@@ -240,6 +240,35 @@ def test_a_broken_memory_of_hashes_does_no_harm(place):
     assert cards.verify_model(card) == card.path
 
 
+def own(name, **changes):
+    """Puts a card into the models' cache, where users have theirs."""
+    card = {**CARD, "name": name, "file": f"{name}.onnx", **changes}
+    (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
+
+
+def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, tmp_path):
+    place()
+    own("tiny", family="other")
+    own("mine")
+    assert cards.card_names() == ["mine", "tiny"]
+    assert [card.family for card in cards.all_cards()] == ["yolo-world", "yolo-world"]
+    assert cards.card_path("mine").parent == resources.models_dir()
+    assert cards.card_path("tiny").parent == tmp_path / "cards"
+    assert "mine " in listing.as_table()
+
+
+def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
+    place()
+    own("broken", input={"height": 65, "width": 63})
+    assert [card.name for card in cards.all_cards()] == ["tiny"]
+    (line,) = caplog.messages
+    assert line.startswith(f"{resources.models_dir()}/broken.yaml: input.height: ")
+    assert "input.width: " in line
+    assert "\n" not in line
+    with pytest.raises(cards.ModelError, match="choices: broken, tiny"):
+        cards.load_card("none")
+
+
 def test_list_shows_what_is_there(place):
     parity = {
         "reference": "tiny-fp32", "images": 40, "recall": 0.97, "precision": 0.9,
@@ -257,7 +286,8 @@ def test_list_shows_what_is_there(place):
     assert "recall 0.970" in listing.as_table()  # what the export measured
 
 
-def test_the_cards_of_this_repository_are_valid():
+def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     found = cards.card_names()
     if not found:
         pytest.skip("no cards in models/")

@@ -412,18 +412,40 @@ def test_int8_for_the_cpu_is_tried_nowhere_else_and_fp32_comes_first(place):
     ]  # fmt: skip
 
 
+REPORT = {
+    "date": "2026-01-02T03:04:05", "prompts": ["a"], "tau_det": 0.3, "threads": 2,
+    "frames": {"count": 2, "hw": [(64, 64)], "source": "x"},
+    "machine": {"cpu": "x", "cores": 2, "onnxruntime": "1.23.0", "tensorrt": "10.3.0"},
+}  # fmt: skip
+ROW = {
+    "name": "tiny-fp32", "on": "cpu", "gpu": None, "state": "ran", "sha256": "0" * 64,
+    "memory_mb": 1.0, "gpu_memory_mb": None, "others_cores": None, "agreement": None,
+    "truth": None, "latency_ms": figures.latency_ms(np.full((2, 3), 1_000_000)),
+}  # fmt: skip
+
+
+def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_cannot(
+    place, tmp_path, monkeypatch
+):
+    def refuse_the_package(path, content):
+        if path.parent == resources.data_dir("models"):
+            raise PermissionError(13, "Permission denied")
+        path.write_bytes(content)
+
+    place("tiny-fp32", None)
+    shipped = card_path("tiny-fp32")
+    own = resources.models_dir() / "tiny-own.yaml"
+    own.write_text(shipped.read_text().replace("tiny-fp32", "tiny-own"))
+    monkeypatch.setattr(writing, "write_atomically", refuse_the_package)
+    written = writing.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
+    assert next(written) == own
+    with pytest.raises(UserError, match=r"^\S*fp32.yaml: cannot be written: Permission denied; "):
+        next(written)
+    assert load_detector_card("tiny-own").measured.keys() == {"cpu of x, 2 cores"}
+
+
 def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(place):
     place("tiny-fp32", None)
-    report = {
-        "date": "2026-01-02T03:04:05", "prompts": ["a"], "tau_det": 0.3, "threads": 2,
-        "frames": {"count": 2, "hw": [(64, 64)], "source": "x"},
-        "machine": {"cpu": "x", "cores": 2, "onnxruntime": "1.23.0", "tensorrt": "10.3.0"},
-    }  # fmt: skip
-    row = {
-        "name": "tiny-fp32", "state": "ran", "sha256": "0" * 64, "memory_mb": 1.0,
-        "gpu_memory_mb": None, "others_cores": None, "agreement": None, "truth": None,
-        "latency_ms": figures.latency_ms(np.full((2, 3), 1_000_000)),
-    }  # fmt: skip
     both = "onnxruntime 1.23.0, tensorrt 10.3.0"
     ran = (
         ("cpu", None, "cpu of x, 2 cores", "onnxruntime 1.23.0"),
@@ -433,7 +455,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
         ("tensorrt", "L4", "tensorrt of L4, x, 2 cores", "tensorrt 10.3.0"),
     )
     for on, gpu, _, _ in ran:
-        writing.update_cards({**report, "rows": [{**row, "on": on, "gpu": gpu}]})
+        list(writing.update_cards({**REPORT, "rows": [{**ROW, "on": on, "gpu": gpu}]}))
     measured = load_detector_card("tiny-fp32").measured
     kept = [(key, of.get("gpu"), of["runtime"]) for key, of in measured.items()]
     assert kept == [(key, gpu, runtime) for _, gpu, key, runtime in ran]

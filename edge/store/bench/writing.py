@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -33,26 +34,38 @@ def keep(report: dict[str, Any], also: Path | None) -> str:
     return " and ".join(map(str, paths))
 
 
-def update_cards(report: dict[str, Any]) -> list[Path]:
+def update_cards(report: dict[str, Any]) -> Iterator[Path]:
     """Write the figures of each variant that ran into its card, in place of older ones of the
     same machine, GPU and provider; the cards that were written.
 
     Raises:
-        UserError: a card cannot be written.
+        UserError: when the others are written, for the first card that cannot be, as those of an
+            installed package.
     """
-    written = []
-    for row in report["rows"]:
-        if row["state"] == "ran":
-            path = card_path(row["name"])
-            text = path.read_text(encoding="utf-8")
-            card = yaml.safe_load(text)
-            key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
-            card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
-            remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
-            body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
-            _replace(path, "".join(remarks) + body)
-            written.append(path)
-    return list(dict.fromkeys(written))
+    ran = [row for row in report["rows"] if row["state"] == "ran"]
+    refused = None
+    for name in dict.fromkeys(row["name"] for row in ran):
+        path = card_path(name)
+        try:
+            _update_card(path, report, [row for row in ran if row["name"] == name])
+        except UserError as error:
+            refused = refused or error
+        else:
+            yield path
+    if refused is not None:
+        raise UserError(f"{refused}; the figures are in the JSON file alone")
+
+
+def _update_card(path: Path, report: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    """The card keeps its remarks at the top and the order of its keys."""
+    text = path.read_text(encoding="utf-8")
+    card = yaml.safe_load(text)
+    for row in rows:
+        key = f"{row['on']} of {machine.short_name(report['machine'], row['gpu'])}"
+        card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
+    remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
+    body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
+    _replace(path, "".join(remarks) + body)
 
 
 def card_figures(report: dict[str, Any], row: dict[str, Any]) -> dict[str, float | int | str]:
