@@ -62,6 +62,10 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
         )
     if args.weights is not None:
         _export_fp32(fp32, args, text)
+    elif not (args.cache / fp32.file).is_file():
+        raise ExportError(
+            f"{args.cache / fp32.file}: not there; give --weights FILE.pt to make {fp32.name} first"
+        )
     return _export_derived(card, fp32, args, text)
 
 
@@ -192,7 +196,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--validation",
         type=Path,
-        help="folder of other images for the parity; default: every fourth calibration image",
+        help="folder of other images for the parity; default: a random quarter of --calibration",
     )
     parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
     parser.add_argument("--cache", type=Path, default=default_cache(), help="folder for the files")

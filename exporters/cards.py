@@ -13,6 +13,11 @@ import yaml
 
 from exporters.files import ExportError, replace_atomically
 
+MADE_BY = {
+    "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN"
+}
+"""Commands that make a whole family from nothing, cards and all."""
+
 
 @dataclass(frozen=True)
 class ExportCard:
@@ -56,6 +61,8 @@ def load_card(name: str, folder: Path) -> ExportCard:
         raise ExportError(f"{folder}: no card {name!r} (choices: {choices})")
     try:
         card = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if card.get("family") in MADE_BY:
+            raise ExportError(f"{name}: made with `{MADE_BY[card['family']]}`, not from weights")
         return ExportCard(
             path=path,
             name=card["name"],
@@ -68,7 +75,7 @@ def load_card(name: str, folder: Path) -> ExportCard:
                 source["sha256"] for source in card["sources"] if source["sha256"] != card["sha256"]
             ),
         )
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError) as error:
         raise ExportError(f"{path}: not a model card ({error!r}); see the others there") from None
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +23,12 @@ PROMPTS = (
     "box,bottle,book,person,car,bicycle,tree,traffic light,fan,clock"
 )
 """What robots are sent to find, in the words of the CLIP vocabulary file."""
+_NOT_AN_ARCHIVE = (
+    OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error,
+    AttributeError, TypeError,
+)  # fmt: skip
+"""What NumPy raises over a file that is no .npz or a damaged one; the last two (by Python version)
+where it holds a single array, which is no context manager."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ def load_text_embeddings(path: Path, words: list[str] | None = None) -> TextEmbe
     try:
         with np.load(path) as archive:
             names, emb = archive["names"].tolist(), archive["emb"].astype(np.float32)
-    except (OSError, KeyError, ValueError) as error:
+    except _NOT_AN_ARCHIVE as error:
         raise ExportError(
             f"{path}: not a vocabulary file ({error}); needs arrays names (n,) and emb (n, 512)"
         ) from None

@@ -63,7 +63,7 @@ def test_the_card_takes_the_measured_parity(cache):
 
     card = yaml.safe_load((cache / "cards" / f"{NAME}.yaml").read_text())
     assert card["parity"]["reference"] == NAME.replace("int8-cpu", "fp32")
-    assert card["parity"]["images"] == 1  # every fourth of five photos
+    assert card["parity"]["images"] == 1  # a quarter of five photos
     fp32 = yaml.safe_load(
         (cache / "cards" / f"{NAME.replace('int8-cpu', 'fp32')}.yaml").read_text()
     )
@@ -151,3 +151,6 @@ def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys
     assert session(small / f"{name}.onnx").get_outputs()[1].name == "scores"
     assert run("fp32") == 1
     assert "--weights is missing" in capsys.readouterr().err
+    (small / "fp32.onnx").unlink()
+    assert run(name, "--vocabulary", str(small / "words.npz")) == 1
+    assert "fp32.onnx: not there; give --weights" in capsys.readouterr().err

@@ -12,7 +12,7 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 import onnx
 
-from exporters.cards import load_card
+from exporters.cards import cards_folder, load_card
 from exporters.files import ExportError, check_sha256, replace_atomically, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import MAX_IR, MAX_OPSET, check_format
@@ -89,6 +89,28 @@ def test_load_text_embeddings(tmp_path: Path):
         load_text_embeddings(path, ["dragon"])
 
 
+def damaged(path: Path, kind: str) -> Path:
+    """A vocabulary file that is none."""
+    np.savez_compressed(path, names=["chair"], emb=np.ones((1, 512)))
+    whole = path.read_bytes()
+    if kind == "array":
+        with path.open("wb") as file:
+            np.save(file, np.ones(3))
+    else:
+        cut = {"empty": b"", "text": b"chair", "truncated": whole[:-40]}
+        garbled = whole[:200] + bytes(200) + whole[400:]
+        path.write_bytes(cut.get(kind, garbled))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["empty", "text", "truncated", "garbled", "array"])
+def test_a_file_that_is_no_vocabulary_is_named_in_one_line(tmp_path: Path, kind):
+    path = damaged(tmp_path / "words.npz", kind)
+    with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary file") as caught:
+        load_text_embeddings(path)
+    assert "\n" not in str(caught.value)
+
+
 def tiny_model(path: Path, ir: int, opset: int) -> Path:
     value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
     result = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [1])
@@ -113,3 +135,9 @@ def test_load_card_lists_the_choices(tmp_path: Path):
         load_card("large", tmp_path)
     with pytest.raises(ExportError, match=r"small\.yaml: not a model card"):
         load_card("small", tmp_path)
+
+
+@pytest.mark.parametrize("card", ["256x320-int8-cpu", "text", "similarity"])
+def test_load_card_names_the_commands_of_our_own_family(card):
+    with pytest.raises(ExportError, match=r"exporters\.train_mini .* exporters\.mini\.export"):
+        load_card(f"mini-house-{card}", cards_folder())
