@@ -19,9 +19,10 @@ from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
 PAD = 114
 PHRASES = 24
 NAMED = 9
-"""So many things of a picture get a phrase of their own at most; the other phrases are wrong."""
+"""So many things of a picture get a true phrase of their own at most; the other phrases are
+thought up at random, and most are wrong."""
 HARD_SHARE = 0.6
-"""Share of the wrong phrases that name something in the picture, but not its colour or size."""
+"""Share of those other phrases that name something in the picture, with a random colour or size."""
 MIN_SIDE_PX, MIN_VISIBLE = 8.0, 0.25
 """Things smaller (in a picture of 320 columns) or hidden more than this are not taught."""
 WHOLE = 0.9

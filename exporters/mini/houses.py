@@ -1,6 +1,6 @@
 """Random houses for training and for evaluation: layouts, furniture, colours and sizes.
 
-    house, things = random_house(seed)
+    house, appearances = random_house(seed)
 
 The same seed gives the same house. Seeds from `HELD_OUT` on are for evaluation only.
 """
@@ -51,12 +51,20 @@ FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150)
 WALL_COLORS = ((226, 222, 212), (214, 220, 210), (208, 214, 222), (222, 214, 198), (228, 220, 200),
                (222, 204, 204), (196, 206, 196), (178, 190, 206), (238, 238, 236))  # fmt: skip
 _GAP_M = 0.05
-_MIN_SPAN_M = 3.2
+_SPLIT_FROM_M = 4.8
+"""A room whose longer side is shorter than this is not halved."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What there is to say about one thing of a house, in the order of its objects."""
+    """What there is to say about one thing of a house.
+
+    Attributes:
+        category: index into `looks.CATEGORIES`, from 1.
+        color: (1 + colours,) int8, whether each of `looks.COLORS` names it: `looks.YES` (1), `NO`
+            (0) or `UNSURE` (-1). Entry 0, no colour said, is YES.
+        size: (1 + sizes,) int8, the same for `looks.SIZES`.
+    """
 
     category: int
     color: np.ndarray
@@ -77,7 +85,7 @@ class _Builder:
     def __init__(self, rng: np.random.Generator, height_m: float) -> None:
         self.rng, self.height_m = rng, height_m
         self.things: list[Thing] = []
-        self.looks: list[Look] = []
+        self.appearances: list[Look] = []
         self._taken: list[tuple[float, float, float]] = []
         self._rugs: list[tuple[float, float, float]] = []
 
@@ -119,7 +127,7 @@ class _Builder:
         )
         colors = looks.color_answers(color) if looks.has_color(category) else looks.unsure_color()
         index = list(assemblies.CATEGORIES).index(category) + 1
-        self.looks.append(Look(index, colors, looks.size_answers(style, category)))
+        self.appearances.append(Look(index, colors, looks.size_answers(style, category)))
 
     def free(self, x: float, y: float, reach: float) -> bool:
         return all(math.hypot(x - a, y - b) > reach + r for a, b, r in self._taken)
@@ -249,7 +257,7 @@ class _Builder:
 
 
 def random_house(seed: int) -> tuple[House, list[Look]]:
-    """A house and what its objects look like; `looks[k]` belongs to `house.objects[k]`."""
+    """A house with a corner at 0, 0 and what its objects look like, in their order."""
     rng = np.random.default_rng([7, seed])
     height = float(rng.uniform(2.45, 3.0))
     b = _Builder(rng, height)
@@ -275,7 +283,12 @@ def random_house(seed: int) -> tuple[House, list[Look]]:
         walls=tuple(walls),
         objects=tuple(b.things),
     )
-    return house, b.looks
+    return house, b.appearances
+
+
+def extent_m(house: House) -> tuple[float, float]:
+    """Width (x) and depth (y) of a random house."""
+    return max(room.rect[2] for room in house.rooms), max(room.rect[3] for room in house.rooms)
 
 
 def _fill(b: _Builder, rect: _Rect, kind: str) -> None:
@@ -305,7 +318,7 @@ def _split(b: _Builder, whole: _Rect) -> tuple[list[_Rect], list[Wall]]:
         rects.sort(key=lambda r: (r.x1 - r.x0) * (r.y1 - r.y0))
         r = rects.pop()
         span_x, span_y = r.x1 - r.x0, r.y1 - r.y0
-        if max(span_x, span_y) < 2 * 0.5 * _MIN_SPAN_M + _MIN_SPAN_M * 0.5:
+        if max(span_x, span_y) < _SPLIT_FROM_M:
             rects.append(r)
             break
         f = float(b.rng.uniform(0.38, 0.62))

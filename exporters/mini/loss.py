@@ -79,7 +79,7 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, truth: Truth) -> tupl
     score = torch.bmm(scores, named.transpose(1, 2)) / count.clamp(1)
     score = torch.where(count > 0, score, torch.ones_like(score))
     metric = score.clamp(1e-6) ** SCORE_POWER * overlap**IOU_POWER
-    # A thing that nothing overlaps yet still gets its nearest anchors.
+    # A thing that no box overlaps yet gets some of the anchors inside it, whichever.
     metric = metric + 1e-9 * inside
     top = metric.topk(min(TOP_K, metric.shape[1]), dim=1)
     chosen = torch.zeros_like(metric).scatter_(1, top.indices, 1.0) * (metric > 0)

@@ -2,12 +2,14 @@
 
     frames = make_frames(range(1200), per_house=12, folder=Path("..."), workers=2)
 
-Frames are kept as one array on disk, as they take 245 kB each.
+Frames are kept as one array on disk, as they take 246 kB each.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -22,8 +24,9 @@ from edge.perception import kernels as perception
 from edge.sim import assemblies, kernels
 from edge.sim.boxworld import BoxWorld
 from edge.sim.house import House, build_house
-from exporters.mini import looks
-from exporters.mini.houses import Look, random_house
+from exporters.files import ExportError, replace_atomically
+from exporters.mini import houses, looks
+from exporters.mini.houses import Look, extent_m, random_house
 
 HEIGHT_PX, WIDTH_PX = 256, 320
 MIN_PIXELS = 40
@@ -33,6 +36,11 @@ COLORED = 0.15
 """Whoever sees less of a thing in its colour cannot name it: a plant whose pot is hidden."""
 _PREVIEW = 4
 _CANDIDATES = 3
+_SOURCES = (
+    *(Path(path) for path in (houses.__file__, looks.__file__, __file__)),
+    *sorted(Path(assemblies.__file__).parent.glob("*.py")),
+)
+"""Code that the pictures depend on."""
 
 OBJECT = np.dtype(
     [
@@ -83,26 +91,59 @@ def whole(objects: np.ndarray) -> np.ndarray:
 
 
 def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int = 1) -> Frames:
-    """Pictures of the houses of these seeds; made once, found in `folder` the next time."""
-    name = f"{seeds[0]}-{seeds[-1]}x{per_house}"
+    """Pictures of the houses of these seeds; made once, found in `folder` the next time.
+
+    Any number of processes may do so in one folder: each renders to a file of its own.
+
+    Raises:
+        ExportError: the pictures do not fit on the disk.
+    """
+    name = f"{seeds[0]}-{seeds[-1]}x{per_house}-{_digest(seeds, per_house)}"
     pictures, contents = folder / f"{name}.u8", folder / f"{name}.npz"
     shape = (len(seeds) * per_house, HEIGHT_PX, WIDTH_PX, 3)
     if not contents.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        rgb = np.memmap(pictures, np.uint8, "w+", shape=shape)
-        rgb.flush()
-        jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
-        if workers > 1:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-                made = list(pool.map(_write_house, jobs, chunksize=8))
-        else:
-            made = [_write_house(job) for job in jobs]
-        rows = [objects for house in made for objects in house]
+        with replace_atomically(pictures) as part:
+            _reserve(part, math.prod(shape))
+            rows = _render(seeds, per_house, part, shape, workers)
         start = np.concatenate([[0], np.cumsum([len(objects) for objects in rows])])
-        np.savez(contents, objects=np.concatenate(rows), start=start.astype(np.int64))
+        with replace_atomically(contents) as part:  # last: where it is, the pictures are whole
+            np.savez(part, objects=np.concatenate(rows), start=start.astype(np.int64))
     with np.load(contents) as data:
         return Frames(np.memmap(pictures, np.uint8, "r", shape=shape), data["objects"],
                       data["start"])  # fmt: skip
+
+
+def _digest(seeds: Sequence[int], per_house: int) -> str:
+    """Eight hex digits of all that decides what the pictures are."""
+    digest = hashlib.sha256(repr((list(seeds), per_house)).encode())
+    for path in _SOURCES:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def _reserve(path: Path, size: int) -> None:
+    """Grow an empty file to `size` bytes that the disk surely has."""
+    try:
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise ExportError(
+            f"{path.parent}: no room for {size / 1e9:.1f} GB of pictures ({error.strerror}); "
+            "free some, or name a folder on another disk"
+        ) from None
+
+
+def _render(
+    seeds: Sequence[int], per_house: int, pictures: Path, shape: tuple[int, ...], workers: int
+) -> list[np.ndarray]:
+    """Fill the file with all houses' views; returns the objects of each."""
+    jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
+    if workers > 1:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            made = list(pool.map(_write_house, jobs, chunksize=8))
+    else:
+        made = [_write_house(job) for job in jobs]
+    return [objects for house in made for objects in house]
 
 
 def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.ndarray]:
@@ -113,16 +154,16 @@ def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.nd
 
 def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
     """Fill `out_rgb` (count, 256, 320, 3) with views of one house; returns their objects."""
-    house, things = random_house(seed)
+    house, appearances = random_house(seed)
     world = build_house(house, Config())
     rng = np.random.default_rng([8, seed])
     depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)
     tinted, found = _tinted(house, world), []
     for k in range(count):
-        camera = _choose_view(world, things, rng)
+        camera = _choose_view(world, extent_m(house), appearances, rng)
         world.render(camera.model, camera.T_map_camera, out_rgb[k], depth, ids)
-        found.append(_contents(world, things, tinted, camera, ids, depth))
+        found.append(_contents(world, appearances, tinted, camera, ids, depth))
     return found
 
 
@@ -135,7 +176,9 @@ def _tinted(house: House, world: BoxWorld) -> np.ndarray:
     return tinted
 
 
-def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
+def _random_camera(
+    world: BoxWorld, extent: tuple[float, float], rng: np.random.Generator
+) -> _Camera:
     rows, cols = np.nonzero(world.plan.clearance_m > CLEARANCE_M)
     x0, y0 = world.plan.origin_m
     while True:
@@ -143,7 +186,7 @@ def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
         x = float(x0 + (cols[pick] + 0.5) * world.plan.cell_m)
         y = float(y0 + (rows[pick] + 0.5) * world.plan.cell_m)
         # The plan has a free margin around the house.
-        if 0.3 < x < 2 * world.start.x_m - 0.3 and 0.3 < y < 2 * world.start.y_m - 0.3:
+        if 0.3 < x < extent[0] - 0.3 and 0.3 < y < extent[1] - 0.3:
             break
     z = 0.6 if rng.random() < 0.6 else float(rng.uniform(0.35, 1.1))
     hfov = 75.0 if rng.random() < 0.6 else float(rng.uniform(60, 95))
@@ -153,36 +196,41 @@ def _random_camera(world: BoxWorld, rng: np.random.Generator) -> _Camera:
     return _Camera(model, pose.matrix() @ camera_mount(0.1, z, pitch))
 
 
-def _choose_view(world: BoxWorld, things: list[Look], rng: np.random.Generator) -> _Camera:
+def _choose_view(
+    world: BoxWorld,
+    extent: tuple[float, float],
+    appearances: list[Look],
+    rng: np.random.Generator,
+) -> _Camera:
     """Mostly the best of a few: one that sees many things, and several of a kind."""
-    cameras = [_random_camera(world, rng) for _ in range(_CANDIDATES)]
-    worth = [_worth(world, things, camera) for camera in cameras]
+    cameras = [_random_camera(world, extent, rng) for _ in range(_CANDIDATES)]
+    worth = [_worth(world, appearances, camera) for camera in cameras]
     if rng.random() < 0.25:  # some as they come, but for those that see a wall only
         return next((c for c, w in zip(cameras, worth, strict=True) if w > 0), cameras[0])
     return cameras[int(np.argmax(worth))]
 
 
-def _worth(world: BoxWorld, things: list[Look], camera: _Camera) -> float:
+def _worth(world: BoxWorld, appearances: list[Look], camera: _Camera) -> float:
     h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
     m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
     kernels.render_depth(
         world.shape, world.pose, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
         m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
     )  # fmt: skip
-    count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(things) + 1)[1:]
-    seen = [things[k].category for k in np.flatnonzero(count > 8)]
+    count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(appearances) + 1)[1:]
+    seen = [appearances[k].category for k in np.flatnonzero(count > 8)]
     return len(set(seen)) + 2.5 * (len(seen) - len(set(seen)))
 
 
 def _contents(
     world: BoxWorld,
-    things: list[Look],
+    appearances: list[Look],
     tinted: np.ndarray,
     camera: _Camera,
     ids: np.ndarray,
     depth: np.ndarray,
 ) -> np.ndarray:
-    n = len(things)
+    n = len(appearances)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
     alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
@@ -195,9 +243,9 @@ def _contents(
     for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
         mine = world.owner == k + 1
         kernels.render_depth(world.shape[mine], world.pose[mine], *lens, alone_depth, prim)
-        row["category"], row["size"] = things[k].category, things[k].size
+        row["category"], row["size"] = appearances[k].category, appearances[k].size
         named = colored[k] >= COLORED * pixels[k]
-        row["color"] = things[k].color if named else looks.unsure_color()
+        row["color"] = appearances[k].color if named else looks.unsure_color()
         row["box"], row["pixels"] = box[k], pixels[k]
         row["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
     return rows

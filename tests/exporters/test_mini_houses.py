@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import math
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.sim import assemblies
+from exporters.files import ExportError
 from exporters.mini import houses, looks, views
 from exporters.mini.houses import SUPPORTS, random_house
 
@@ -21,11 +26,12 @@ def house_frames():
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
-    house, things = random_house(seed)
-    assert len(things) == len(house.objects) > 0
+    house, appearances = random_house(seed)
+    assert len(appearances) == len(house.objects) > 0
     xs = [x for room in house.rooms for x in room.rect[::2]]
     ys = [y for room in house.rooms for y in room.rect[1::2]]
-    for thing, look in zip(house.objects, things, strict=True):
+    assert (min(xs), min(ys), max(xs), max(ys)) == (0, 0, *houses.extent_m(house))
+    for thing, look in zip(house.objects, appearances, strict=True):
         assert min(xs) - 0.8 < thing.at[0] < max(xs) + 0.8
         assert min(ys) - 0.8 < thing.at[1] < max(ys) + 0.8
         assert thing.z_m + thing.size[2] < house.wall_height_m
@@ -38,11 +44,23 @@ def test_the_same_seed_gives_the_same_house_and_another_another():
 
 
 def test_what_stands_on_something_has_a_support_below_it():
-    things = [thing for seed in range(6) for thing in random_house(seed)[0].objects]
-    raised = [t for t in things if t.z_m > 0 and t.category != "picture"]
-    heights = {t.size[2] for t in things if t.category in SUPPORTS}
+    raised = 0
+    for seed in range(6):
+        things = random_house(seed)[0].objects
+        supports = [t for t in things if t.category in SUPPORTS]
+        for thing in things:
+            if thing.z_m > 0 and thing.category != "picture":
+                raised += 1
+                assert any(_carries(support, thing) for support in supports)
     assert raised
-    assert all(t.z_m in heights for t in raised)
+
+
+def _carries(support, thing) -> bool:
+    """Ends where the thing begins, and has the thing's middle over its own middle line."""
+    dx, dy, yaw = (*np.subtract(thing.at, support.at), math.radians(support.yaw_deg))
+    across, along = dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw)
+    level = support.size[2] == thing.z_m
+    return level and abs(across) < 1e-6 and abs(along) <= 0.5 * support.size[1]
 
 
 @pytest.mark.parametrize(
@@ -150,3 +168,63 @@ def test_frames_are_made_once(tmp_path, monkeypatch):
     np.testing.assert_array_equal(first.rgb, second.rgb)
     np.testing.assert_array_equal(first.objects, second.objects)
     assert first.start[-1] == len(first.objects)
+
+
+@pytest.mark.parametrize(
+    "change", ["seeds", "code"], ids=["other seeds of the same ends", "other code"]
+)
+def test_frames_of_other_houses_are_not_taken_for_these(tmp_path, monkeypatch, change):
+    def paint(seed, count, out_rgb):
+        out_rgb[:] = seed
+        return [np.zeros(1, views.OBJECT)] * count
+
+    monkeypatch.setattr(views, "render_house", paint)
+    views.make_frames([0, 1, 3], 1, tmp_path)
+    if change == "seeds":
+        assert views.make_frames([0, 2, 3], 1, tmp_path).rgb[1, 0, 0, 0] == 2
+    else:
+        source = tmp_path / "houses.py"
+        source.write_text("")
+        monkeypatch.setattr(views, "_SOURCES", (source,))
+        views.make_frames([0, 1, 3], 1, tmp_path)
+    assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_pictures_that_nobody_finished_are_made_again(tmp_path, monkeypatch):
+    def stop(*args, **named):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as stopped:
+        stopped.setattr(views.np, "savez", stop)
+        with pytest.raises(KeyboardInterrupt):
+            views.make_frames(range(2, 3), 1, tmp_path)
+    frames = views.make_frames(range(2, 3), 1, tmp_path)
+    assert frames.rgb.std() > 5
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".npz", ".u8"]
+
+
+def test_two_commands_make_the_same_frames_at_once(tmp_path, monkeypatch):
+    """The second begins and ends while the first is rendering."""
+    render, within = views.render_house, []
+
+    def render_amid(seed, count, out_rgb):
+        if not within:
+            within.append(None)
+            within[0] = views.make_frames(range(2, 3), 1, tmp_path)
+        return render(seed, count, out_rgb)
+
+    monkeypatch.setattr(views, "render_house", render_amid)
+    frames = views.make_frames(range(2, 3), 1, tmp_path)
+    np.testing.assert_array_equal(frames.rgb, within[0].rgb)
+    np.testing.assert_array_equal(frames.objects, within[0].objects)
+
+
+def test_a_full_disk_is_an_error_that_says_how_much_is_needed(tmp_path, monkeypatch):
+    def full(*args):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(ExportError, match=r"no room for 8\.1 GB .*No space left") as caught:
+        views.make_frames(range(3000), 11, tmp_path)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
