@@ -14,10 +14,10 @@ from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
 from exporters.mini import looks, views
 from exporters.mini.evaluate import _counts, _iou
+from exporters.mini.gate import FLOORS, MAX_BYTES
 from exporters.mini.houses import HELD_OUT
 
 NAME = "mini-house-256x320-int8-cpu"
-MAX_BYTES = 2_900_000
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,14 @@ def test_the_card_says_what_the_model_was_measured_to_do():
     assert set(measured) >= {"training", "held-out houses"}
     assert measured["held-out houses"]["first_seed"] >= HELD_OUT
     assert measured["held-out houses"]["bytes"] == load_detector_card(NAME).path.stat().st_size
+
+
+def test_the_shipped_model_passes_its_own_gate():
+    figures = load_detector_card(NAME).measured["held-out houses"]
+    assert {key: figures[key] >= floor for key, floor in FLOORS.items()} == dict.fromkeys(
+        FLOORS, True
+    )
+    assert figures["bytes"] <= MAX_BYTES
 
 
 def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
