@@ -3,6 +3,7 @@
 `houses` lays out random houses and furnishes them, `looks` says what one may call a thing,
 `views` takes pictures, `batches` cuts and disturbs them and thinks up phrases, true and nearly
 true; `net` is the network, `loss` what it is taught, `training` the loop (`exporters.train_mini`
-starts it), `export` writes ONNX files and cards, `evaluate` measures them on houses that training
-never saw. The detector knows the built-in world (`edge.sim.assemblies`) and nothing else.
+starts it), `checkpoint` what it keeps; `export` writes ONNX files and cards, `evaluate` measures
+them on houses that training never saw, `gate` says what they must be able to do. The
+detector knows the built-in world (`edge.sim.assemblies`) and nothing else.
 """

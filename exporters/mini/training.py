@@ -14,7 +14,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, distributed, nn
 
-from exporters.files import replace_atomically
+from exporters.files import ExportError
+from exporters.mini import checkpoint as checkpoints
 from exporters.mini import looks
 from exporters.mini.batches import Batch, batches, disturb
 from exporters.mini.loss import Truth, detection_loss
@@ -70,10 +71,20 @@ def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, c
 
     Each takes its share of every batch, and they add up their gradients once a step: threads
     would meet after every layer, and wait wherever a core has something else to do.
+
+    Raises:
+        ExportError: a batch cannot be shared among so many.
     """
+    check_cores(plan, cores)
     with tempfile.TemporaryDirectory() as folder:
         args = (cores, f"file://{folder}/meet", frames, plan, checkpoint)
         torch.multiprocessing.spawn(_train_rank, args, cores)
+
+
+def check_cores(plan: Plan, cores: int) -> None:
+    """Raise ExportError unless that many processes can share a batch evenly."""
+    if cores < 1 or plan.batch % cores:
+        raise ExportError(f"--cores {cores}: give a number that divides the batch of {plan.batch}")
 
 
 def _train_rank(
@@ -99,24 +110,28 @@ def train(
 
     Args:
         share: which of how many processes this is; see `train_on_cores`.
+
+    Raises:
+        ExportError: `checkpoint` is of another run, or none.
     """
     rank, ranks = share
+    run = checkpoints.describe(plan, len(frames), ranks, device)
     torch.manual_seed(plan.seed)
     model = Model().to(device).to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(model).eval().requires_grad_(False)
     optimizer = _optimizer(model, plan)
     steps = plan.steps
     rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
-    first = 0
-    if checkpoint.is_file():
-        kept = torch.load(checkpoint, map_location=device, weights_only=True)
+    first, trained_s = 0, 0.0
+    if kept := checkpoints.resume(checkpoint, run, device):
         model.load_state_dict(kept["model"])
         averaged.load_state_dict(kept["averaged"])
         optimizer.load_state_dict(kept["optimizer"])
         rates.load_state_dict(kept["rates"])
-        first = int(kept["step"])
+        first, trained_s = kept["step"], kept["seconds"]
         log.info("going on from step %d", first)
-    since, began = time.monotonic(), first
+    started = since = time.monotonic()
+    began = first
     stream = batches(frames, plan.batch // ranks, steps, plan.seed * ranks + rank, first)
     for step, batch in enumerate(stream, first + 1):
         generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
@@ -136,9 +151,8 @@ def train(
             since, began = time.monotonic(), step
         if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
             state = {"model": model, "averaged": averaged, "optimizer": optimizer, "rates": rates}
-            with replace_atomically(checkpoint) as part:
-                kept = {name: thing.state_dict() for name, thing in state.items()}
-                torch.save({**kept, "step": step, "seed": plan.seed}, part)
+            seconds = trained_s + time.monotonic() - started
+            checkpoints.save(checkpoint, state, run, step, seconds)
     return averaged
 
 
