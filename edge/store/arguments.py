@@ -9,6 +9,7 @@ from edge.parsers import count, lazy, positive
 
 _CARD = "a card's name, as `edge models list` shows it"
 _CONFIG = "YAML file, or the name of a ready configuration"
+_NO_GATE = "keep a model that misses its parity's limits"
 
 
 def add_arguments(models: argparse.ArgumentParser) -> None:
@@ -36,8 +37,9 @@ def _pull(action: argparse.ArgumentParser) -> None:
 def _export(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
     action.add_argument("--weights", type=Path, help="the .pt file; default: as pulled")
-    action.add_argument("--calibration", type=Path, help="folder of images (int8 models)")
+    action.add_argument("--calibration", type=Path, help="folder of pictures (all but fp32)")
     action.add_argument("--vocabulary", type=Path, help="text embeddings (.npz)")
+    action.add_argument("--no-gate", action="store_true", help=_NO_GATE)
 
 
 def _quantize(action: argparse.ArgumentParser) -> None:
@@ -45,6 +47,7 @@ def _quantize(action: argparse.ArgumentParser) -> None:
     option("name", help=_CARD)
     option("--calibration", type=Path, required=True, metavar="DIR", help="folder of pictures")
     option("--vocabulary", type=Path, help="text embeddings (.npz); default: as `edge run` has")
+    option("--no-gate", action="store_true", help=_NO_GATE)
 
 
 def _check(action: argparse.ArgumentParser) -> None:
@@ -66,7 +69,7 @@ def _bench(action: argparse.ArgumentParser) -> None:
 
 def _use(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
-    action.add_argument("config", help=_CONFIG)
+    action.add_argument("config", nargs="?", default="cpu", help=f"{_CONFIG} (default: cpu)")
     action.add_argument("--force", action="store_true", help="though it misses budget or parity")
     action.add_argument(
         "--timeout", type=positive, default=600.0, metavar="S",

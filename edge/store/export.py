@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
-import shutil
 import subprocess
 from pathlib import Path
 
 from edge import resources
 from edge.children import python_module
-from edge.perception.cards import FileCard, ModelError, load_card
+from edge.files import write_atomically
+from edge.perception.cards import FileCard, ModelError, card_path, load_card
 from edge.perception.text import VOCABULARY_FILE
 from edge.store.places import pulled_weights
 
+_TRAINED = {
+    "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
+}
+"""Families that are not made from weights, and the commands that train them."""
 _NEEDS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim")
 
 
@@ -24,9 +27,12 @@ def run(args: argparse.Namespace) -> int:
     A vocabulary that was given is kept beside the models, where `edge run` looks for it.
 
     Raises:
-        ModelError: nothing to export from, or what an export needs is not installed.
+        ModelError: nothing to export from, what an export needs is not installed, or the
+            vocabulary cannot be kept.
     """
     card = with_file(args.name)
+    if card.family in _TRAINED:
+        raise ModelError(f"models export: {card.name} is trained: {how_to_make(card)}")
     weights = args.weights or pulled_weights(card)
     if weights is None:
         pull = f"run `edge models pull {card.name}`, or " if card.weights_sources() else ""
@@ -35,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         )
     need_modules("export", _NEEDS)
     options = {"--calibration": args.calibration, "--vocabulary": args.vocabulary}
-    code = exporter("exporters", card.name, {"--weights": weights, **options})
+    code = exporter("exporters", card.name, {"--weights": weights, **options}, args.no_gate)
     if code == 0 and args.vocabulary is not None:
         keep_vocabulary(args.vocabulary)
     return code
@@ -48,6 +54,11 @@ def with_file(name: str) -> FileCard:
         parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
         raise ModelError(f"model {name!r}: has no file of its own, it uses {' and '.join(parts)}")
     return card
+
+
+def how_to_make(card: FileCard) -> str:
+    """The command that makes a model's file, as a part of a sentence."""
+    return f"`{_TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
 def need_modules(action: str, modules: tuple[str, ...]) -> None:
@@ -65,20 +76,31 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
         )
 
 
-def exporter(module: str, name: str, options: dict[str, Path | None]) -> int:
-    """Run `python -m MODULE NAME --option …`, which writes to the models' cache; its exit code."""
+def exporter(module: str, name: str, options: dict[str, Path | None], no_gate: bool) -> int:
+    """Run `python -m MODULE NAME --option …`, which writes to the models' cache; its exit code.
+
+    Args:
+        no_gate: keep a model though its parity misses the limits.
+    """
+    options = {**options, "--cache": resources.models_dir(), "--cards": card_path(name).parent}
     given = [part for key, path in options.items() if path is not None for part in (key, str(path))]
-    cache = str(resources.models_dir())
-    command = [*python_module(module), name, *given, "--cache", cache]
+    command = [*python_module(module), name, *given, *(["--no-gate"] if no_gate else [])]
     return subprocess.run(command, check=False).returncode
 
 
 def keep_vocabulary(source: Path) -> Path:
-    """Copy a vocabulary file into the models' cache, whole or not at all; where it lies then."""
+    """Copy a vocabulary file into the models' cache, whole or not at all; where it lies then.
+
+    Raises:
+        ModelError: it cannot be read or written.
+    """
     path = resources.models_dir() / VOCABULARY_FILE
-    if not (path.exists() and path.samefile(source)):
+    try:
+        content = source.read_bytes()
         path.parent.mkdir(parents=True, exist_ok=True)
-        half = path.with_name(f"{path.name}.{os.getpid()}.part")
-        shutil.copyfile(source, half)
-        half.replace(path)
+        write_atomically(path, content)
+    except OSError as error:
+        raise ModelError(
+            f"{source}: cannot be kept as {path} ({error.strerror}); set $EDGE_VOCABULARY to it"
+        ) from None
     return path

@@ -13,6 +13,7 @@ from edge.perception.cards import ModelError, load_card
 from edge.perception.model_file import remembered_sha256
 from edge.store import index
 from edge.store.download import LIMITS, Limits, download, shown
+from edge.store.export import how_to_make
 from edge.store.local import copy_from, extract
 from edge.store.made import take_made
 from edge.store.part import FetchError, Part
@@ -90,8 +91,8 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
         files = [file for file in files if file.what != "weights"]
     elif not files:
         raise ModelError(
-            f"model {card.name!r}: its card names no sources; `edge models export {card.name}` "
-            "makes it, and --from FOLDER brings one that was exported elsewhere"
+            f"model {card.name!r}: its card names no sources; {how_to_make(card)}, "
+            "and --from FOLDER brings one that was exported elsewhere"
         )
     for file in files:
         if file.target.is_file() and remembered_sha256(file.target) == file.sha256:

@@ -6,7 +6,7 @@ import argparse
 
 from edge.perception.cards import ModelError, load_card, verify_model
 from edge.perception.text import find_vocabulary
-from edge.store.export import exporter, need_modules, with_file
+from edge.store.export import exporter, how_to_make, need_modules, with_file
 
 _NEEDS = ("onnx", "onnxruntime")
 
@@ -22,11 +22,10 @@ def run(args: argparse.Namespace) -> int:
     card = with_file(args.name)
     if card.derived_from is None:
         raise ModelError(
-            f"models quantize: {card.name} is not derived from another model; "
-            f"`edge models export {card.name}` makes it"
+            f"models quantize: {card.name} is not derived from another model; {how_to_make(card)}"
         )
     verify_model(load_card(card.derived_from))
     need_modules("quantize", _NEEDS)
     vocabulary = args.vocabulary or find_vocabulary(None)
     options = {"--calibration": args.calibration, "--vocabulary": vocabulary}
-    return exporter("exporters", card.name, options)
+    return exporter("exporters", card.name, options, args.no_gate)

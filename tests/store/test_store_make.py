@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+import yaml
 
 from edge import resources
 from edge.children import python_module
@@ -21,6 +22,7 @@ ORIGINAL = {
     "derived_from": None, "text_dim": 8, "parity": None,
     "preprocess": {"color": "rgb", "scale": 1.0, "letterbox_pad": 0},
 }  # fmt: skip
+TRAINED = {**ORIGINAL, "name": "own", "family": "mini-house", "sources": []}
 DERIVED = {**ORIGINAL, "name": "small", "file": "small.onnx", "derived_from": "big"}
 SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
 
@@ -28,7 +30,7 @@ SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "d
 @pytest.fixture
 def started(store, monkeypatch):
     """The command lines of the exporters that would have been started."""
-    for card in (ORIGINAL, DERIVED, SCORER):
+    for card in (ORIGINAL, DERIVED, SCORER, TRAINED):
         store(card)
     lines = []
 
@@ -60,7 +62,7 @@ def test_weights_that_were_pulled_are_exported(started):
     assert tuple(line[:5]) == python_module("exporters")
     assert line[5:] == [
         "small", "--weights", str(path), "--calibration", "pictures",
-        "--cache", str(resources.models_dir()),
+        "--cache", str(resources.models_dir()), "--cards", str(resources.data_dir("models")),
     ]  # fmt: skip
 
 
@@ -69,13 +71,55 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
     words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
     assert main(["models", "quantize", "small", *words]) == 0
     (line,) = started
-    assert line[4:-2] == ["exporters", "small", *words]
+    assert line[4:-4] == ["exporters", "small", *words]
+
+
+@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
+@pytest.mark.parametrize("gate", [[], ["--no-gate"]])
+def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
+    monkeypatch.setattr("edge.store.quantize.verify_model", lambda card: None)
+    monkeypatch.setattr("edge.store.quantize.find_vocabulary", lambda _: None)
+    action, *options = words
+    assert main(["models", action, "small", "--calibration", "p", *options, *gate]) == 0
+    assert ("--no-gate" in started[0]) == bool(gate)
+
+
+def test_an_own_card_is_exported_from_its_folder(started):
+    resources.models_dir().mkdir(parents=True)
+    card = yaml.safe_dump({**ORIGINAL, "name": "mine"})
+    (resources.models_dir() / "mine.yaml").write_text(card)
+    assert main(["models", "export", "mine", "--weights", "w.pt"]) == 0
+    assert started[0][-2:] == ["--cards", str(resources.models_dir())]
+
+
+@pytest.mark.parametrize("words", [["export"], ["export", "--weights", "w.pt"], ["pull"]])
+def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words):
+    action, *options = words
+    assert main(["models", action, "own", *options]) == 2
+    error = capsys.readouterr().err
+    assert "`python -m exporters.train_mini --out RUN && python -m exporters.mini.export" in error
+    assert ".pt" not in error
+    assert started == []
+
+
+@pytest.mark.parametrize("lacking", ["source", "place"])
+def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys, lacking):
+    (tmp_path / "words.npz").write_bytes(b"words")
+    if lacking == "source":
+        (tmp_path / "words.npz").unlink()
+    else:
+        resources.cache_dir().write_text("a file in the way")
+    words = ["--weights", "w.pt", "--vocabulary", str(tmp_path / "words.npz")]
+    assert main(["models", "export", "big", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{tmp_path}/words.npz: cannot be kept as ")
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("big", "is not derived from another model"),
+        ("big", "is not derived from another model; `edge models export big` makes it"),
+        ("own", "is not derived from another model; `python -m exporters.train_mini --out RUN && "),
         ("small", "big.onnx: model big is not there"),
         ("s", "has no file of its own, it uses big"),
         ("none", "no such card"),

@@ -83,6 +83,13 @@ def test_no_service_is_one_line_and_a_failure(tmp_path, capsys):
     )
 
 
+def test_without_a_configuration_it_is_that_of_a_robot(monkeypatch):
+    asked = []
+    monkeypatch.setattr("edge.store.use.run", lambda args: asked.append(args.config) or 0)
+    assert main(["models", "use", "x"]) == main(["models", "use", "x", "robot.yaml"]) == 0
+    assert asked == ["cpu", "robot.yaml"]
+
+
 # -- the other side: what the desk takes ---------------------------------------------------------
 
 
