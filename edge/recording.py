@@ -26,6 +26,7 @@ from mcap.writer import CompressionType, Writer
 
 from edge import topics
 from edge.bus import declare_publisher, open_session
+from edge.children import python_module
 from edge.config import Config, Zenoh, load
 from edge.errors import UserError
 from edge.topics import Topic
@@ -275,7 +276,7 @@ def player(
     """
     if not Path(path).is_file():
         raise RecordingError(f"{path}: no such file")
-    command = [sys.executable, "-m", "edge.recording", "play", str(path), f"--rate={rate}"]
+    command = [*python_module("edge.recording"), "play", str(path), f"--rate={rate}"]
     command += ["--zenoh", config.zenoh.model_dump_json()] + ["--loop"] * loop
     process = subprocess.Popen(command)
     try:

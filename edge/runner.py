@@ -125,8 +125,10 @@ def open_service(
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()
         gc.freeze()
+        stack.callback(gc.unfreeze)
         # Kernels give the interpreter lock away; by default the loop then waits up to 5 ms for the
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
         inbox = GoalStatusInbox(session, config.zenoh.prefix)
         desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))

@@ -74,11 +74,10 @@ def test_nothing_is_compiled_once_the_loop_runs():
 
 @pytest.fixture(autouse=True)
 def as_before():
-    """Opening a service sets these for the whole process."""
-    switch_s = sys.getswitchinterval()
+    """What a service sets for the whole process holds no longer than the service."""
+    before = sys.getswitchinterval(), gc.get_freeze_count()
     yield
-    sys.setswitchinterval(switch_s)
-    gc.unfreeze()
+    assert (sys.getswitchinterval(), gc.get_freeze_count()) == before
 
 
 def config(**mission: object) -> Config:

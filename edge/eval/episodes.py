@@ -10,7 +10,6 @@ import argparse
 import json
 import math
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from edge import names, topics
+from edge.children import python_module
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
@@ -234,7 +234,7 @@ def _run_all(
         if stop.is_set():
             return None
         i, episode = numbered
-        command = [sys.executable, "-m", "edge.cli", "--log-level", "warning", "eval", "episodes"]
+        command = [*python_module("edge.cli"), "--log-level", "warning", "eval", "episodes"]
         command += [config, "--episode", json.dumps(asdict(episode))]
         if report is not None:
             command += ["--report", str(report / f"{i:02d}-{episode.target.replace(' ', '-')}")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import sys
 import threading
@@ -96,13 +95,13 @@ class Life:
 
 
 @pytest.fixture
-def live(endpoint, tmp_path, monkeypatch) -> Iterator[Callable]:
+def live(endpoint, tmp_path, monkeypatch) -> Callable:
     """live(stop, says, **process): a service whose model's process is a fake.
 
     `says` is what `script` holds at first, which tells the fake what to do.
     """
     monkeypatch.setattr(link, "PROGRAM", (sys.executable, fake))
-    switch_s, script = sys.getswitchinterval(), tmp_path / "script"
+    script = tmp_path / "script"
 
     @contextmanager
     def start(
@@ -124,9 +123,7 @@ def live(endpoint, tmp_path, monkeypatch) -> Iterator[Callable]:
             running.source = zenoh
         assert not [c for c in psutil.Process().children() if fake in c.cmdline()]
 
-    yield start
-    sys.setswitchinterval(switch_s)
-    gc.unfreeze()
+    return start
 
 
 PATIENT = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.01}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import hashlib
 import struct
 import subprocess
@@ -103,15 +102,6 @@ def config(tmp_path, monkeypatch, endpoint) -> Path:
         tmp_path, zenoh={"endpoint": endpoint}, perception=perception, loop={"hz": 100},
         mission={"target": "chair"},
     )  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def as_before():
-    """Opening a service sets these for the whole process."""
-    switch_s = sys.getswitchinterval()
-    yield
-    sys.setswitchinterval(switch_s)
-    gc.unfreeze()
 
 
 class Camera:
