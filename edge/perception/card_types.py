@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -140,6 +141,10 @@ class _FileCard(BaseCard):
     def path(self) -> Path:
         """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
         return _locate(self.file)
+
+    def is_here(self) -> bool:
+        """Whether there is a file at `path`; a folder that may not be looked into has none."""
+        return os.path.isfile(self.path)
 
     def weights_sources(self) -> tuple[Source, ...]:
         """The sources of what the model is made from."""

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         return _report([(with_file(args.name), args.file)])
     if args.name is not None:
         return _report([(card, None) for card in cards_of(args.name)])
-    present = [card for card in all_cards() if card.task != "similarity" and card.path.is_file()]
+    present = [card for card in all_cards() if card.task != "similarity" and card.is_here()]
     if not present:
         print("no model files here: run `edge models list` for what there is", file=sys.stderr)
         return 1

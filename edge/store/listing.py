@@ -36,8 +36,7 @@ def as_table() -> str:
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]
-    path = getattr(card, "path", None)
-    return path if path is not None and path.is_file() else None
+    return card.path if hasattr(card, "path") and card.is_here() else None
 
 
 def _row(card: Card) -> tuple[str, ...]:

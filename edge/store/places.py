@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
@@ -29,4 +30,4 @@ def pulled_weights(card: FileCard) -> Path | None:
     Only their name is looked at; whoever opens them checks their hash first.
     """
     places = (weights_path(source) for source in card.weights_sources())
-    return next((path for path in places if path.is_file()), None)
+    return next((path for path in places if os.path.isfile(path)), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -95,12 +96,12 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
             "and --from FOLDER brings one that was exported elsewhere"
         )
     for file in files:
-        if file.target.is_file() and remembered_sha256(file.target) == file.sha256:
+        if os.path.isfile(file.target) and remembered_sha256(file.target) == file.sha256:
             lines.append(f"{card.name}: {file.what}: was here already: {file.target}")
         else:
             fetch(card.name, file, where)
             lines.append(f"{card.name}: {file.what}: {file.target}")
-    if any(file.what == "weights" for file in files) and not card.path.is_file():
+    if any(file.what == "weights" for file in files) and not card.is_here():
         pictures = " --calibration PICTURES" if card.derived_from else ""
         lines.append(f"{card.name}: next: edge models export {card.name}{pictures}")
     return lines

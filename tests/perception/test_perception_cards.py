@@ -257,6 +257,23 @@ def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, t
     assert "mine " in listing.as_table()
 
 
+@pytest.mark.parametrize("function", ["listdir", "stat"])
+def test_a_cache_that_may_not_be_looked_into_hides_nothing_else(place, monkeypatch, function):
+    place()
+    own("mine")
+    cache, allowed = str(resources.models_dir()), getattr(os, function)
+
+    def refuse(path, *args, **options):
+        if str(path).startswith(cache):
+            raise PermissionError(13, "Permission denied")
+        return allowed(path, *args, **options)
+
+    monkeypatch.setattr(os, function, refuse)
+    assert "tiny" in cards.card_names()
+    with pytest.raises(cards.ModelError, match=r"tiny\.onnx: model tiny is not there; "):
+        cards.verify_model(cards.load_card("tiny"))
+
+
 def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
     place()
     own("broken", input={"height": 65, "width": 63})

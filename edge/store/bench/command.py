@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     if args.images is not None:
         pictures = frames.from_folder(args.images, args.frames)
     else:
-        sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.path.is_file()]
+        sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
         pictures = frames.from_world(config, args.frames, sizes)
     report = compare(config, todo, pictures, _settings(config, args.threads))
     print(table.as_text(report))

@@ -97,7 +97,7 @@ def _row(
 ) -> dict[str, Any]:
     row = {"name": variant.card.name, "on": variant.on}
     if isinstance(result, str):
-        state = "failed" if variant.card.path.is_file() else "missing"
+        state = "failed" if variant.card.is_here() else "missing"
         return {**row, "state": state, "why": result}
     truth = None
     if pictures.truth is not None:

@@ -51,7 +51,7 @@ class Bench:
 
     def run(self, variant: Variant) -> Measured | str:
         """What was measured, or in one line why nothing was."""
-        if not variant.card.path.is_file():
+        if not variant.card.is_here():
             return f"not here: {how_to_get(variant.card)}"
         asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
         job = {**self._job, "detector": self._settings.model_copy(update=asked).model_dump()}
