@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Annotated, Literal, Union
+from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from edge import resources
 
@@ -35,6 +36,12 @@ class SourceUrl(_Source):
 
     kind: Literal["url"]
     url: Annotated[str, Field(pattern=r"^https?://")]
+
+    @field_validator("url")
+    @classmethod
+    def _is_address(cls, url: str) -> str:
+        urlsplit(url)  # a ValueError for `http://[bad`
+        return url
 
 
 class SourceWheel(_Source):
