@@ -162,6 +162,7 @@ def test_two_processes_train_one_model(frames, tmp_path, monkeypatch):
     others = []
     monkeypatch.setattr(training.distributed, "all_reduce", lambda g: others.append(g.clone()))
     training.train(frames, plan(1), tmp_path / "other.pt", share=(1, 2))
+    assert len(others) == 1, "a step shares its gradients once"
     monkeypatch.setattr(training.distributed, "all_reduce", lambda g: g.add_(others[0]))
     one = training.train(frames, plan(1), tmp_path / "one.pt", share=(0, 2))
     make = partial(Frames, np.array(frames.rgb), frames.objects, frames.start)
