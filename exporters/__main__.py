@@ -13,6 +13,7 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
 import onnx
 
 from exporters.cards import ExportCard, cards_folder, load_card, update_parity
@@ -33,6 +34,8 @@ from exporters.recipes import recipe_of
 
 TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
+VOCABULARY_FILE = "clip_vitb32_vocab.npz"
+"""In the cache, where the service looks for one that nobody names."""
 
 
 def default_cache() -> Path:
@@ -52,6 +55,15 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
     if args.weights is None and card.derived_from is None:
         raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
     text = _prompts(card, args)
+    report = _export(card, args, text)
+    if args.vocabulary is None:
+        keep_vocabulary(text, args.cache / VOCABULARY_FILE)
+    return report
+
+
+def _export(
+    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+) -> ParityReport | None:
     if card.derived_from is None:
         return _export_fp32(card, args, text)
     fp32 = load_card(card.derived_from, card.path.parent)
@@ -78,6 +90,15 @@ def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
     from exporters.yolo_world import coco_prompts
 
     return coco_prompts(args.weights, card.weights_sha256[0])
+
+
+def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
+    """Write a vocabulary file for the service to look prompts up in, where there is none yet."""
+    if out.exists():
+        return
+    with replace_atomically(out) as made, made.open("wb") as file:
+        np.savez(file, names=np.array(text.names), emb=text.emb)
+    print(f"{out}: the {len(text.names)} words inside the checkpoint", file=sys.stderr)
 
 
 def _validation_images(args: argparse.Namespace) -> list[Path]:

@@ -113,6 +113,22 @@ def test_int8_without_images_says_so(weights, tmp_path, capsys):
     assert "--calibration is missing" in capsys.readouterr().err
 
 
+def test_without_a_vocabulary_the_words_inside_the_checkpoint_are_kept(
+    weights, vocabulary, tmp_path
+):
+    from edge.perception.text import VOCABULARY_FILE, TextEmbeddings
+    from exporters.__main__ import main
+
+    name = NAME.replace("int8-cpu", "fp32")
+    assert main([name, "--weights", str(weights), "--cache", str(tmp_path)]) == 0
+    kept = TextEmbeddings(str(tmp_path / VOCABULARY_FILE))
+    ours = TextEmbeddings(str(vocabulary))
+    words = ["chair", "bed", "toilet"]
+    alike = kept.embed(words)[0] @ ours.embed(words)[0].T
+    assert (np.diag(alike) > 0.95).all()
+    assert (alike.argmax(1) == range(len(words))).all()
+
+
 @pytest.fixture
 def small(tmp_path, monkeypatch) -> Path:
     """A folder with cards of a small network, its FP32 file, words for it and noise for photos."""
