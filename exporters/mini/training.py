@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import ctypes
 import logging
 import math
+import signal
 import tempfile
 import time
 from collections.abc import Callable
@@ -25,6 +27,7 @@ from exporters.mini.views import Frames
 log = logging.getLogger(__name__)
 
 FULL_HW = (256, 320)
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,7 @@ def _train_rank(
     logging.basicConfig(
         level=logging.INFO if rank == 0 else logging.WARNING, format="%(asctime)s %(message)s"
     )
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # else it trains on by itself
     torch.set_num_threads(1)
     distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=cores)
     train(frames(), plan, checkpoint, share=(rank, cores))
