@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 import yaml
 from edge_processes import write_config
+from patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
-from onnx_bytes import DETECTOR, field, graph, interface, model
+from onnx_bytes import DETECTOR, field, graph, interface, model, tensor
 from test_perception_cards import CARD
 
 from edge import resources
@@ -49,12 +50,13 @@ def node(op: str, inputs: list[str], output: str, **attributes) -> bytes:
     return body
 
 
-def detector(shift: float = 0.0, bias: float = 0.0) -> bytes:
-    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in a black one."""
+def detector(shift: float = 0.0, bias: float = 0.0, in_black: str = "Div") -> bytes:
+    """Three boxes in every image, all with the score 1 / (1 + exp(-bias)); NaN in a black one, or
+    not if `in_black` is "Mul"."""
     boxes = [v + shift for place in PLACES for v in place]
     nodes = [
         node("ReduceMean", ["images"], "mean", keepdims=0),
-        node("Div", ["zero", "mean"], "nothing"),
+        node(in_black, ["zero", "mean"], "nothing"),
         node("Add", ["box", "nothing"], "boxes"),
         node("Transpose", ["txt_feats"], "text_t", perm=[0, 2, 1]),
         node("MatMul", ["zeros", "text_t"], "flat"),
@@ -74,27 +76,40 @@ MODELS = {
     "first": detector(),
     "good": detector(shift=1.0, bias=1.0),
     "elsewhere": detector(shift=64.0),
+    "steady": detector(shift=2.0, in_black="Mul"),
     "damaged": detector(),
-    "other-thing": detector(),
+    "cut-short": detector()[:-200],
+    "too-new": model(graph(interface(**DETECTOR)), 8, 99),
+    "outside": model(graph(interface(**DETECTOR), tensors=(tensor("w", "../weights.bin"),)), 8, 17),
+}
+REFUSED = {
+    "damaged": "damaged",
+    "cut-short": "cut-short.onnx: ",
+    "too-new": "opset 99",
+    "outside": "../weights.bin",
 }
 
 
 @pytest.fixture
-def config(tmp_path, monkeypatch, endpoint) -> Path:
+def isolation() -> str:
+    return "thread"
+
+
+@pytest.fixture
+def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
     """A configuration of `first`, cards and files of all, and a vocabulary of two words."""
-    cards = tmp_path / "cards"
-    cards.mkdir()
-    monkeypatch.setattr(resources, "data_dir", lambda kind: cards)
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     resources.models_dir().mkdir(parents=True)
     for name, data in MODELS.items():
         digest = hashlib.sha256(data + (b"x" if name == "damaged" else b"")).hexdigest()
         card = {**CARD, "name": name, "file": f"{name}.onnx", "sha256": digest}
-        (cards / f"{name}.yaml").write_text(yaml.safe_dump(card))
+        (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
         (resources.models_dir() / f"{name}.onnx").write_bytes(data)
     words = tmp_path / "words.npz"
     np.savez(words, names=np.array(["chair", "bed"]), emb=np.eye(2, 512, dtype=np.float16))
     perception = {
+        "isolation": isolation,
+        "process": {"timeout_s": PATIENCE_S},
         "detector": {"kind": "onnx", "model": "first", "vocabulary": str(words), "threads": 1},
         "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
     }
@@ -153,15 +168,18 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
 
         job, blind = None, 4
         code, _ = use_one("nothing")
-        assert code.startswith("models: refused: model 'nothing': no such card (choices: damaged, ")
+        assert code.startswith(
+            "models: refused: model 'nothing': no such card (choices: cut-short, "
+        )
         assert use_one("first")[0] == "models: refused: first runs already"
 
-        code, lines = use_one("damaged")
-        assert code == 1
-        assert lines[0] == "loading"
-        assert lines[-1].startswith("refused: ")
-        assert "damaged" in lines[-1]
-        assert lines[-1].endswith("; first goes on")
+        for name, reason in REFUSED.items():
+            code, lines = use_one(name)
+            assert code == 1
+            assert lines[0] == "loading"
+            assert lines[-1].startswith("refused: ")
+            assert reason in lines[-1]
+            assert lines[-1].endswith("; first goes on")
 
         code, lines = use_one("elsewhere")
         assert code == 1
@@ -188,6 +206,19 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         assert use_one("good", force=True)[0] == 0
         assert service.status_dict()["swap"]["state"] == "kept"
         assert service.status_dict()["detector"]["model"] == "good"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("isolation", ["process"])
+def test_an_isolated_model_is_swapped_too(config):
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as pool, open_service(load(str(config)), []) as running:
+        running.source = Camera()
+        job = pool.submit(asked, config, "steady")
+        loop(running, stop, each=lambda: job.done() and stop.set())
+        assert job.result() == 0
+        status = running.service.status_dict()
+    assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "steady")
 
 
 def test_no_service_is_one_line(config):
