@@ -315,13 +315,15 @@ def bench(*words):
     return cli.main(["models", "bench", *words, "--frames", "2"])
 
 
-def test_without_cards_it_says_which_families_there_are(place, capsys):
+def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
+    simulated = tmp_path / "simulated.yaml"
+    simulated.write_text("perception: {detector: {kind: sim}}")
     assert bench("tiny") == 2
     assert "'tiny' (choices: none)" in capsys.readouterr().err
     place("tiny-fp32", None)
     assert bench("other", "--config", "demo") == 2
     assert "'other' (choices: tiny)" in capsys.readouterr().err
-    assert bench("--config", "rover-lidar") == 2  # its detector is no model
+    assert bench("--config", str(simulated)) == 2  # its detector is no model
     assert "name a family (choices: tiny)" in capsys.readouterr().err
     assert bench("tiny", "--providers", "cpu,tpu") == 2
     assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
