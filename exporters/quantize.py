@@ -42,7 +42,7 @@ MIN_IMAGES = 4
 MAX_ROUNDING_IMAGES = 40
 """Images that the weights are rounded against; the ranges use all of them."""
 HELD_OUT_EVERY = 4
-"""Where one folder serves for both, one image of so many is kept for measuring."""
+"""Where one folder serves for both, every fourth image is kept for measuring."""
 FEW_PROMPTS = 4
 """Prompts per image in half of the calibration: missions name few, benchmarks many."""
 
@@ -68,7 +68,8 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     limits = symmetric_limits(model, feeds) if for_trt else {}
     ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds)
     convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in excluded]
-    scales = round_weights(model, convs, rounding_feeds(feeds), limits)
+    steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
+    scales = round_weights(model, convs, feeds[::steps], limits)
     with replace_atomically(out) as temporary:
         _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), excluded, precision)
         if for_trt:
@@ -94,14 +95,6 @@ def calibration_feeds(
             rows = rng.choice(rows, FEW_PROMPTS, replace=False)
         feeds.append({"images": load_input(path, hw), "txt_feats": text.emb[rows][None]})
     return feeds
-
-
-def rounding_feeds(feeds: list[Feed], seed: int = 0) -> list[Feed]:
-    """`MAX_ROUNDING_IMAGES` of them at most, at random: every second feed has all prompts, so that
-    a stride could take only one kind."""
-    rng = np.random.default_rng(seed)
-    count = min(len(feeds), MAX_ROUNDING_IMAGES)
-    return [feeds[k] for k in sorted(rng.choice(len(feeds), count, replace=False))]
 
 
 def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tuple[float, float]]:
@@ -227,27 +220,18 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def split_images(
-    calibration: Path, validation: Path | None, seed: int = 0
-) -> tuple[list[Path], list[Path]]:
-    """Images to calibrate on and to measure on: two folders, or a random quarter of one held out.
-
-    At random, since pictures in name order may alternate (two views of each place, say).
-    """
+def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
+    """Images to calibrate on and to measure on: two folders, or every fourth of one held out."""
     images = list_images(calibration)
     if validation is not None:
         return images, list_images(validation)
-    count = len(images) // HELD_OUT_EVERY
-    if not count:
+    held_out = images[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
+    if not held_out:
         raise ExportError(
             f"{calibration}: {len(images)} images leave none to measure on; "
             f"give at least {HELD_OUT_EVERY}, or a folder with --validation"
         )
-    held_out = set(np.random.default_rng(seed).choice(len(images), count, replace=False).tolist())
-    return (
-        [path for k, path in enumerate(images) if k not in held_out],
-        [path for k, path in enumerate(images) if k in held_out],
-    )
+    return [path for path in images if path not in set(held_out)], held_out
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from small_net import RECIPE, build, feeds, run
 
 from exporters.calibration import BINS, Histogram, least_loss_limit, tensor_session
 from exporters.files import ExportError
-from exporters.quantize import MAX_ROUNDING_IMAGES, quantize, rounding_feeds, split_images
+from exporters.quantize import quantize
 from exporters.rounding import round_weights
 
 pytestmark = pytest.mark.export
@@ -94,35 +94,6 @@ def test_what_cannot_be_quantized(tmp_path, precision, count, says):
     with pytest.raises(ExportError, match=says):
         quantize(fp32, tmp_path / "int8.onnx", feeds(count), RECIPE, precision)
     assert not (tmp_path / "int8.onnx").exists()
-
-
-@pytest.mark.parametrize("count", [4, MAX_ROUNDING_IMAGES, 2 * MAX_ROUNDING_IMAGES, 333])
-def test_weights_are_rounded_against_both_kinds_of_feeds(count):
-    """Every second feed has all prompts."""
-    feeds = [{"number": k} for k in range(count)]
-    numbers = [feed["number"] for feed in rounding_feeds(feeds)]
-    assert len(numbers) == min(count, MAX_ROUNDING_IMAGES)
-    assert numbers == sorted(set(numbers))
-    assert {number % 2 for number in numbers} == {0, 1}
-    assert rounding_feeds(feeds) == [feeds[number] for number in numbers]
-
-
-def test_the_images_held_out_are_a_random_quarter(tmp_path):
-    for number in range(43):
-        (tmp_path / f"{number:02d}.png").touch()
-    calibration, held_out = split_images(tmp_path, None)
-    numbers = [int(path.stem) for path in held_out]
-    assert len(numbers) == 10
-    assert len({number % 4 for number in numbers}) > 1
-    assert sorted(calibration + held_out) == sorted(tmp_path.iterdir())
-    assert split_images(tmp_path, None) == (calibration, held_out)
-
-
-def test_too_few_images_leave_none_to_measure_on(tmp_path):
-    for number in range(3):
-        (tmp_path / f"{number}.png").touch()
-    with pytest.raises(ExportError, match="leave none to measure on"):
-        split_images(tmp_path, None)
 
 
 def test_a_symmetric_range_keeps_even_values_and_cuts_a_lonely_one():
