@@ -217,7 +217,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--validation",
         type=Path,
-        help="folder of other images for the parity; default: a random quarter of --calibration",
+        help="folder of other images for the parity; default: every fourth calibration image",
     )
     parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
     parser.add_argument("--cache", type=Path, default=default_cache(), help="folder for the files")
