@@ -1,0 +1,21 @@
+"""Text from outside, made safe to log, print and send on."""
+
+from __future__ import annotations
+
+MAX_CHARS = 200
+
+
+def one_line(text: object, limit: int = MAX_CHARS) -> str:
+    """One line without control characters, of at most `limit` characters.
+
+    What a peer, a server or a file says may hold line breaks that forge log lines, escapes that
+    drive a terminal, or a novel. Whatever does not print becomes a space, runs of spaces become
+    one, and what is too long ends in `…`.
+
+    >>> one_line("stuck\\n12:00 info mission:\\x1b[31m reached")
+    'stuck 12:00 info mission: [31m reached'
+    """
+    # Ten times the limit is looked at: a novel costs no more than a letter.
+    start = str(text)[: 10 * limit]
+    line = " ".join("".join(c if c.isprintable() else " " for c in start).split())
+    return line if len(line) <= limit else line[: limit - 1] + "…"
