@@ -125,7 +125,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""
-        import argparse, sys
+        import argparse, signal, sys
         from edge.eval import tasks
         from edge.eval.progress_bar import ProgressBar
         class Bar(ProgressBar):
@@ -134,6 +134,8 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
         if __name__ == "__main__":
             import edge.eval.progress_bar
             edge.eval.progress_bar.ProgressBar = Bar
+            # Who was started in the background by a shell script ignores it.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             parser = argparse.ArgumentParser()
             tasks.add_arguments(parser)
             try:

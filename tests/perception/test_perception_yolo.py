@@ -12,6 +12,8 @@ from edge.perception.detector import make_detector
 from edge.perception.text import PromptError, find_vocabulary
 from edge.store.check import check_model
 
+pytestmark = pytest.mark.weights
+
 MODELS = ("yolo-world-s-256x320-fp32", "yolo-world-s-256x320-int8-cpu")
 PROMPTS = ("chair", "bed", "refrigerator", "toilet", "trash can")
 CHAIR = np.array([335, 107, 612, 384])  # in the first picture, by eye

@@ -22,6 +22,8 @@ pytest.importorskip("embreex", reason="needs the extra `worlds`")
 import trimesh
 from PIL import Image
 
+pytestmark = pytest.mark.weights
+
 
 def world_config(mesh: Path, objects: Path):
     return parse({"sim": {"world": {"kind": "mesh", "mesh": str(mesh), "objects": str(objects)}}})
