@@ -39,6 +39,11 @@ class SE2:
     def distance_to(self, x_m: float, y_m: float) -> float:
         return math.hypot(x_m - self.x_m, y_m - self.y_m)
 
+    def ahead(self, distance_m: float) -> tuple[float, float]:
+        """The point (x, y) so far ahead; behind, where the distance is negative."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return self.x_m + distance_m * c, self.y_m + distance_m * s
+
     def bearing_to(self, x_m: float, y_m: float) -> float:
         """Angle of a point left of the heading, in [-pi, pi) (VL-Nav eq. 2)."""
         return wrap_angle(math.atan2(y_m - self.y_m, x_m - self.x_m) - self.yaw_rad)

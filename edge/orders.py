@@ -28,6 +28,7 @@ class Orders:
     Attributes:
         target: what the goals are for.
         answer: the controller's newest answer to the present goal; None before it came.
+        blocked: where it said that the robot was held up on the way there, if it did.
         driving: whether the controller has a goal that it has not finished with.
         heard: whether a controller answers.
     """
@@ -35,6 +36,7 @@ class Orders:
     def __init__(self, tell: Callable[[Goal], None]) -> None:
         self.target = ""
         self.answer: GoalStatus | None = None
+        self.blocked: tuple[float, float] | None = None
         self.driving = False
         self.heard = False
         self._tell = tell
@@ -69,7 +71,7 @@ class Orders:
         Args:
             at_once: have the robot stand in the next tick that has no other goal.
         """
-        self._goal, self.answer = None, None
+        self._goal = self.answer = self.blocked = None
         if at_once:
             self._grace_ns = 0
 
@@ -86,10 +88,12 @@ class Orders:
         self._unanswered_since_ns = None
         if self._goal is not None and answer.stamp_ns == self._goal.stamp_ns:
             self.answer = answer
+            self.blocked = answer.blocked or self.blocked
             self.driving = answer.state == "accepted"
 
     def _send(self, goal: Goal, now_ns: int) -> None:
-        self._goal, self.answer, self._grace_ns = goal, None, GRACE_NS
+        self._goal, self._grace_ns = goal, GRACE_NS
+        self.answer = self.blocked = None
         if self._unanswered_since_ns is None:
             self._unanswered_since_ns = now_ns
         self._tell(goal)

@@ -18,6 +18,9 @@ from edge.policies.base import Policy
 from edge.policies.select import GoalSelector
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
+# A controller that says that the robot is held up farther away than this mistakes the frame.
+_HELD_UP_M = 2.0
+
 
 class Pursuit:
     """Follows one goal after another; for one thread.
@@ -26,6 +29,7 @@ class Pursuit:
         pool: the candidates; those that were tried in vain are discarded there.
         tracker: the instances; those that were reached or refuted are marked there.
         tell: hands a goal to those who send it.
+        held_up: hears where, x and y in `map`, the robot was to drive and could not.
         event: tells of something that a person would want to know.
 
     Attributes:
@@ -40,11 +44,13 @@ class Pursuit:
         pool: CandidatePool,
         tracker: InstanceTracker,
         tell: Callable[[Goal], None],
+        held_up: Callable[[tuple[float, float], int], None],
         event: Callable[[str, int], None],
     ) -> None:
         self.goal: Goal | None = None
         self.orders = Orders(tell)
         self._policy, self._pool, self._tracker, self._event = policy, pool, tracker, event
+        self._held_up, self._radius_m = held_up, config.robot.radius_m
         self._selector = GoalSelector(policy)
         self._approach = Approach(config.mission)
         self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
@@ -69,6 +75,9 @@ class Pursuit:
             looks: how often the detector has answered so far.
         """
         goal, answer = self.goal, self.orders.answer
+        blocked, self.orders.blocked = self.orders.blocked, None
+        if blocked is not None and pose.distance_to(*blocked) <= _HELD_UP_M:
+            self._held_up(blocked, now_ns)
         instance = None
         if goal is not None and goal.kind == "instance":
             instance = self._tracker.get(goal.candidate_id)
@@ -105,9 +114,9 @@ class Pursuit:
     def give(self, goal: Goal | None, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Tell the controller, where it has not heard of this goal yet."""
         if goal is None:
+            self._stuck.reset()
             self.orders.give_none(pose, now_ns)
         elif self.orders.give(goal, now_ns):
-            self._stuck.reset()
             self._neighbours.look(goal, mission, self._tracker, now_ns)
         self.goal = goal
 
@@ -117,12 +126,14 @@ class Pursuit:
         self.orders.withdraw()
         self.goal = None
 
-    def look_again(self) -> bool:
-        """Before giving up, go once more through what was discarded; False: that was done."""
+    def look_again(self, grid: RollingMap) -> bool:
+        """Before giving up, go once more through what was discarded, and to where the robot was
+        held up, for doors open and people go; False: that was done."""
         if self._second_look:
             return False
         self._second_look = True
         self._pool.lift_discards()
+        grid.lift_bumps()
         self._selector.start_over()
         return True
 
@@ -163,7 +174,6 @@ class Pursuit:
 
         Where no controller answers, it is no candidate's fault that the robot stands.
         """
-        moving = answer is not None and answer.state == "accepted"
         if goal.kind == "look":
             if answer is not None and answer.state in ("reached", "failed"):
                 self._selector.looked(now_ns)
@@ -178,8 +188,12 @@ class Pursuit:
             # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
             # turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
-        if self._stuck.update(pose, moving and self.goal is not None, now_ns):
+        # Whichever goal it is: a robot that is held up may be given one after another.
+        moving = self.orders.heard and self.orders.driving
+        if self._stuck.update(pose, moving, now_ns) and self.goal is not None:
             self._event("stuck: goal discarded", now_ns)
+            if pose.distance_to(goal.pose.x_m, goal.pose.y_m) > self._radius_m:
+                self._held_up(pose.ahead(self._radius_m), now_ns)
             self._discard(now_ns)
 
     def _discard(self, now_ns: int) -> None:

@@ -44,6 +44,7 @@ log = logging.getLogger("edge.runner")
 
 _SWITCH_S = 2e-4
 _MISSED_STEPS = 8
+_LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
 
 
@@ -219,14 +220,17 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
     """Tick once for every observation, on the observation's own clock.
 
     That clock stands still while nothing is to be seen, and so does the robot. When that has
-    taken as long, in real time, as the mission may, it is over all the same.
+    taken as long, in real time, as the mission may, it is over all the same. Where it was set
+    anew, the loop's time goes on from where it was.
     """
     limit_s = running.config.mission.time_limit_s
-    seen_s, now_ns = time.monotonic(), 0
+    seen_s, now_ns, stamp_ns = time.monotonic(), 0, 0
     while not stop.is_set():
         observation = _hear(running) if running.source.wait(_PATIENCE_S) else None
         if observation is not None:
-            seen_s, now_ns = time.monotonic(), observation.stamp_ns
+            seen_s = time.monotonic()
+            now_ns = _later(now_ns, observation.stamp_ns - stamp_ns)
+            stamp_ns = observation.stamp_ns
         _obey(running, now_ns)
         if observation is not None:
             _tick(running, observation, now_ns)
@@ -234,6 +238,13 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
             running.service.mission.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
             running.service.idle(now_ns, running.source.pose)
         yield
+
+
+def _later(now_ns: int, passed_ns: int) -> int:
+    """The loop's time when so much has passed on the sensors' clock, unless that was set."""
+    if now_ns == 0:  # the first observation
+        return passed_ns
+    return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
 
 
 def _hear(running: Running) -> Observation | None:

@@ -83,7 +83,9 @@ class Service:
         )
         self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing()
-        self.pursuit = Pursuit(config, self.policy, self.pool, self.tracker, self._tell, self.event)
+        self.pursuit = Pursuit(
+            config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
+        )
         self.epoch = 0
         self.stamp_ns = 0
         planner = config.mission.planner
@@ -122,7 +124,7 @@ class Service:
         # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
         self.latency.resume(perf_counter_ns())
 
-        self._map(observation, pose)
+        self._map(observation, pose, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll())
         self._lap(LIFT)
@@ -143,8 +145,9 @@ class Service:
     def _lap(self, stage: int) -> None:
         self.latency.mark(stage, perf_counter_ns())
 
-    def _map(self, observation: Observation, pose: SE2) -> None:
+    def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
+        self.grid.expire_bumps(now_ns)
         if self.config.mapping.input == "cloud":
             if observation.cloud_m is not None:
                 T = observation.T_map_base @ observation.T_base_lidar
@@ -209,9 +212,10 @@ class Service:
             self._survey(self._surveyor, pose, now_ns)
         if self._turns == mission.turns and not (mission.done or mission.paused):
             self.pursuit.judge(mission, pose, now_ns, self._worker.stats.done)
-            if self.pursuit.exhausted and not self.pursuit.look_again():
+            if self.pursuit.exhausted and not self.pursuit.look_again(self.grid):
                 found = "no way to" if mission.target in mission.detected else "found no"
                 reason = f"explored all that can be reached, {found} {mission.target}"
+                reason += _barred(self.grid.bumps_m)
                 mission.give_up(reason, now_ns)
         mission.check_limits(now_ns)
         if self._turns != mission.turns:
@@ -257,6 +261,11 @@ class Service:
     def _tell(self, goal: Goal) -> None:
         for sink in self._sinks:
             sink.goal(goal)
+
+    def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
+        """No sensor shows what is there, so only driving can tell: the map closes."""
+        self.event(f"held up at ({place[0]:.2f}, {place[1]:.2f}): the map closes there", now_ns)
+        self.grid.bump(*place, now_ns)
 
     # -- what comes from outside --------------------------------------------------------------
 
@@ -360,6 +369,15 @@ class Service:
     def status_dict(self) -> dict[str, object]:
         """The status message; see `edge.status`."""
         return status_of(self, self._worker, self._advisers)
+
+
+def _barred(places_m: list[tuple[float, float]]) -> str:
+    """What held the robot up, for the end of a reason; empty where nothing did."""
+    if not places_m:
+        return ""
+    x, y = places_m[0]
+    more = f" and {len(places_m) - 1} more" if len(places_m) > 1 else ""
+    return f"; held up at ({x:.1f}, {y:.1f}){more}"
 
 
 def _blind_ns(config: Config) -> int:

@@ -159,11 +159,16 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class GoalStatus:
-    """The motion controller's answer to one goal (`stamp_ns` is the goal's)."""
+    """The motion controller's answer to one goal (`stamp_ns` is the goal's).
+
+    Attributes:
+        blocked: where, x and y in `map`, the robot was held up just now; None: it was not.
+    """
 
     stamp_ns: int
     state: Literal["accepted", "reached", "failed"]
     reason: str = ""
+    blocked: tuple[float, float] | None = None
 
 
 MissionPhase = Literal["searching", "approaching", "verifying", "paused", "reached", "failed"]

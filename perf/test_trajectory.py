@@ -72,8 +72,8 @@ def test_smoothing(benchmark):
 def test_controller_step(benchmark):
     """A step that follows its path; the one that plans again costs an `astar_house_400` more."""
     controller = Controller(Config())
-    controller.on_map(house(400), (0.0, 0.0), 0.05, 0)
-    controller.on_goal(1, SE2(18.0, 14.0, 0.0), 0)
+    controller.on_map(house(400), (0.0, 0.0), 0.05)
+    controller.on_goal(1, SE2(18.0, 14.0, 0.0))
     step = (SE2(2.0, 2.0, 0.0), 0.0, 0.0, 0)
     controller.step(*step)
     benchmark.extra_info["budget"] = "controller_step"

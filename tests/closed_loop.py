@@ -86,10 +86,10 @@ class ClosedLoop:
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + 500_000_000
             grid = self.service.grid.snapshot()
-            self.controller.on_map(grid.cells, grid.origin_xy_m, grid.resolution_m, now_ns)
+            self.controller.on_map(grid.cells, grid.origin_xy_m, grid.resolution_m)
         answers: list[GoalStatus] = []
         for goal in self.notes.goals[before:]:
-            answers += self.controller.on_goal(goal.stamp_ns, goal.pose, now_ns)
+            answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
         command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
         for answer in answers + more:
             self.service.goal_answered(answer)

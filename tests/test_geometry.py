@@ -153,6 +153,12 @@ def test_bearing_and_distance_are_polar_coordinates(pose, x, y):
     assert distance * math.sin(bearing) == pytest.approx(local[1], abs=1e-9)
 
 
+@given(planar, st.floats(-9, 9))
+def test_ahead_is_along_the_heading(pose, distance_m):
+    there = pose.matrix() @ (distance_m, 0, 0, 1)
+    assert pose.ahead(distance_m) == pytest.approx(tuple(there[:2]), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("x", "y", "bearing"), [(2, 2, math.pi / 2), (0, 0, -math.pi / 2), (2, 0, 0), (1, 1, None)]
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -84,6 +85,22 @@ def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
 
     assert loop(run, stop, once=True, each=each).phase == "searching"
     assert len(ticks) == 5
+
+
+@pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
+def test_a_sensor_clock_that_is_set_anew_neither_turns_lockstep_back_nor_ahead(steps_s):
+    """Else what waits until a time waits for ever, or a mission is over by its limit."""
+    run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
+    run.service.tick = lambda observation, now_ns: times.append(now_ns)
+    stamp_ns = 2 * 10**9
+    seen = [SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None)]
+    for step_s in steps_s:
+        stamp_ns += int(step_s * 1e9)
+        seen.append(SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None))
+    run.source._observations = seen
+    loop(run, stop, each=lambda: stop.set() if len(times) == 4 else None)
+    assert times[:2] == [2 * 10**9, 3 * 10**9]
+    assert [b - a for a, b in pairwise(times)] == [10**9 * (0 < s <= 60) for s in steps_s]
 
 
 def test_the_service_takes_the_stages_in_the_order_of_the_table():

@@ -14,7 +14,8 @@ MAX_CELLS = 4096
 
 
 class Mapping(Section):
-    """The rolling occupancy map (VL-Nav III.A, III.B)."""
+    """The rolling occupancy map (VL-Nav III.A, III.B). Where the robot was held up by something
+    that no sensor shows (a sill, glass) the map stays closed for `bump_memory_s`."""
 
     input: Literal["depth", "cloud"] = "depth"
     resolution_m: Annotated[float, Field(ge=0.01, le=1.0)] = 0.05
@@ -26,6 +27,7 @@ class Mapping(Section):
     obstacle_max_m: Positive = 1.0
     ground_slope: NonNegative = 0.3
     clear_after: Annotated[int, Field(ge=1, le=100)] = 2
+    bump_memory_s: Positive = 600.0
     frontier_min_cells: Annotated[int, Field(ge=1)] = 6
     frontier_large_cells: Annotated[int, Field(ge=2)] = 40
     frontier_spacing_m: Positive = 1.0

@@ -51,7 +51,7 @@ def _drive(config: Config, world: World, seconds: float) -> Iterator[Motion]:
     plan = world.plan
     inflated = plan.clearance_m <= config.robot.radius_m
     cells = np.where(inflated, np.int8(100), np.int8(0))
-    controller.on_map(cells, tuple(plan.origin_m), plan.cell_m, _START_NS)
+    controller.on_map(cells, tuple(plan.origin_m), plan.cell_m)
     stops = iter(free_poses(world, _STOPS, config.sim.seed, config.robot.radius_m, 0.3))
     dt_s = 1.0 / config.sensors.odometry_hz
     goal_id = 0
@@ -60,7 +60,7 @@ def _drive(config: Config, world: World, seconds: float) -> Iterator[Motion]:
         now_ns = train.motion.stamp_ns
         if arrived:
             goal_id += 1
-            controller.on_goal(goal_id, next(stops), now_ns)
+            controller.on_goal(goal_id, next(stops))
         motion = train.motion
         command, answers = controller.step(motion.pose, motion.v_mps, motion.w_radps, now_ns)
         arrived = any(a.state in ("reached", "failed") for a in answers)

@@ -25,6 +25,7 @@ _ROUNDING_CELLS = 2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 _FARTHEST_M = 1e6
+_MOST_BUMPS = 64
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
 
@@ -58,6 +59,8 @@ class RollingMap:
         self._scan = points.make_scan(self._polar, 1024)
         self._origin: tuple[int, int] | None = None
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
+        self._bumps: dict[tuple[int, int], int] = {}  # world cell: until when, oldest first
+        self._lifted: set[tuple[int, int]] = set()
         self._floor_z_m = 0.0
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
@@ -123,14 +126,53 @@ class RollingMap:
         )
         return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
 
+    def bump(self, x_m: float, y_m: float, now_ns: int) -> None:
+        """Close the cell where the robot was held up by something that the map does not show.
+
+        Sensors see through it, so no ray clears it: it opens after `bump_memory_s`, when the
+        robot stands there, or by `lift_bumps`. Outside the window nothing happens.
+
+        Args:
+            now_ns: of the clock that `expire_bumps` is told.
+        """
+        until_ns = now_ns + int(self.config.bump_memory_s * 1e9)
+        touching = 2 * self._inflation_cells + _ROUNDING_CELLS
+        found = [self._cell(x_m, y_m)]
+        while found:
+            cell = found.pop()
+            # What was lifted beside it is the same sill, and still there.
+            beside = [c for c in self._lifted if math.dist(c, cell) <= touching]
+            self._lifted.difference_update(beside)
+            found += beside
+            if self._holds(*cell):
+                self._close(cell, until_ns)
+
+    def expire_bumps(self, now_ns: int) -> None:
+        """Open what was closed by `bump` long enough ago."""
+        while self._bumps:
+            cell, until_ns = next(iter(self._bumps.items()))
+            if now_ns < until_ns:
+                return
+            self._lift(cell)
+
+    def lift_bumps(self) -> None:
+        """Open all that was closed by `bump`, to be tried once more."""
+        self._lifted = set(self._bumps)
+        while self._bumps:
+            self._lift(next(iter(self._bumps)))
+
+    @property
+    def bumps_m(self) -> list[tuple[float, float]]:
+        """Centres of the cells that are closed by `bump`, oldest first."""
+        res = self.resolution_m
+        return [((x + 0.5) * res, (y + 0.5) * res) for x, y in self._bumps]
+
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
-        if self._origin is None:
+        x, y = self._cell(x_m, y_m)
+        if not self._holds(x, y):
             return UNKNOWN
-        x, y = math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
-        n, (ox, oy) = self._n, self._origin
-        if not (ox <= x < ox + n and oy <= y < oy + n):
-            return UNKNOWN
+        n = self._n
         if self._layers.near[y % n, x % n]:
             return OCCUPIED
         return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
@@ -265,18 +307,53 @@ class RollingMap:
             layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
             self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
-        robot = self._robot_cell(pose)
+        robot = self._cell(pose.x_m, pose.y_m)
         update.free_footprint(
             layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
             self._footprint, self._changed, self._explored,
         )  # fmt: skip
         self._extend_trail(robot)
+        if robot in self._bumps:
+            self._lift(robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
 
-    def _robot_cell(self, pose: SE2) -> tuple[int, int]:
-        res = self.resolution_m
-        return math.floor(pose.x_m / res), math.floor(pose.y_m / res)
+    def _cell(self, x_m: float, y_m: float) -> tuple[int, int]:
+        """The world cell of a point."""
+        return math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
+
+    def _holds(self, x: int, y: int) -> bool:
+        """Whether a world cell lies in the window."""
+        if self._origin is None:
+            return False
+        ox, oy = self._origin
+        return ox <= x < ox + self._n and oy <= y < oy + self._n
+
+    def _close(self, cell: tuple[int, int], until_ns: int) -> None:
+        self._bumps.pop(cell, None)
+        self._bumps[cell] = until_ns
+        self._write(*cell, ly.BUMPED)
+        if len(self._bumps) > _MOST_BUMPS:
+            self._lift(next(iter(self._bumps)))
+
+    def _lift(self, cell: tuple[int, int]) -> None:
+        """Open one cell that `bump` closed."""
+        del self._bumps[cell]
+        self._write(*cell, ly.FREE)
+
+    def _write(self, x: int, y: int, state: int) -> None:
+        """Set one world cell of the window by hand, and what is inflated by it."""
+        layers, n, (ox, oy) = self._layers, self._n, self._origin
+        sx, sy, x, y = x % n, y % n, x - ox, y - oy
+        before, after = layers.raw[sy, sx] >= ly.OCCUPIED, state >= ly.OCCUPIED
+        layers.raw[sy, sx], layers.top[sy, sx] = state, 0
+        ly.bit_set(layers.known, sy, sx, True)
+        if after != before:
+            by = 1 if after else -1
+            clip = (0, 0, n, n)
+            ly.add_disc(layers, *self._shift, x, y, by, self._disc, clip, self._changed)
+        ly.grow(self._changed, x, y)
+        ly.grow(self._explored, x, y)
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
         """The robot's body fits where it is: see `layers.on_trail`."""
@@ -338,6 +415,7 @@ class RollingMap:
                 rolled = True
         if rolled:
             self.reach.move_window(*self._origin)
+            self._bumps = {c: until_ns for c, until_ns in self._bumps.items() if self._holds(*c)}
         return rolled
 
     def _roll(self, axis: int, by: int) -> None:
@@ -390,6 +468,8 @@ def warmup(mapping: config.Mapping) -> None:
     T[2, 3] = 0.5
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    grid.bump(0.0, 0.0, 0)
+    grid.lift_bumps()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))

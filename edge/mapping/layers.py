@@ -16,6 +16,7 @@ from numba import njit
 
 WORD = 64
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
+BUMPED = 255  # occupied too, but no ray clears it: see `RollingMap.bump`
 
 
 class Layers(NamedTuple):
@@ -23,7 +24,7 @@ class Layers(NamedTuple):
 
     Attributes:
         raw: (N, N) uint8, what was observed: 0 unseen, 1 free, 2 + k occupied and seen
-            through in the last k updates.
+            through in the last k updates, 255 the robot was held up there.
         near: (N, N) uint16, occupied cells within the inflation disc.
         top: (N, N) uint8, height of the obstacle over the local ground (see `HEIGHT_CODES`).
         label: (N, N) int16, frontier cluster; 0 none, -1 not in a cluster yet.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge.mapping.layers import FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
+from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE
 
 
@@ -74,6 +74,8 @@ def _update_obstacle(
     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
 ):
     """Update a cell that is or was occupied; whether it became so or ceased to be."""
+    if state == BUMPED:
+        return False
     sector, ring = polar.sector_of[cy, cx], polar.ring_of[cy, cx]
     slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
     # Height over the ground at which the lowest ray flew over this cell.

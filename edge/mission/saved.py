@@ -36,6 +36,7 @@ _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Point = tuple[Metres, Metres, Metres]
 Count = Annotated[int, Field(ge=0, lt=1 << 63)]
+Stamp = Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)]
 Word = Annotated[str, Field(max_length=1000)]
 Words = Annotated[tuple[Word, ...], Field(max_length=10_000)]
 
@@ -85,7 +86,7 @@ class Saved:
     elapsed_s: Annotated[float, Field(ge=0)]
     path_m: Annotated[float, Field(ge=0)]
     pose: Point | None
-    stamp_ns: Count
+    stamp_ns: Stamp
     odometry_epoch: Count
     instances: Annotated[tuple[SavedInstance, ...], Field(max_length=MAX_INSTANCES)]
 

@@ -1,19 +1,19 @@
 """The reference motion controller as a state machine: no Zenoh, no clock.
 
-`on_map`, `on_goal` and `step` are told the time; see `edge/motion/process.py` for the process
-around it.
+`step` is told the time; see `edge/motion/process.py` for the process around it.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
 from edge import config
 from edge.geometry import SE2, wrap_angle
-from edge.motion.bumps import Bumps
 from edge.motion.progress import Progress
 from edge.motion.pursuit import (
     STOP,
@@ -45,13 +45,16 @@ ARRIVE = 0.7  # of the goal tolerance: nearer than this the robot stops and turn
 AGAIN_M = 1.0  # driven since the last recovery: the next standstill gets one of its own
 STILL_MPS, STILL_RADPS = 0.03, 0.1
 RESTART_NS = 1_000_000_000  # time that goes back by more is another run
+REPLACED = 64  # goals that are remembered as replaced
 
 
 class Controller:
     """Drives to one goal at a time.
 
-    The newest goal replaces the one before. Each goal is answered `accepted`, then `reached` or
-    `failed` with a reason; a goal that is sent again is answered again with how it stands.
+    The goal that came last replaces the one before, whatever their stamps: those of two services,
+    or of one whose clock was set, do not compare. Each goal is answered `accepted`, then `reached`
+    or `failed` with a reason; a goal that is sent again is answered again with how it stands.
+    Where the robot was told to drive and was held up is told with the answer (`blocked`).
     """
 
     def __init__(self, settings: config.Config) -> None:
@@ -61,11 +64,14 @@ class Controller:
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)
         self._progress = Progress(6 * settings.motion.stuck_s)
-        self._bumps = Bumps()
+        self._radius_m = settings.robot.radius_m
         self._now_ns: int | None = None
         self._last = STOP
         self._goal: SE2 | None = None
+        self._order: tuple[int, SE2] | None = None  # the newest goal as it came
+        self._replaced: deque[tuple[int, SE2]] = deque(maxlen=REPLACED)
         self._status: GoalStatus | None = None
+        self._blocked: tuple[float, float] | None = None
         self._begin(None)
 
     def _begin(self, goal: SE2 | None) -> None:
@@ -76,7 +82,8 @@ class Controller:
         self._recovery: Recovery | None = None
         self._recovered_at: SE2 | None = None
         self._trouble_ns: int | None = None
-        self._stuck.reset()
+        if goal is None:  # a robot that is held up may be given one goal after another
+            self._stuck.reset()
         self._progress.reset()
         self._drop_path()
 
@@ -93,7 +100,7 @@ class Controller:
     # -- what comes in --------------------------------------------------------------------------
 
     def on_map(
-        self, cells: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float, now_ns: int
+        self, cells: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float
     ) -> None:
         """Take a newer map; a path that it closes is planned again at the next step.
 
@@ -107,7 +114,7 @@ class Controller:
             raise ValueError(f"map resolution has to be above 0, got {resolution_m}")
         m = self._motion
         self._map = costmap.from_occupancy(
-            self._bumps.close(cells, origin_xy_m, resolution_m, now_ns),
+            cells,
             origin_xy_m,
             resolution_m,
             clearance_m=m.clearance_m,
@@ -118,14 +125,18 @@ class Controller:
         if len(self._path) and not self._path_is_open():
             self._planned_ns = None
 
-    def on_goal(self, stamp_ns: int, goal: SE2, now_ns: int) -> list[GoalStatus]:
+    def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Take a goal, or answer for one that is sent again."""
-        if self._status is not None and stamp_ns == self._status.stamp_ns:
+        order = (stamp_ns, goal)
+        if order == self._order:
             return [self._status]
-        if self._status is not None and stamp_ns < self._status.stamp_ns:
+        if order in self._replaced:
             return [GoalStatus(stamp_ns, "failed", "replaced by a newer goal")]
         if not _is_finite(goal):
             return [GoalStatus(stamp_ns, "failed", "goal pose is not finite")]
+        if self._order is not None:
+            self._replaced.append(self._order)
+        self._order = order
         self._begin(goal)
         self._status = GoalStatus(stamp_ns, "accepted")
         return [self._status]
@@ -144,17 +155,21 @@ class Controller:
         """
         dt_s = self._elapsed_s(now_ns)
         wanted, answers = STOP, []
+        self._blocked = None
         if self._goal is not None and _is_finite(pose):
             before = self._status
             still = abs(v_mps) <= STILL_MPS and abs(w_radps) <= STILL_RADPS
             wanted = self._drive(self._goal, pose, still, now_ns)
-            answers = [] if self._status is before else [self._status]
+            if self._status is not before or self._blocked is not None:
+                # Told once: a goal that is sent again is answered without it.
+                answers = [replace(self._status, blocked=self._blocked)]
         self._last = self._limits.ramp(wanted, self._last, dt_s) if wanted.moves else STOP
         return self._last, answers
 
     def pause(self) -> None:
         """The robot is being stopped without a step; the goal stays, standing still is no fault."""
         self._last = STOP
+        self._recovery = None
         self._trouble_ns = None
         self._stuck.reset()
         self._progress.reset()
@@ -163,7 +178,10 @@ class Controller:
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
             self._begin(None)
-            self._status = self._map = None
+            self._order = self._status = self._map = None
+            self._replaced.clear()
+        elif now_ns > last + RESTART_NS:
+            self.pause()  # what the robot did meanwhile, nobody saw
         self._now_ns = now_ns
         # A first step, or one after a gap, may change the speed like any other.
         return min(max((now_ns - last) / 1e9, 1.0 / self._motion.rate_hz), 0.2)
@@ -175,6 +193,8 @@ class Controller:
             command = self._recovery.step(pose, now_ns)
             if command is not None:
                 return command
+            if self._recovery.is_held(pose):
+                self._blocked = pose.ahead(-self._radius_m)
             self._recovery = None
             self._drop_path()
         if self._has_arrived(pose):
@@ -313,7 +333,7 @@ class Controller:
     def _unstick(self, pose: SE2, now_ns: int) -> Command:
         """Back up or turn once; a second standstill close by is a failure."""
         if self._last.v_mps != 0.0:
-            self._bumps.add(pose, self._last.v_mps > 0.0, now_ns)
+            self._blocked = pose.ahead(math.copysign(self._radius_m, self._last.v_mps))
         last = self._recovered_at
         if last is not None and pose.distance_to(last.x_m, last.y_m) < AGAIN_M:
             self._finish("failed", "stuck")

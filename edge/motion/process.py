@@ -56,8 +56,8 @@ def main(config: Config, stop: threading.Event) -> int:
 def warm_up(config: Config) -> None:
     """Drive one step on a small map, so that no goal waits for a compiler."""
     controller = Controller(config)
-    controller.on_map(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05, 0)
-    controller.on_goal(1, SE2(2.0, 1.0, 0.0), 0)
+    controller.on_map(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05)
+    controller.on_goal(1, SE2(2.0, 1.0, 0.0))
     controller.step(SE2(0.5, 0.5, 0.0), 0.0, 0.0, 0)
 
 
@@ -106,20 +106,22 @@ class Bus:
     def answer(self, answers: list[GoalStatus]) -> None:
         for a in answers:
             data = {"stamp": a.stamp_ns, "state": a.state, "reason": a.reason}
+            if a.blocked is not None:
+                data["blocked"] = a.blocked
             self._answers.put(json.dumps(data).encode())
 
-    def feed(self, controller: Controller, now_ns: int) -> None:
+    def feed(self, controller: Controller) -> None:
         """Give the controller the newest map and all goals, and send its answers."""
         for _, cells, origin_xy_m, resolution_m in self.read(
             topics.MAP, messages.decode_occupancy_grid
         ):
             try:
-                controller.on_map(cells, origin_xy_m, resolution_m, now_ns)
+                controller.on_map(cells, origin_xy_m, resolution_m)
                 self.map_heard_s = time.monotonic()
             except ValueError as error:
                 self._count(topics.MAP, error)
         for stamp_ns, goal in self.read(topics.GOAL, messages.decode_pose_stamped):
-            self.answer(controller.on_goal(stamp_ns, goal, now_ns))
+            self.answer(controller.on_goal(stamp_ns, goal))
 
     def close(self) -> None:
         for end in (*self._subscribers.values(), self._commands, self._answers):
@@ -157,7 +159,7 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
     while not stop.wait(max(due_s - time.monotonic(), 0.0)):
         due_s = max(due_s + period_s, time.monotonic())
         odometry = bus.read(topics.ODOMETRY, messages.decode_odometry)
-        bus.feed(controller, stamp_ns)
+        bus.feed(controller)
         was_held, is_held = is_held, _is_lost(bus.map_heard_s, map_lost_s)
         if is_held and not was_held:
             log.warning("no map for %.1f s: standing still until one comes", map_lost_s)
@@ -191,7 +193,7 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
         arrived = bus.read(topics.ODOMETRY, messages.decode_odometry)
         tick_ns = ticks[-1] if ticks else tick_ns
         waiting.update((o.stamp_ns, o) for o in arrived)
-        bus.feed(controller, last[1] if last else 0)
+        bus.feed(controller)
         if last is not None and (last[1] in ticks or last[1] in waiting):
             waiting.pop(last[1], None)
             bus.command(*last)

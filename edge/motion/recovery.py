@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 from edge.geometry import SE2, wrap_angle
 from edge.motion.pursuit import Command, Limits, turn
 from edge.trajectory.costmap import CostMap
 
 BACK_MPS = 0.12
 BACK_M = 0.2
+HELD_M = 0.05
 TURN_RAD = 0.6
 TIME_NS = 2_500_000_000
 
@@ -19,11 +18,11 @@ class Recovery:
 
     def __init__(self, pose: SE2, costmap: CostMap | None, limits: Limits, now_ns: int) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
-        behind = (
-            pose.x_m - BACK_M * math.cos(pose.yaw_rad),
-            pose.y_m - BACK_M * math.sin(pose.yaw_rad),
-        )
-        self._backs_up = costmap is not None and costmap.is_free(*behind)
+        self._backs_up = costmap is not None and costmap.is_free(*pose.ahead(-BACK_M))
+
+    def is_held(self, pose: SE2) -> bool:
+        """Whether it backed up, and the robot is where it was."""
+        return self._backs_up and pose.distance_to(self._start.x_m, self._start.y_m) < HELD_M
 
     def step(self, pose: SE2, now_ns: int) -> Command | None:
         """What to do now; None when the attempt is over."""

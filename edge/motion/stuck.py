@@ -19,19 +19,22 @@ class StuckDetector:
     def reset(self) -> None:
         """Forget the past, for example when the robot is given something else to do."""
         self._anchor: SE2 | None = None
-        self._since_ns = 0
+        self._since_ns = self._last_ns = 0
 
     def update(self, pose: SE2, moving_commanded: bool, now_ns: int) -> bool:
         """Whether the robot has been stuck for `stuck_s`; True once, then it waits as long again.
 
         Args:
             moving_commanded: whether the robot was told to move since the last call.
-            now_ns: of the pose; time that goes back starts the wait afresh.
+            now_ns: of the pose; time that goes back, or in which for half of the wait nobody
+                looked, starts the wait afresh.
         """
         if not moving_commanded:
             self.reset()
             return False
-        if self._anchor is None or self._has_moved(pose) or now_ns < self._since_ns:
+        seen = 0 <= now_ns - self._last_ns <= self._wait_ns // 2
+        self._last_ns = now_ns
+        if self._anchor is None or self._has_moved(pose) or not seen:
             self._anchor, self._since_ns = pose, now_ns
             return False
         if now_ns - self._since_ns < self._wait_ns:

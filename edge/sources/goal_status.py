@@ -15,10 +15,13 @@ log = logging.getLogger("edge.sources.goal_status")
 STATES = ("accepted", "reached", "failed")
 _MAX_BYTES = 4096
 _KEPT = 64
+_FARTHEST_M = 1e6
 
 
 def parse_goal_status(payload: bytes) -> GoalStatus:
     """`{"stamp": <the goal's, ns>, "state": accepted | reached | failed, "reason": …}`.
+
+    With `"blocked": [x, y]` (metres in `map`) where the robot was told to drive and was held up.
 
     Raises:
         ValueError: with one line that says what is wrong.
@@ -38,7 +41,17 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
         raise ValueError(f"state: unknown {state!r:.40} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
         raise ValueError(f"reason: expected text, got {reason!r:.40}")
-    return GoalStatus(stamp, state, reason)
+    return GoalStatus(stamp, state, reason, _place(data.get("blocked")))
+
+
+def _place(blocked: object) -> tuple[float, float] | None:
+    """Raises ValueError where it is neither None nor a point."""
+    if blocked is None:
+        return None
+    is_pair = isinstance(blocked, list) and len(blocked) == 2
+    if not is_pair or not all(type(v) in (int, float) and abs(v) <= _FARTHEST_M for v in blocked):
+        raise ValueError(f"blocked: expected [x, y] in metres, got {blocked!r:.40}")
+    return float(blocked[0]), float(blocked[1])
 
 
 class GoalStatusInbox:

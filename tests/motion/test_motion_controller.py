@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from edge.config import Config, Motion
 from edge.geometry import SE2, wrap_angle
-from edge.motion.controller import SNAP_M, Controller
+from edge.motion.controller import REPLACED, SNAP_M, Controller
 from edge.motion.pursuit import length_m
 from edge.types import GoalStatus
 
@@ -61,11 +61,20 @@ class Walk:
     answers: list[GoalStatus] = field(default_factory=list)
     track: list[SE2] = field(default_factory=list)
 
+    @property
+    def blocked(self) -> list[tuple[float, float]]:
+        """Where it said that it was held up."""
+        return [a.blocked for a in self.answers if a.blocked is not None]
+
     def map(self, cells: np.ndarray) -> None:
-        self.controller.on_map(cells, (0.0, 0.0), RES_M, self.now_ns)
+        """The service's, which closes where the robot was held up."""
+        cells = cells.copy()
+        for x, y in self.blocked:
+            cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), round(0.25 / RES_M), 100, -1)
+        self.controller.on_map(cells, (0.0, 0.0), RES_M)
 
     def goal(self, stamp_ns: int, pose: SE2) -> None:
-        self.answers += self.controller.on_goal(stamp_ns, pose, self.now_ns)
+        self.answers += self.controller.on_goal(stamp_ns, pose)
 
     def step(self) -> None:
         command, answers = self.controller.step(self.pose, self.v, self.w, self.now_ns)
@@ -276,18 +285,40 @@ def test_start_in_an_obstacle_is_driven_out_of():
     walk.assert_kept_off(cells)
 
 
-def test_a_newer_goal_takes_over_and_an_older_one_is_refused():
+# CDR counts seconds in an int32: to 2038, and back to 1901.
+LAST_NS, FIRST_NS = (2**31 - 1) * 10**9 + 999_999_999, -(2**31) * 10**9
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(10, 20), (20, 10), (LAST_NS, 10), (10, FIRST_NS), (FIRST_NS, LAST_NS), (0, -1), (5, 5)],
+    ids=str,
+)
+def test_the_goal_that_came_last_takes_over_and_the_one_before_is_refused(first, second):
+    before, goal = SE2(5.0, 1.0, 0.0), SE2(1.5, 3.0, 1.0)
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(6.0, 4.0))
-    walk.goal(10, SE2(5.0, 1.0, 0.0))
+    walk.goal(first, before)
     for _ in range(40):
         walk.step()
-    walk.goal(20, SE2(1.5, 3.0, 1.0))
-    walk.goal(10, SE2(5.0, 1.0, 0.0))
-    assert walk.answers.pop() == GoalStatus(10, "failed", "replaced by a newer goal")
+    walk.goal(second, goal)
+    walk.goal(first, before)
+    assert walk.answers.pop() == GoalStatus(first, "failed", "replaced by a newer goal")
     walk.run(30)
-    assert walk.states == [(10, "accepted"), (20, "accepted"), (20, "reached")]
-    assert_at(walk.pose, SE2(1.5, 3.0, 1.0))
+    assert walk.states == [(first, "accepted"), (second, "accepted"), (second, "reached")]
+    assert_at(walk.pose, goal)
+    walk.goal(first, before)
+    assert walk.answers[-1] == GoalStatus(first, "failed", "replaced by a newer goal")
+
+
+def test_a_goal_from_the_future_shuts_none_out():
+    """As from a service whose clock was wrong and is set right, or that starts anew."""
+    walk = Walk(SE2(1.0, 1.0, 0.0))
+    walk.goal(LAST_NS, SE2(5.0, 1.0, 0.0))
+    for stamp_ns in range(10**9, 10**9 + 3 * REPLACED):
+        walk.goal(stamp_ns, SE2(2.0, 1.0, 0.0))
+    assert {a.state for a in walk.answers} == {"accepted"}
+    assert len(walk.controller._replaced) == REPLACED
 
 
 def test_a_repeated_goal_is_answered_with_how_it_stands():
@@ -322,9 +353,57 @@ def test_a_held_robot_recovers_once_and_then_fails():
     while walk.answers[-1].state == "accepted" and len(commands) < 1000:
         commands.append(walk.controller._last.v_mps)
         walk.step()
-    assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")
+    ahead, behind = (1.2, 2.0), (0.8, 2.0)  # at its rim
+    assert walk.answers[-1] == GoalStatus(1, "failed", "stuck", ahead)
     assert min(commands) < 0  # it backed up in between
     assert (walk.now_ns - 10**9) / 1e9 > 2 * CONFIG.motion.stuck_s
+    assert walk.blocked == [ahead, behind, ahead]
+    walk.goal(1, SE2(5.0, 2.0, 0.0))
+    assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # told once
+
+
+def test_a_held_robot_that_is_told_to_turn_was_blocked_nowhere():
+    walk = Walk(SE2(1.0, 2.0, 0.0), held=True)
+    walk.goal(1, SE2(1.0, 2.0, 3.0))
+    walk.run(30)
+    assert walk.answers[-1].reason == "stuck"
+    assert walk.blocked == []
+
+
+def test_a_held_robot_is_noticed_though_its_goals_change():
+    walk = Walk(SE2(1.0, 2.0, 0.0), held=True)
+    walk.map(room(6.0, 4.0))
+    for k in range(6):
+        walk.goal(k, SE2(5.0, 2.0 + 0.1 * k, 0.0))
+        for _ in range(20):
+            walk.step()
+    assert walk.blocked == [(1.2, 2.0)]
+
+
+def test_between_two_goals_no_time_is_counted():
+    walk = Walk(SE2(1.0, 2.0, 0.0))
+    walk.map(room(6.0, 4.0))
+    walk.goal(1, SE2(2.0, 2.0, 0.0))
+    walk.run(20)
+    walk.held = True
+    for _ in range(200):
+        walk.step()
+    walk.goal(2, SE2(5.0, 2.0, 0.0))
+    for _ in range(20):
+        walk.step()
+    assert walk.blocked == []
+
+
+def test_odometry_stamped_in_the_future_is_no_standstill():
+    walk = Walk(SE2(1.0, 2.0, 0.0))
+    walk.map(room(6.0, 4.0))
+    walk.goal(1, SE2(5.0, 2.0, 0.0))
+    for _ in range(20):
+        walk.step()
+    walk.now_ns += LAST_NS
+    walk.run(20)
+    assert walk.states == [(1, "accepted"), (1, "reached")]
+    assert walk.blocked == []
 
 
 def test_a_robot_let_go_after_the_recovery_reaches_its_goal():
@@ -335,11 +414,12 @@ def test_a_robot_let_go_after_the_recovery_reaches_its_goal():
         walk.step()
     walk.held = False
     walk.run(40)
-    assert walk.states == [(1, "accepted"), (1, "reached")]
+    assert walk.states == [(1, "accepted"), (1, "accepted"), (1, "reached")]
+    assert walk.blocked == [(1.2, 2.0)]
 
 
 def test_what_the_map_does_not_show_is_driven_around():
-    """A chair leg in the way: after the first bump the next path leads past it."""
+    """A chair leg in the way: once the map shows it, the next path leads past it."""
     walk, goal = Walk(SE2(1.0, 2.0, 0.0)), SE2(5.0, 2.0, 0.0)
     leg = SE2(3.0, 2.0, 0.0)
     walk.goal(1, goal)
@@ -358,8 +438,10 @@ def test_what_the_map_does_not_show_is_driven_around():
         walk.step()
         if walk.answers[-1].state != "accepted":
             break
-    assert walk.states == [(1, "accepted"), (1, "reached")]
+    assert walk.states == [(1, "accepted"), (1, "accepted"), (1, "reached")]
     assert_at(walk.pose, goal)
+    ((x, y),) = walk.blocked
+    assert math.dist((x, y), (leg.x_m, leg.y_m)) < 0.1
 
 
 def test_a_pose_that_is_pulled_back_for_ever_fails_without_progress():
@@ -425,7 +507,7 @@ def test_a_pose_that_is_no_place_stops_the_robot(pose):
 def test_a_map_without_resolution_is_refused(resolution):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="resolution"):
-        controller.on_map(room(2.0, 2.0), (0.0, 0.0), resolution, 0)
+        controller.on_map(room(2.0, 2.0), (0.0, 0.0), resolution)
 
 
 def test_clearance_keeps_off_a_map_that_is_not_inflated():

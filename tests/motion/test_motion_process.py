@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from edge.config import Config, Motion, Sim, Zenoh
 from edge.geometry import SE2
 from edge.motion import process
 from edge.ports import free_port
+from edge.sources.goal_status import parse_goal_status
+from edge.types import GoalStatus
 from edge.wire import messages
 
 GOAL = SE2(2.0, 1.0, 0.5)
@@ -257,6 +260,14 @@ class _Rings:
         sample = type("Sample", (), {})()
         sample.payload = zenoh.ZBytes(self.payloads.pop(0))
         return sample
+
+
+def test_answers_are_what_the_service_reads():
+    answers = [GoalStatus(-5, "accepted", blocked=(1.5, -2.0)), GoalStatus(6, "failed", "stuck")]
+    bus, said = process.Bus(_Rings([]), Config()), []
+    bus._answers = SimpleNamespace(put=said.append)
+    bus.answer(answers)
+    assert [parse_goal_status(payload) for payload in said] == answers
 
 
 def test_malformed_messages_are_counted_and_logged_once(caplog):

@@ -57,6 +57,7 @@ def test_a_pause_starts_the_wait_afresh():
     assert not any(run(detector, [HERE] * 15))
     assert not detector.update(HERE, False, 15 * S // 10)
     assert not detector.update(HERE, True, 16 * S // 10)
+    assert not detector.update(HERE, True, 26 * S // 10)
     assert not detector.update(HERE, True, 35 * S // 10)
     assert detector.update(HERE, True, 36 * S // 10)
 
@@ -67,6 +68,16 @@ def test_time_going_back_is_not_stuck():
     assert not detector.update(HERE, True, 1 * S)
     assert not detector.update(HERE, True, 2 * S)
     assert detector.update(HERE, True, 3 * S)
+
+
+@pytest.mark.parametrize(("gap_s", "stuck"), [(0.9, True), (1.1, False), (10.0, False)])
+def test_time_in_which_nobody_looked_is_no_standstill(gap_s, stuck):
+    detector = StuckDetector(2.0, 0.05)
+    assert not any(run(detector, [HERE] * 15))
+    begun_ns = 14 * S // 10 + int(gap_s * S)
+    assert detector.update(HERE, True, begun_ns) == stuck
+    assert not detector.update(HERE, True, begun_ns + S)
+    assert detector.update(HERE, True, begun_ns + 2 * S)
 
 
 def test_progress_waits_for_the_way_to_get_shorter():
@@ -92,7 +103,10 @@ def _recovery(weights: np.ndarray) -> Recovery:
 def test_recovery_backs_up_where_the_map_is_open():
     recovery = _recovery(np.ones((40, 40), np.uint8))
     assert recovery.step(HERE, 1).v_mps < 0
-    assert recovery.step(SE2(HERE.x_m - 1.01 * BACK_M, HERE.y_m, 0.0), S) is None
+    assert recovery.is_held(HERE)
+    back = SE2(HERE.x_m - 1.01 * BACK_M, HERE.y_m, 0.0)
+    assert recovery.step(back, S) is None
+    assert not recovery.is_held(back)
 
 
 def test_recovery_turns_where_it_is_closed_behind():
@@ -103,6 +117,7 @@ def test_recovery_turns_where_it_is_closed_behind():
     assert command.v_mps == 0.0
     assert command.w_radps > 0
     assert recovery.step(SE2(HERE.x_m, HERE.y_m, math.pi / 2), S) is None
+    assert not recovery.is_held(HERE)
 
 
 @pytest.mark.parametrize("now_ns", [TIME_NS, -1])

@@ -19,6 +19,28 @@ def test_an_answer(state):
     assert parse_goal_status(json.dumps({"stamp": 1, "state": state}).encode()).reason == ""
 
 
+@pytest.mark.parametrize("stamp", [0, -1, 2**31 * 10**9, -(2**63), 2**63 - 1, 10**30])
+def test_any_stamp_is_one(stamp):
+    payload = json.dumps({"stamp": stamp, "state": "reached"}).encode()
+    assert parse_goal_status(payload).stamp_ns == stamp
+
+
+def test_where_the_robot_was_held_up():
+    payload = b'{"stamp": 1, "state": "accepted", "blocked": [1, -2.5]}'
+    assert parse_goal_status(payload).blocked == (1.0, -2.5)
+
+
+@pytest.mark.parametrize(
+    "blocked",
+    ["3", "[]", "[1]", "[1, 2, 3]", '["1", 2]', "[true, 2]", "[NaN, 0]", "[0, Infinity]",
+     "[1e7, 0]", "[0, 1" + 400 * "0" + "]", '{"x": 1}'],
+)  # fmt: skip
+def test_no_place_to_be_held_up_at(blocked):
+    payload = f'{{"stamp": 1, "state": "accepted", "blocked": {blocked}}}'.encode()
+    with pytest.raises(ValueError, match=r"blocked: expected \[x, y\] in metres"):
+        parse_goal_status(payload)
+
+
 @pytest.mark.parametrize(
     ("payload", "text"),
     [
@@ -42,7 +64,7 @@ def test_no_answer(payload, text):
 
 
 @given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(), lambda x: (
-    st.lists(x) | st.dictionaries(st.sampled_from(["stamp", "state", "reason"]), x)
+    st.lists(x) | st.dictionaries(st.sampled_from(["stamp", "state", "reason", "blocked"]), x)
 )))  # fmt: skip
 def test_any_json_is_an_answer_or_a_value_error(data):
     try:
