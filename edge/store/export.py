@@ -9,9 +9,9 @@ from pathlib import Path
 
 from edge import resources
 from edge.children import python_module
-from edge.files import write_atomically
+from edge.files import read_regular, write_atomically
 from edge.perception.cards import FileCard, ModelError, card_path, load_card
-from edge.perception.text import VOCABULARY_FILE
+from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE
 from edge.store.places import pulled_weights
 
 _TRAINED = {
@@ -96,7 +96,7 @@ def keep_vocabulary(source: Path) -> Path:
     """
     path = resources.models_dir() / VOCABULARY_FILE
     try:
-        content = source.read_bytes()
+        content = read_regular(source, MAX_VOCABULARY_BYTES)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
     except OSError as error:

@@ -9,14 +9,15 @@ import resource
 import pytest
 
 from edge.perception.model_file import ModelError
-from edge.store.download import Limits, download, read_page, shown
+from edge.store.download import download, read_page, shown
 from edge.store.meter import Meter
+from edge.store.pace import Limits
 from edge.store.part import FetchError, Part
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 LIMITS = Limits(read_s=5.0, tries=3, page_bytes=1000)
-HASTY = Limits(read_s=0.2, tries=2)
+HASTY = Limits(answer_s=0.2, read_s=0.2, tries=2)
 
 
 def part(tmp_path, sha256=SHA256, size=None):
