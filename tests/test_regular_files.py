@@ -25,6 +25,8 @@ from edge.store.bench.frames import from_folder
 from edge.store.export import keep_vocabulary
 from edge.store.index import find_wheels
 from edge.store.local import extract
+from exporters.files import ExportError, check_sha256
+from exporters.images import load_input, load_text_embeddings
 
 pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
 
@@ -105,6 +107,18 @@ def test_a_pipe_in_the_place_of_a_file_is_one_line(tmp_path, monkeypatch, name):
         read(path)
     assert str(path) in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "read",
+    [lambda path: load_input(path, (32, 32)), load_text_embeddings, lambda p: check_sha256(p, "0")],
+    ids=["picture", "vocabulary", "weights"],
+)
+def test_exporters_wait_for_no_pipe_either(tmp_path, read):
+    path = make_pipe(tmp_path / "pipe.png")
+    with pytest.raises(ExportError) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
 
 
 def test_a_pipe_among_the_cards_is_told_and_passed_over(tmp_path, monkeypatch, capsys):
