@@ -18,7 +18,9 @@ _TRAINED = {
     "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
 }
 """Families that are not made from weights, and the commands that train them."""
-_NEEDS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim")
+_NEEDS = ("torch", "torchvision", "ultralytics", "onnx", "onnxruntime", "onnxslim")
+_WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
+"""Packages that no extra brings, since theirs collide with ours; see `pyproject.toml`."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -70,9 +72,11 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
         extras = f"cpu,{action}" if "onnxruntime" in missing else action
+        alone = [m for m in missing if m in _WITHOUT_DEPENDENCIES]
+        then = f", then pip install --no-deps {' '.join(alone)}" if alone else ""
         raise ModelError(
             f"models {action}: {', '.join(missing)} not installed here: pip install "
-            f"'edge-vln[{extras}]'"
+            f"'edge-vln[{extras}]'{then}"
         )
 
 
