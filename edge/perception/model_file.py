@@ -50,9 +50,10 @@ def fresh_sha256(path: Path) -> str:
         digest = sha256_of(path)
     except OSError as error:
         raise _unreadable(path, error) from None
-    prefix = f"{path.resolve()}|"
-    known = {k: v for k, v in _memory().items() if not k.startswith(prefix)} | {key: digest}
-    file = _memory_file()
+    known, prefix, file = _memory(), f"{path.resolve()}|", _memory_file()
+    if known.get(key) == digest:  # a start writes nothing
+        return digest
+    known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
     with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps(known, indent=1).encode())

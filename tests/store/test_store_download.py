@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import resource
 
 import pytest
@@ -181,6 +182,12 @@ def test_a_place_that_cannot_be_written(tmp_path):
         Part(tmp_path / "file" / "w", SHA256),
     ):
         pass
+
+
+def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
+    os.mkfifo(part(tmp_path).path)
+    with pytest.raises(ModelError, match=r"part: cannot be written \(Not a regular file\)"):
+        part(tmp_path).__enter__()
 
 
 @contextlib.contextmanager
