@@ -25,6 +25,10 @@ def main(argv: list[str] | None = None) -> int:
     handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
+    if getattr(args, "trust_cache", False):  # in the environment, a model's process has it too
+        from edge.perception.model_file import TRUST_CACHE
+
+        os.environ[TRUST_CACHE] = "1"
     return _leave(_outcome(args))
 
 

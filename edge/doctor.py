@@ -33,6 +33,10 @@ MIN_FREE_MB = 500
 LOOPBACK_S = 5.0
 SERVER_S = 2.0
 CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap", "zmq")
+OPENCV = (
+    "opencv-python-headless", "opencv-python", "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+)  # fmt: skip
 TEGRA_RELEASE = Path("/etc/nv_tegra_release")
 SHM = Path("/dev/shm")
 _MB = 1 << 20
@@ -123,6 +127,22 @@ def check_packages(config: Config) -> Iterator[Finding]:
             yield Finding("fail", f"{module} cannot be imported: {error}", todo)
     if versions:
         yield Finding("ok", ", ".join(versions))
+
+
+def check_opencv(config: Config) -> Iterator[Finding]:
+    """Its packages hold the same folder `cv2`: the last one installed overwrites the others."""
+    found = [name for name in OPENCV if _is_installed(name)]
+    if len(found) > 1:
+        todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
+        yield Finding("warn", f"{' and '.join(found)} overwrite each other", todo)
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def check_jetson(config: Config) -> Iterator[Finding]:
@@ -421,6 +441,7 @@ def check_worlds(config: Config) -> Iterator[Finding]:
 CHECKS: tuple[Check, ...] = (
     check_python,
     check_packages,
+    check_opencv,
     check_cores,
     check_jetson,
     check_shared_memory,

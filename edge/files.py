@@ -1,10 +1,46 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and files that are read without waiting for them."""
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 import tempfile
 from pathlib import Path
+from typing import BinaryIO
+
+MAX_TEXT_BYTES = 64 << 20
+"""No text that a person or a program writes for `edge` is longer."""
+
+
+def open_regular(path: str | os.PathLike[str], max_bytes: int | None = None) -> BinaryIO:
+    """Open a file for reading, at once or not at all.
+
+    A pipe without a writer would be waited for without end, and a device may have no end.
+
+    Raises:
+        OSError: it cannot be opened, is no regular file, or is longer than `max_bytes`; its
+            `strerror` says which.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        found = os.fstat(handle)
+        if stat.S_ISDIR(found.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "Not a regular file", str(path))
+        if max_bytes is not None and found.st_size > max_bytes:
+            raise OSError(errno.EFBIG, f"Longer than {max_bytes} bytes", str(path))
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> bytes:
+    """The content of a file; raises OSError as `open_regular` does."""
+    with open_regular(path, max_bytes) as file:
+        return file.read(max_bytes)
 
 
 def write_atomically(path: Path, content: bytes) -> None:

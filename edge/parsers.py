@@ -65,6 +65,7 @@ def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     _what(run)
     run.add_argument("--once", action="store_true", help="exit when the mission is over")
     run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
+    _trust(run)
     return run
 
 
@@ -74,6 +75,7 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     demo.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
     _what(demo)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
+    _trust(demo)
     return demo
 
 
@@ -83,6 +85,11 @@ def _what(command: argparse.ArgumentParser) -> None:
     what.add_argument("--target", help=_TARGET)
     what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
     what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
+
+
+def _trust(command: argparse.ArgumentParser) -> None:
+    text = "do not hash model files again that were sound and have not been written since"
+    command.add_argument("--trust-cache", action="store_true", help=text)
 
 
 def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
@@ -157,6 +164,7 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     bench.add_argument(
         "--swap", metavar="NAME", help="change to this model halfway: what that costs the loop"
     )
+    _trust(bench)
     bench.set_defaults(handler=lazy("edge.bench", "run"))
 
 

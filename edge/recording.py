@@ -29,6 +29,7 @@ from edge.bus import declare_publisher, open_session
 from edge.children import python_module
 from edge.config import Config, Zenoh, load
 from edge.errors import UserError
+from edge.files import open_regular
 from edge.topics import Topic
 from edge.wire import DecodeError, schemas
 from edge.wire.cdr import HEADER, STAMP
@@ -165,7 +166,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
         RecordingError: no such file, or not a complete MCAP file.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             for _, channel, message in make_reader(file).iter_messages():
                 topic = _TOPICS.get(channel.topic)
                 if topic is not None:

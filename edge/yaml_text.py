@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, TextIO
+from typing import Any
 
 import yaml
 
 
-def parse_yaml(text: str | TextIO) -> Any:
+def parse_yaml(text: str | bytes) -> Any:
     """What a YAML text says, without tags of Python's.
 
     Raises:
         ValueError: it is not YAML, not UTF-8, or has a value that is not of its type (2024-13-45);
             the message is one line.
-        OSError: the file cannot be read.
     """
     try:
         return yaml.safe_load(text)

@@ -14,6 +14,8 @@ import numpy as np
 import onnx
 import onnxruntime
 
+from edge.eval.progress_bar import counted
+
 BINS = 2048
 LEVELS = 255
 """Steps of an 8-bit range."""
@@ -77,17 +79,17 @@ def collect_histograms(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, H
     names = float_tensors(model)
     session = tensor_session(model, names)
 
-    def passes() -> Iterator[tuple[str, np.ndarray]]:
-        for feed in feeds:
+    def passes(what: str) -> Iterator[tuple[str, np.ndarray]]:
+        for feed in counted(f"pictures: {what}", feeds):
             yield from feed.items()
             yield from zip(names, session.run(names, feed), strict=True)
 
     extremes: dict[str, tuple[float, float]] = {}
-    for name, values in passes():
+    for name, values in passes("extremes"):
         low, high = extremes.get(name, (0.0, 1e-6))
         extremes[name] = min(low, float(values.min())), max(high, float(values.max()))
     histograms = {name: Histogram(*ends, np.zeros(BINS)) for name, ends in extremes.items()}
-    for name, values in passes():
+    for name, values in passes("histograms"):
         histogram = histograms[name]
         scale = BINS / (histogram.high - histogram.low)
         index = ((values.ravel() - histogram.low) * scale).astype(np.int32)

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from edge.files import open_regular
+
 
 class ExportError(Exception):
     """An error that the user can act on; its text is one line: what, where, what to do."""
@@ -19,7 +21,7 @@ def sha256_of(path: Path) -> str:
     """Hex digest of a file; raises ExportError if it cannot be read."""
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             for block in iter(lambda: file.read(1 << 20), b""):
                 digest.update(block)
     except OSError as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 
+from edge.eval.progress_bar import counted
 from exporters.calibration import Feed, float_tensors, tensor_session
 from exporters.files import ExportError, replace_atomically
 from exporters.onnx_format import check_format
@@ -54,7 +55,7 @@ def overflowing_nodes(
     names = float_tensors(model)
     session = tensor_session(model, names)
     large: set[str] = set()
-    for feed in feeds:
+    for feed in counted("pictures: values", feeds):
         for name, value in (*feed.items(), *zip(names, session.run(names, feed), strict=True)):
             if not np.abs(value).max(initial=0.0) <= limit:
                 large.add(name)

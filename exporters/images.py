@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from edge.files import open_regular, read_regular
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
@@ -59,13 +60,14 @@ def digest_of(paths: list[Path]) -> str:
     """One sha256 over the contents of files, in the order given."""
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+        digest.update(hashlib.sha256(read_regular(path)).digest())
     return digest.hexdigest()
 
 
 def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
     """One image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
-    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    # OpenCV would wait for ever at a pipe.
+    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if bgr is None:
         raise ExportError(f"{path}: not a readable image; remove it from the folder")
     rgb = letterbox(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), hw)
@@ -91,7 +93,7 @@ def load_text_embeddings(path: Path, words: list[str] | None = None) -> TextEmbe
     Words that are asked for by name must be there; of the default list, those that are.
     """
     try:
-        with np.load(path) as archive:
+        with open_regular(path) as content, np.load(content) as archive:
             names, emb = archive["names"].tolist(), archive["emb"].astype(np.float32)
     except _NOT_AN_ARCHIVE as error:
         raise ExportError(

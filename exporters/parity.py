@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from edge.eval.progress_bar import counted
 from exporters.files import ExportError
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format
@@ -252,7 +253,7 @@ def measure(
                 f"{candidate}: input is {hw}, that of {reference} is {reference_hw}; "
                 "compare models of one size"
             )
-    inputs = (load_input(path, hw) for path in images)
+    inputs = (load_input(path, hw) for path in counted("pictures: compared", images))
     return compare(run_reference, run_candidate, inputs, text.emb[None])
 
 

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 
+from edge.eval.progress_bar import counted
 from exporters.calibration import (
     Feed,
     collect_histograms,
@@ -89,7 +90,7 @@ def calibration_feeds(
     """One feed per image, by turns with all prompts and with a random few."""
     rng = np.random.default_rng(seed)
     feeds = []
-    for index, path in enumerate(images):
+    for index, path in enumerate(counted("pictures: read", images)):
         rows = np.arange(len(text.names))
         if index % 2 and len(rows) > FEW_PROMPTS:
             rows = rng.choice(rows, FEW_PROMPTS, replace=False)
@@ -106,7 +107,7 @@ def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tu
         for name in node.input:
             consumers.setdefault(name, set()).add(node.op_type)
     ranges = {}
-    for name, histogram in histograms.items():
+    for name, histogram in counted("tensors: ranges", histograms.items()):
         if producer.get(name) in PASSES_RANGE_ON:
             continue
         if producer.get(name) == "Sigmoid":

@@ -15,6 +15,7 @@ import onnx
 from numpy.lib.stride_tricks import sliding_window_view
 from onnx import numpy_helper
 
+from edge.eval.progress_bar import counted
 from exporters.calibration import Feed, tensor_session
 
 DAMPING = 0.01
@@ -96,7 +97,7 @@ def input_statistics(
     session = tensor_session(model, names)
     random = np.random.default_rng(seed)
     statistics: dict[str, Inputs] = {}
-    for feed in feeds:
+    for feed in counted("pictures: inputs of layers", feeds):
         made = session.run(names, feed) if names else []  # no name asks for all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in convs:
@@ -178,7 +179,7 @@ def round_weights(
     statistics = input_statistics(model, convs, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}
     scales: dict[str, np.ndarray] = {}
-    for node in convs:
+    for node in counted("layers: weights", convs):
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
         weight = array.reshape(len(array), -1)

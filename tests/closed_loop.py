@@ -53,8 +53,7 @@ class ClosedLoop:
     def __post_init__(self) -> None:
         config = self.config
         self.world: World = load_world(config)
-        start = self.world.start if config.sim.start is None else SE2(*config.sim.start)
-        self.drive = DriveTrain(config.robot, config.sim, self.world, start, START_NS)
+        self.drive = DriveTrain(config.robot, config.sim, self.world, self.world.start, START_NS)
         self.rig = CameraRig(config, self.world)
         self.labels = tuple(o.label for o in self.world.objects)
         brief = prepare(config.mission)

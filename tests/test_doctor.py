@@ -82,6 +82,29 @@ def test_a_package_that_cannot_be_loaded(monkeypatch):
     assert "no_such_module" in failed.what
 
 
+@pytest.mark.parametrize(
+    ("installed", "expected"),
+    [
+        ([], []),
+        (["opencv-python-headless"], []),
+        (
+            ["opencv-python-headless", "opencv-python"],
+            [
+                "opencv-python-headless and opencv-python overwrite each other — pip uninstall "
+                "opencv-python-headless opencv-python, then pip install opencv-python-headless"
+            ],
+        ),
+    ],
+)
+def test_packages_of_opencv_that_overwrite_each_other(monkeypatch, installed, expected):
+    def find(name):
+        if name not in installed:
+            raise doctor.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(doctor.metadata, "distribution", find)
+    assert [f"{f.what} — {f.todo}" for f in doctor.check_opencv(SIM)] == expected
+
+
 @pytest.mark.parametrize(("cores", "level"), [(1, "warn"), (2, "ok")])
 def test_cores(monkeypatch, cores, level):
     monkeypatch.setattr(doctor.os, "sched_getaffinity", lambda _: set(range(cores)))

@@ -17,6 +17,7 @@ from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import ConfigError, Section
 from edge.config.sim import Sim
+from edge.files import read_regular
 from edge.yaml_text import parse_yaml
 
 ENV_PREFIX = "EDGE__"
@@ -52,8 +53,7 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
     """
     path = resources.find_config(name_or_path)
     try:
-        with open(path, encoding="utf-8") as file:
-            data = parse_yaml(file)
+        data = parse_yaml(read_regular(path))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except ValueError as error:

@@ -10,14 +10,17 @@ from edge.config.section import NonNegative, Positive, Section
 
 
 class WorldHouse(Section):
-    """A house of boxes, cylinders and the like; `house` names a built-in one or a JSON file."""
+    """A house of boxes, cylinders and the like; `house` names a built-in one or a JSON file.
+
+    docs/worlds.md describes the files of all three kinds.
+    """
 
     kind: Literal["house"] = "house"
     house: str = "demo"
 
 
 class WorldMesh(Section):
-    """A textured mesh (extra `worlds`) with its objects' boxes."""
+    """A textured mesh (extra `worlds`), z up and in metres, with a list of its objects' boxes."""
 
     kind: Literal["mesh"] = "mesh"
     mesh: str
@@ -25,7 +28,7 @@ class WorldMesh(Section):
 
 
 class WorldProcthor(Section):
-    """One house of a ProcTHOR JSON-lines file, as boxes."""
+    """One house, by its `name`, of a JSON-lines file (.jsonl or .jsonl.gz), as boxes."""
 
     kind: Literal["procthor"] = "procthor"
     file: str
@@ -33,6 +36,8 @@ class WorldProcthor(Section):
 
 
 class Sim(Section):
+    """`start` (x and y in metres, yaw in radians) takes the place of the world's own."""
+
     world: Annotated[Union[WorldHouse, WorldMesh, WorldProcthor], Field(discriminator="kind")] = (
         WorldHouse()
     )

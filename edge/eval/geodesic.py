@@ -27,16 +27,23 @@ def distance_field(
         reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + plan.cell_m
         low = (np.array(item.center_m[:2]) - reach_m - plan.origin_m) / plan.cell_m
         high = (np.array(item.center_m[:2]) + reach_m - plan.origin_m) / plan.cell_m
-        rows = range(max(int(low[1]), 0), min(int(high[1]) + 1, free.shape[0]))
-        for row in rows:
-            y = plan.origin_m[1] + (row + 0.5) * plan.cell_m
-            for col in range(max(int(low[0]), 0), min(int(high[0]) + 1, free.shape[1])):
-                x = plan.origin_m[0] + (col + 0.5) * plan.cell_m
-                if free[row, col] and item.distance_m(x, y) <= within_m:
-                    distance[row, col] = 0.0
+        left, bottom = np.maximum(low.astype(int), 0)
+        right, top = np.maximum(high.astype(int) + 1, 0)
+        row, col = np.nonzero(free[bottom:top, left:right])
+        row, col = row + bottom, col + left
+        xy_m = plan.origin_m + (np.stack([col, row], axis=1) + 0.5) * plan.cell_m
+        near = _is_near(item, xy_m, within_m)
+        distance[row[near], col[near]] = 0.0
     while sweep(free, distance):
         pass
     return distance * plan.cell_m
+
+
+def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:
+    """(n,) bool: whether each of (n, 2) places is within `within_m` of an object's footprint."""
+    if item.footprint_m is not None:
+        return any_within(xy_m, item.footprint_m, within_m)
+    return np.array([item.distance_m(x, y) <= within_m for x, y in xy_m.tolist()], bool)
 
 
 def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
@@ -45,6 +52,27 @@ def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
     col = math.floor((x_m - plan.origin_m[0]) / plan.cell_m)
     inside = 0 <= row < field.shape[0] and 0 <= col < field.shape[1]
     return float(field[row, col]) if inside else math.inf
+
+
+@njit(nogil=True, cache=True)
+def any_within(xy_m, points_m, within_m):
+    """Whether any of the points is within `within_m` of each place.
+
+    Args:
+        xy_m: (n, 2) float64 places.
+        points_m: (k, 2) float32.
+
+    Returns:
+        (n,) bool.
+    """
+    near = np.zeros(len(xy_m), np.bool_)
+    for i in range(len(xy_m)):
+        for k in range(len(points_m)):
+            dx, dy = points_m[k, 0] - xy_m[i, 0], points_m[k, 1] - xy_m[i, 1]
+            if dx * dx + dy * dy <= within_m * within_m:
+                near[i] = True
+                break
+    return near
 
 
 @njit(nogil=True, cache=True)

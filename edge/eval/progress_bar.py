@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
-from typing import TextIO
+from collections.abc import Callable, Collection, Iterator
+from typing import TextIO, TypeVar
 
 from edge.logs import CLEAR_LINE
 from edge.progress import LOG_PERIOD_S, TERMINAL_PERIOD_S
 
 WIDTH = 24
+
+T = TypeVar("T")
 
 
 def format_bar(what: str, done: int, total: int, elapsed_s: float) -> str:
@@ -75,3 +77,11 @@ class ProgressBar:
             return os.get_terminal_size(self._stream.fileno()).columns or 80
         except (OSError, ValueError):
             return 80
+
+
+def counted(what: str, items: Collection[T]) -> Iterator[T]:
+    """The items one after the other, while a bar says how many are done."""
+    with ProgressBar(what, len(items)) as bar:
+        for done, item in enumerate(items, start=1):
+            yield item
+            bar.update(done)

@@ -10,7 +10,7 @@ from edge import names
 from edge.errors import UserError
 from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
-from edge.files import write_atomically
+from edge.files import read_regular, write_atomically
 from edge.mission.ltl import parse, propositions, to_text
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
@@ -51,7 +51,7 @@ def read_tasks(path: Path) -> list[Task]:
         TaskFileError: the file cannot be read, or a line is not a task that can be fulfilled.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_regular(path).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise TaskFileError(f"{path}: cannot be read: {reason}") from None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
 import sys
 import time
@@ -24,6 +25,7 @@ from edge.errors import UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.progress_bar import ProgressBar
 from edge.eval.task_templates import generate
+from edge.files import open_regular
 from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
 
@@ -80,8 +82,8 @@ def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     cases: list[Case] = []
     left_out: Counter[str] = Counter()
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
+        with open_regular(path) as file:
+            for row in csv.DictReader(io.TextIOWrapper(file, encoding="utf-8", newline="")):
                 formula = parse_prefix(row["ltl_formula"])
                 if satisfiable(formula, silent_end=True):
                     cases.append(Case(row["pattern_type"], row["utterance"], formula, True))

@@ -6,15 +6,19 @@ has too means the package's card.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from edge import resources
+from edge.files import read_regular
 from edge.perception.card_types import (
     BaseCard,
     Card,
@@ -26,7 +30,7 @@ from edge.perception.card_types import (
     TextCard,
 )
 from edge.perception.interface import check_file
-from edge.perception.model_file import ModelError, remembered_sha256
+from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.yaml_text import parse_yaml
 
 log = logging.getLogger(__name__)
@@ -123,7 +127,7 @@ def all_cards() -> list[Card]:
 def read_card(path: Path) -> Card:
     """Read and validate one card; see `load_card`."""
     try:
-        data = parse_yaml(path.read_text(encoding="utf-8"))
+        data = parse_yaml(read_regular(path))
     except (OSError, ValueError) as error:
         raise ModelError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict):
@@ -163,21 +167,66 @@ def _explain(path: Path, fault: Any) -> str:
 def verify_model(card: FileCard) -> Path:
     """The model's file, sound as far as can be seen without running it.
 
-    Its hash is the card's (computed once per path, size and time of change), and it is an ONNX
-    model with the card's inputs and outputs; see `edge.perception.interface`.
+    Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
+    `edge.perception.interface`.
 
     Raises:
         ModelError: the file or its hash is missing, they do not belong together, or no session
             should be made of it.
     """
-    todo = how_to_get(card)
+    path, expected = _file_and_hash(card)
+    _compare_hash(card, path, expected, fresh_sha256(path))
+    check_file(path, card)
+    return path
+
+
+@contextlib.contextmanager
+def loading(card: FileCard) -> Iterator[Path]:
+    """`verify_model` for whoever loads the model within the block.
+
+    A file that was sound when it was last looked at, and has not been written since, is hashed
+    meanwhile, on a thread, and the block ends when that is done. With `$EDGE_TRUST_CACHE` it is
+    not hashed at all.
+
+    Raises:
+        ModelError: as `verify_model`, before the block or at its end; a file that is damaged is
+            also why the block itself failed.
+    """
+    path, expected = _file_and_hash(card)
+    was_sound = known_sha256(path) == expected
+    if not was_sound:
+        _compare_hash(card, path, expected, fresh_sha256(path))
+    again = was_sound and not trusts_cache()
+    with _hashing(card, path, expected) if again else contextlib.nullcontext():
+        check_file(path, card)
+        yield path
+
+
+@contextlib.contextmanager
+def _hashing(card: FileCard, path: Path, expected: str) -> Iterator[None]:
+    with ThreadPoolExecutor(1, "sha256") as pool:
+        found = pool.submit(fresh_sha256, path)
+        try:
+            yield
+        except ModelError:
+            _compare_hash(card, path, expected, found.result())
+            raise
+        _compare_hash(card, path, expected, found.result())
+
+
+def _file_and_hash(card: FileCard) -> tuple[Path, str]:
+    """Where a model is and what it must hash to; raises ModelError for a file that is not there,
+    of another size than it was made, or of an unknown hash."""
+    path = card.path
     if not card.is_here():
-        raise ModelError(f"{card.path}: model {card.name} is not there; {todo}")
-    if not verify_file(card, card.path):
+        raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+    expected, size = _expected(card, path)
+    if expected is None:
         raise ModelError(
-            f"{_sidecar(card.path)}: no sha256 to check the model against; {how_to_get(card)}"
+            f"{_sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
         )
-    return card.path
+    _compare_size(card, path, size)
+    return path, expected
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
@@ -190,17 +239,21 @@ def verify_file(card: FileCard, path: Path) -> bool:
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
     expected, size = _expected(card, path)
     if expected is not None:
-        _compare(card, path, expected, size)
+        _compare_size(card, path, size)
+        _compare_hash(card, path, expected, fresh_sha256(path))
     check_file(path, card)
     return expected is not None
 
 
-def _compare(card: FileCard, path: Path, expected: str, size: int | None) -> None:
+def _compare_size(card: FileCard, path: Path, size: int | None) -> None:
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than it was made"
         raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
-    if remembered_sha256(path) != expected:
+
+
+def _compare_hash(card: FileCard, path: Path, expected: str, found: str) -> None:
+    if found != expected:
         raise ModelError(
             f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
         )
@@ -231,7 +284,7 @@ def _sidecar(path: Path) -> Path:
 
 def _made(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+        data = json.loads(read_regular(_sidecar(path)))
     except (OSError, ValueError, RecursionError):
         return {}
     return data if isinstance(data, dict) else {}

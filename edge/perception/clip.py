@@ -19,8 +19,8 @@ import numpy as np
 from edge import names
 from edge.perception.backends.runtime import EngineOptions, open_session
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
-from edge.perception.cards import ModelError, verify_model
-from edge.perception.model_file import remembered_sha256
+from edge.perception.cards import ModelError, loading
+from edge.perception.model_file import fresh_sha256
 from edge.perception.text import PromptError
 
 CPU = ("CPUExecutionProvider",)
@@ -42,9 +42,9 @@ class ClipTextEncoder:
         self.card = card
         self.dim = card.dim
         self._context = card.tokenizer.context
-        path = verify_model(card)
-        self._tokenizer = _open_tokenizer(card)
-        self._session = open_session(path, CPU, threads=1)
+        with loading(card) as path:
+            self._tokenizer = _open_tokenizer(card)
+            self._session = open_session(path, CPU, threads=1)
         self._rows: dict[str, np.ndarray] = {}
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
@@ -115,7 +115,8 @@ class ClipImageEncoder:
         """
         self.card = card
         self.dim = card.dim
-        self._session = open_session(verify_model(card), providers, threads, device_id, engine)
+        with loading(card) as path:
+            self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
         """
@@ -157,7 +158,7 @@ def _open_tokenizer(card: TextCard) -> Any:
     if path is None or not path.is_file():
         raise ModelError(f"{path}: the tokenizer of {card.name} is not there; put it there")
     wanted = card.tokenizer.sha256
-    if wanted is not None and remembered_sha256(path) != wanted:
+    if wanted is not None and fresh_sha256(path) != wanted:
         raise ModelError(f"{path}: another tokenizer: its sha256 is not {wanted[:12]}…")
     try:
         from tokenizers import Tokenizer

@@ -1,15 +1,25 @@
-"""Model files on the disk: their hashes, and what goes wrong with them."""
+"""Model files on the disk: their hashes, and what goes wrong with them.
+
+A hash is computed anew at every start, since a disk may rot under an unchanged time of change. It
+is remembered too, in the cache, by path, size and time of change: a file that was sound when it was
+last looked at may be loaded while its hash is computed again, and `$EDGE_TRUST_CACHE` takes the
+memory's word for it.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import json
+import os
 from pathlib import Path
 
 from edge import resources
 from edge.errors import UserError
-from edge.files import write_atomically
+from edge.files import open_regular, read_regular, write_atomically
+
+TRUST_CACHE = "EDGE_TRUST_CACHE"
+"""Variable of the environment; not empty, remembered hashes are not computed again."""
 
 
 class ModelError(UserError):
@@ -19,42 +29,71 @@ class ModelError(UserError):
 def sha256_of(path: Path) -> str:
     """Hex digest of a file."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
 
 
-def remembered_sha256(path: Path) -> str:
-    """Hash of a file; remembered across starts in the cache, as large files take a while.
+def trusts_cache() -> bool:
+    return bool(os.environ.get(TRUST_CACHE))
 
-    It is computed anew when the file's size or its time of change is another.
+
+def fresh_sha256(path: Path) -> str:
+    """Hash of a file, computed and remembered.
 
     Raises:
         ModelError: the file cannot be read.
     """
     try:
-        return _remembered_sha256(path)
+        key = _key(path)
+        digest = sha256_of(path)
     except OSError as error:
-        raise ModelError(
-            f"{path}: cannot be read ({error.strerror}); make it readable, or remove it"
-        ) from None
-
-
-def _remembered_sha256(path: Path) -> str:
-    stat = path.stat()
-    key = f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}"
-    memory = resources.cache_dir() / "sha256.json"
-    try:
-        known = json.loads(memory.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        known = {}
-    if isinstance(known, dict) and isinstance(known.get(key), str):
-        return known[key]
-    digest = sha256_of(path)
-    prefix = f"{path.resolve()}|"
-    known = {k: v for k, v in dict(known).items() if not k.startswith(prefix)} | {key: digest}
+        raise _unreadable(path, error) from None
+    known, prefix, file = _memory(), f"{path.resolve()}|", _memory_file()
+    if known.get(key) == digest:  # a start writes nothing
+        return digest
+    known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
     with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
-        memory.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(memory, json.dumps(known, indent=1).encode())
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, json.dumps(known, indent=1).encode())
     return digest
+
+
+def known_sha256(path: Path) -> str | None:
+    """The hash that a file of this size and time of change had when it was last computed.
+
+    Raises:
+        ModelError: the file is not there, or may not be looked at.
+    """
+    try:
+        known = _memory().get(_key(path))
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    return known if isinstance(known, str) else None
+
+
+def remembered_sha256(path: Path) -> str:
+    """`known_sha256`, else `fresh_sha256`: for what belongs to a file that is verified anyway."""
+    return known_sha256(path) or fresh_sha256(path)
+
+
+def _unreadable(path: Path, error: OSError) -> ModelError:
+    return ModelError(f"{path}: cannot be read ({error.strerror}); make it readable, or remove it")
+
+
+def _key(path: Path) -> str:
+    found = path.stat()
+    return f"{path.resolve()}|{found.st_size}|{found.st_mtime_ns}"
+
+
+def _memory_file() -> Path:
+    return resources.cache_dir() / "sha256.json"
+
+
+def _memory() -> dict[str, object]:
+    try:
+        known = json.loads(read_regular(_memory_file()))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return known if isinstance(known, dict) else {}

@@ -21,7 +21,7 @@ from edge.perception.backends.runtime import (
     open_session,
 )
 from edge.perception.card_types import ImageCard
-from edge.perception.cards import DetectCard, ModelError, load_detector_card, verify_model
+from edge.perception.cards import DetectCard, ModelError, load_detector_card, loading
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.text import PromptError, make_text_encoder, words_for
 from edge.types import Detections, Observation
@@ -106,18 +106,19 @@ class OnnxDetector:
         self.stages_ns = (0, 0, 0)
         self._text = make_text_encoder(self.card, detector.vocabulary)
         self._background = self._known_background()
-        self._session = open_session(
-            verify_model(self.card),
-            detector.providers,
-            detector.threads,
-            detector.device_id,
-            engine_options(self.card, detector, progress),
-        )
         height, width = self.card.input.height, self.card.input.width
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
-        self._anchors = self._count_anchors()
+        with loading(self.card) as path:
+            self._session = open_session(
+                path,
+                detector.providers,
+                detector.threads,
+                detector.device_id,
+                engine_options(self.card, detector, progress),
+            )
+            self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
         self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)

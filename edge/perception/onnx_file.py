@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from edge.files import open_regular
+
 MAX_DEPTH = 40
 MAX_FIELDS = 2_000_000
 """Far more than a model has whose weights are stored as bytes."""
@@ -76,7 +78,7 @@ def read_onnx(path: Path) -> OnnxFile:
         NotOnnx: it is not a whole model.
         OSError: it cannot be read.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:

@@ -21,12 +21,15 @@ import numpy as np
 
 from edge import names, resources
 from edge.errors import UserError
+from edge.files import open_regular
 from edge.perception.card_types import DetectCard, TextCard
 from edge.perception.cards import ModelError, card_names, load_card, load_text_card
 
 log = logging.getLogger(__name__)
 
 VOCABULARY_FILE = "clip_vitb32_vocab.npz"
+MAX_VOCABULARY_BYTES = 1 << 30
+"""Half a million words."""
 VOCABULARY_FAMILY = "clip-vit-b-32"
 """Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
 elsewhere, many of them at the same length, so neither can stand in for the other."""
@@ -177,7 +180,10 @@ class TextEmbeddings:
         """
         self.path = find_vocabulary(vocabulary)
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with (
+                open_regular(self.path, MAX_VOCABULARY_BYTES) as content,
+                np.load(content, allow_pickle=False) as file,
+            ):
                 words = [str(word).lower() for word in file["names"]]
                 self._rows = file["emb"].astype(np.float32)
         except _UNREADABLE as error:

@@ -169,7 +169,7 @@ def free_poses(
     if len(rows) == 0:
         raise WorldError(
             f"{world.name}: no free space of radius {radius_m} m around the start "
-            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): choose another start"
+            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}): choose another, in sim.start"
         )
     picks = rng.integers(0, len(rows), count)
     yaws = rng.uniform(-math.pi, math.pi, count)

@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, field_validator
 from edge import names
 from edge.config import Config, Section, WorldHouse
 from edge.config.section import Positive
+from edge.files import read_regular
 from edge.geometry import SE2
 from edge.sim import assemblies, kernels, shading
 from edge.sim.base import WorldError, WorldObject
@@ -97,7 +98,7 @@ def read_house(path: Path) -> House:
         WorldError: one line: file, place, what is wrong.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_regular(path))
     except OSError as error:
         raise WorldError(f"{path}: {error.strerror}") from None
     except ValueError as error:

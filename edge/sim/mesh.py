@@ -13,6 +13,7 @@ import numpy as np
 
 from edge import names
 from edge.config import Config, WorldMesh
+from edge.files import read_regular
 from edge.geometry import SE2, CameraModel
 from edge.sim import mesh_kernels
 from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
@@ -74,7 +75,7 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
         WorldError: missing, not JSON, or an entry lacks a field.
     """
     try:
-        items = json.loads(path.read_text(encoding="utf-8"))
+        items = json.loads(read_regular(path))
         for k, item in enumerate(items):
             for key in ("name", "category", "yaw", "aabb_min", "aabb_max"):
                 if key not in item:

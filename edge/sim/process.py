@@ -18,7 +18,6 @@ import zenoh
 
 from edge import bus, topics
 from edge.config import Config
-from edge.geometry import SE2
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain, Motion
 from edge.sim.sensors import CameraRig, LidarRig, Message, odometry_message, truth_message
@@ -43,9 +42,8 @@ def main(config: Config, stop: threading.Event) -> int:
         edge.errors.UserError: the world cannot be loaded, or the start is not free.
     """
     world = load_world(config)
-    start = world.start if config.sim.start is None else SE2(*config.sim.start)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
-    drive = DriveTrain(config.robot, config.sim, world, start, first_ns)
+    drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
     with bus.open_session(config.zenoh, "connect", stop) as session:
         link = Link(session, config)
         log.info("simulating %s in %s", config.robot.name, world.name)

@@ -14,6 +14,7 @@ from typing import Any
 
 from edge import names
 from edge.config import Config, WorldProcthor
+from edge.files import open_regular
 from edge.geometry import SE2
 from edge.sim import kernels, shading
 from edge.sim.base import WorldError, WorldObject
@@ -35,11 +36,10 @@ def read_houses(path: Path) -> Iterator[dict[str, Any]]:
     Raises:
         WorldError: the file cannot be read, or a line is not JSON.
     """
-    opener = gzip.open if path.suffix == ".gz" else open
     number = 0
     try:
-        with opener(path, "rt", encoding="utf-8") as file:
-            for line in file:
+        with open_regular(path) as content:
+            for line in gzip.GzipFile(fileobj=content) if path.suffix == ".gz" else content:
                 number += 1
                 yield json.loads(line)
     except OSError as error:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from edge.config import Config
+from edge.geometry import SE2
 from edge.sim.base import World
 from edge.sim.house import load_house
 from edge.sim.mesh import load_mesh
@@ -21,7 +22,12 @@ LOADERS: dict[str, Callable[[Any, Config], World]] = {
 def load_world(config: Config) -> World:
     """The world that `sim.world` names, for the configured robot and camera.
 
+    It starts at `sim.start`, where that is given, in place of its own start.
+
     Raises:
         edge.sim.base.WorldError: one line: file, place, what to do.
     """
-    return LOADERS[config.sim.world.kind](config.sim.world, config)
+    world = LOADERS[config.sim.world.kind](config.sim.world, config)
+    if config.sim.start is not None:
+        world.start = SE2(*config.sim.start)
+    return world

@@ -5,42 +5,20 @@ from __future__ import annotations
 import base64
 import http.client
 import re
-import socket
-import time
 import urllib.error
 import urllib.request
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 
 from edge import __version__
 from edge.store.meter import Meter
+from edge.store.pace import LIMITS, Limits, Pace, connecting
 from edge.store.part import MAX_BYTES, FetchError, Interrupted, Part
+from edge.text import one_line
 
 _BLOCK = 1 << 16
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
 """HTTP errors that may be gone at the next try."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How long a server is waited for.
-
-    Attributes:
-        read_s: a connection that brings nothing for so long is given up.
-        slow_s, slow_bytes: so is one that brings less than so many bytes in so long.
-        tries: connections to one address; each goes on where the last ended.
-        page_bytes: longest page of an index.
-    """
-
-    read_s: float = 30.0
-    slow_s: float = 60.0
-    slow_bytes: int = 1 << 16
-    tries: int = 3
-    page_bytes: int = 64 << 20
-
-
-LIMITS = Limits()
 
 
 class NoRange(Interrupted):
@@ -75,9 +53,10 @@ def read_page(url: str, accept: str, limits: Limits = LIMITS) -> tuple[str, str,
     Raises:
         FetchError: it cannot be had, or is no small file.
     """
+    pace = Pace(limits, limits.page_s)
     try:
-        with _open(url, {"Accept": accept}, limits) as response:
-            content = _read_all(response, limits)
+        with _open(url, {"Accept": accept}, pace) as response:
+            content = _read_all(response, pace, limits)
             return response.geturl(), response.headers.get_content_type(), content
     except FetchError as error:
         raise FetchError(f"{shown(url)}: {error}") from None
@@ -93,8 +72,9 @@ def shown(url: str) -> str:
 
 
 def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:
+    pace = Pace(limits)
     try:
-        response = _open(url, {"Range": f"bytes={part.have}-"} if part.have else {}, limits)
+        response = _open(url, {"Range": f"bytes={part.have}-"} if part.have else {}, pace)
     except NoRange:
         part.restart()
         raise
@@ -104,7 +84,7 @@ def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:
             raise FetchError(f"offers {total} bytes, more than any model has")
         if None not in (total, part.size) and total != part.size:
             raise FetchError(f"offers {total} bytes, the card says {part.size}")
-        for block in _blocks(response, limits):
+        for block in _blocks(response, pace):
             part.write(block)
             meter.update(part.have, part.size if total is None else total)
         if total is not None and part.have < total:
@@ -125,7 +105,7 @@ def _agree_on_start(response: Any, part: Part) -> int | None:
     return int(length) if length.isdecimal() else None
 
 
-def _open(url: str, headers: dict[str, str], limits: Limits) -> Any:
+def _open(url: str, headers: dict[str, str], pace: Pace) -> Any:
     """A response of 2xx; raises FetchError, or Interrupted where another try may help."""
     try:
         split = urlsplit(url)
@@ -139,7 +119,7 @@ def _open(url: str, headers: dict[str, str], limits: Limits) -> Any:
         token = base64.b64encode(user.encode()).decode()
         request.add_unredirected_header("Authorization", f"Basic {token}")
     try:
-        return _opener().open(request, timeout=limits.read_s)
+        response = _opener(pace).open(request, timeout=pace.left_s)
     except urllib.error.HTTPError as error:
         error.close()
         if error.code == 416:
@@ -147,24 +127,54 @@ def _open(url: str, headers: dict[str, str], limits: Limits) -> Any:
         kind = Interrupted if error.code in _PASSING else FetchError
         raise kind(f"HTTP {error.code} {_reason(error.reason)}") from None
     except urllib.error.URLError as error:
-        if isinstance(error.reason, (TimeoutError, socket.timeout)):
-            raise Interrupted(f"no answer within {limits.read_s:g} s") from None
+        if isinstance(error.reason, TimeoutError):
+            raise pace.no_answer() from None
         raise FetchError(_reason(error.reason)) from None
     except TimeoutError:
-        raise Interrupted(f"no answer within {limits.read_s:g} s") from None
+        raise pace.no_answer() from None
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise Interrupted(_reason(error)) from None
+    pace.answered()
+    return response
 
 
-def _opener() -> urllib.request.OpenerDirector:
+class _Redirects(urllib.request.HTTPRedirectHandler):
+    """Follows redirects without their content, which may be of any length."""
+
+    def http_error_302(self, req, fp, code, msg, headers):  # type: ignore[no-untyped-def]
+        fp.close()  # the base class would read it to its end
+        return super().http_error_302(req, fp, code, msg, headers)
+
+    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
+
+
+class _Http(urllib.request.HTTPHandler):
+    def __init__(self, pace: Pace) -> None:
+        super().__init__()
+        self._pace = pace
+
+    def http_open(self, req):  # type: ignore[no-untyped-def]
+        return self.do_open(connecting(http.client.HTTPConnection, self._pace), req)
+
+
+class _Https(urllib.request.HTTPSHandler):
+    def __init__(self, pace: Pace) -> None:
+        super().__init__()
+        self._pace = pace
+
+    def https_open(self, req):  # type: ignore[no-untyped-def]
+        return self.do_open(connecting(http.client.HTTPSConnection, self._pace), req)
+
+
+def _opener(pace: Pace) -> urllib.request.OpenerDirector:
     """HTTP and HTTPS alone, also after a redirect, through the proxies of the environment."""
     opener = urllib.request.OpenerDirector()
     for handler in (
         urllib.request.ProxyHandler(),
-        urllib.request.HTTPHandler(),
-        urllib.request.HTTPSHandler(),
+        _Http(pace),
+        _Https(pace),
         urllib.request.HTTPDefaultErrorHandler(),
-        urllib.request.HTTPRedirectHandler(),
+        _Redirects(),
         urllib.request.HTTPErrorProcessor(),
         urllib.request.UnknownHandler(),
     ):
@@ -172,29 +182,24 @@ def _opener() -> urllib.request.OpenerDirector:
     return opener
 
 
-def _blocks(response: Any, limits: Limits):  # type: ignore[no-untyped-def]
+def _blocks(response: Any, pace: Pace):  # type: ignore[no-untyped-def]
     """What the response brings, until its end; raises Interrupted when it stalls or breaks."""
-    since_s, came = time.monotonic(), 0
     while True:
         try:
             block = response.read1(_BLOCK)
         except TimeoutError:
-            raise Interrupted(f"nothing came for {limits.read_s:g} s") from None
+            raise pace.nothing_came() from None
         except (OSError, http.client.HTTPException, ValueError) as error:
             raise Interrupted(_reason(error)) from None
         if not block:
             return
         yield block
-        came += len(block)
-        if time.monotonic() - since_s > limits.slow_s:
-            if came < limits.slow_bytes:
-                raise Interrupted(f"only {came} bytes came in {limits.slow_s:g} s")
-            since_s, came = time.monotonic(), 0
+        pace.took(len(block))
 
 
-def _read_all(response: Any, limits: Limits) -> bytes:
+def _read_all(response: Any, pace: Pace, limits: Limits) -> bytes:
     content = bytearray()
-    for block in _blocks(response, limits):
+    for block in _blocks(response, pace):
         content += block
         if len(content) > limits.page_bytes:
             raise FetchError(f"is longer than {limits.page_bytes} bytes")
@@ -208,4 +213,4 @@ def _host(split: SplitResult) -> str:
 def _reason(error: object) -> str:
     """A socket's error in words."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(str(text).split())[:200]
+    return one_line(text)

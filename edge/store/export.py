@@ -9,16 +9,18 @@ from pathlib import Path
 
 from edge import resources
 from edge.children import python_module
-from edge.files import write_atomically
+from edge.files import read_regular, write_atomically
 from edge.perception.cards import FileCard, ModelError, card_path, load_card
-from edge.perception.text import VOCABULARY_FILE
+from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE
 from edge.store.places import pulled_weights
 
 _TRAINED = {
     "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
 }
 """Families that are not made from weights, and the commands that train them."""
-_NEEDS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim")
+_NEEDS = ("torch", "torchvision", "ultralytics", "onnx", "onnxruntime", "onnxslim")
+_WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
+"""Packages that no extra brings, since theirs collide with ours; see `pyproject.toml`."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -70,9 +72,11 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
         extras = f"cpu,{action}" if "onnxruntime" in missing else action
+        alone = [m for m in missing if m in _WITHOUT_DEPENDENCIES]
+        then = f", then pip install --no-deps {' '.join(alone)}" if alone else ""
         raise ModelError(
             f"models {action}: {', '.join(missing)} not installed here: pip install "
-            f"'edge-vln[{extras}]'"
+            f"'edge-vln[{extras}]'{then}"
         )
 
 
@@ -96,7 +100,7 @@ def keep_vocabulary(source: Path) -> Path:
     """
     path = resources.models_dir() / VOCABULARY_FILE
     try:
-        content = source.read_bytes()
+        content = read_regular(source, MAX_VOCABULARY_BYTES)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
     except OSError as error:

@@ -15,7 +15,9 @@ from typing import NamedTuple
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import url2pathname
 
-from edge.store.download import LIMITS, Limits, read_page, shown
+from edge.files import read_regular
+from edge.store.download import read_page, shown
+from edge.store.pace import LIMITS, Limits
 from edge.store.part import FetchError
 
 PYPI = "https://pypi.org/simple"
@@ -122,7 +124,7 @@ def _read_index(address: str, limits: Limits):  # type: ignore[no-untyped-def]
     if "://" not in address or address.startswith("file:"):
         page = local_path(address) / "index.html"
         try:
-            return page.resolve().as_uri(), list(_from_html(page.read_bytes()))
+            return page.resolve().as_uri(), list(_from_html(read_regular(page)))
         except OSError as error:
             raise FetchError(f"{page}: {error.strerror}") from None
         except ValueError:

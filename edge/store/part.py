@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import os
+import stat
 from pathlib import Path
 from typing import BinaryIO
 
@@ -63,6 +65,8 @@ class Part:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             # Unbuffered: what a full disk did not take would be written again at the close.
             self._file = self.path.open("ab+", buffering=0)
+            if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, "Not a regular file")
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._close()
@@ -70,6 +74,7 @@ class Part:
                 f"{self.path}: another process is fetching it; wait for that one, or stop it"
             ) from None
         except OSError as error:
+            self._close()
             raise ModelError(
                 f"{self.path}: cannot be written ({error.strerror}); free the place, or set "
                 "$EDGE_CACHE_DIR"

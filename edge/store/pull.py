@@ -11,12 +11,13 @@ from typing import NamedTuple
 from edge import resources
 from edge.perception.card_types import Card, FileCard, Source, TextCard
 from edge.perception.cards import ModelError, load_card
-from edge.perception.model_file import remembered_sha256
+from edge.perception.model_file import fresh_sha256
 from edge.store import index
-from edge.store.download import LIMITS, Limits, download, shown
+from edge.store.download import download, shown
 from edge.store.export import how_to_make
 from edge.store.local import copy_from, extract
 from edge.store.made import take_made
+from edge.store.pace import LIMITS, Limits
 from edge.store.part import FetchError, Part
 from edge.store.places import source_file_name, weights_path
 
@@ -96,7 +97,7 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
             "and --from FOLDER brings one that was exported elsewhere"
         )
     for file in files:
-        if os.path.isfile(file.target) and remembered_sha256(file.target) == file.sha256:
+        if os.path.isfile(file.target) and fresh_sha256(file.target) == file.sha256:
             lines.append(f"{card.name}: {file.what}: was here already: {file.target}")
         else:
             fetch(card.name, file, where)
@@ -114,7 +115,7 @@ def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
             if path := take_made(card, place, where.offline, where.limits):
                 return path
         except FetchError as error:
-            print(f"{card.name}: {error}", file=sys.stderr)
+            _note(card.name, error)
     return None
 
 
@@ -145,20 +146,26 @@ def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
     Raises:
         ModelError: none does; each place's reason is in it.
     """
-    reasons = []
+    attempts = (*where.places, *file.sources)
     with Part(file.target, file.sha256, file.size) as part:
-        for attempt in (*where.places, *file.sources):
+        for left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
             try:
                 _attempt(attempt, file, part, where)
                 return file.target
             except FetchError as error:
-                reasons.append(str(error))
-                print(f"{name}: {error}", file=sys.stderr)
+                reason = error
+                if left:
+                    _note(name, error)
     raise ModelError(
-        f"{name}: its {file.what} could not be had ({len(reasons)} sources tried, the last: "
-        f"{reasons[-1]}); get {source_file_name(file.sources[0])} elsewhere, then "
+        f"{name}: its {file.what} could not be had ({len(attempts)} sources tried, the last: "
+        f"{reason}); get {source_file_name(file.sources[0])} elsewhere, then "
         f"`edge models pull {name} --from FILE_OR_FOLDER`"
     )
+
+
+def _note(name: str, error: FetchError) -> None:
+    """Say why a source is passed over; it is no error while others are left."""
+    print(f"{name}: note: {error}; trying the next source", file=sys.stderr)
 
 
 def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> None:

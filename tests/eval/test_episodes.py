@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 
 import pytest
@@ -29,6 +30,34 @@ def test_episodes_are_seeded_free_and_far():
 def test_too_few_starts_are_told():
     with pytest.raises(UserError, match="only 0 of 1 starts lie 500 m"):
         episodes.plan_episodes(HOUSE, ["bed"], 1, 0, 500.0)
+
+
+def blocked(tmp_path, **sim):
+    """A house whose own start lies in a sofa."""
+    corners = [(0, 0), (8, 0), (8, 6), (0, 6)]
+    walls = [
+        {"start": a, "end": b} for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+    ]
+    objects = [{"category": "sofa", "at": [1, 3]}, {"category": "bed", "at": [7, 3]}]
+    house = {"name": "blocked", "start": [1, 3, 0], "walls": walls, "objects": objects}
+    house["rooms"] = [{"name": "hall", "rect": [0, 0, 8, 6]}]
+    path = tmp_path / "blocked.json"
+    path.write_text(json.dumps(house))
+    world = {"kind": "house", "house": str(path)}
+    return parse({"sim": {"world": world, **sim}, "perception": {"detector": {"kind": "sim"}}})
+
+
+def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):
+    with pytest.raises(UserError, match=r"around the start \(1\.00, 3\.00\): .* in sim\.start$"):
+        episodes.plan_episodes(blocked(tmp_path), ["bed"], 1, 0, 2.0)
+    planned = episodes.plan_episodes(blocked(tmp_path, start=[4, 3, 0]), ["bed"], 1, 0, 2.0)
+    assert [e.target for e in planned] == ["bed"]
+
+
+def test_planning_says_how_far_it_is(monkeypatch, capsys):
+    monkeypatch.setattr("edge.eval.progress_bar.LOG_PERIOD_S", 0.0)
+    episodes.plan_episodes(HOUSE, ["bed", "sofa"], 1, 0, 2.0)
+    assert "1/2 targets" in capsys.readouterr().err
 
 
 def test_a_process_that_fails_fails_its_episode():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,6 +58,23 @@ def crate(x: float, y: float) -> WorldObject:
 
 def test_no_object_is_nowhere_near():
     assert np.isinf(geodesic.distance_field(room(), [], 0.2, 1.0)).all()
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20), k=st.integers(0, 20))
+def test_what_is_near_agrees_with_plain_numpy(seed, n, k):
+    rng = np.random.default_rng(seed)
+    places, points = rng.uniform(0, 4, (n, 2)), rng.uniform(0, 4, (k, 2)).astype(np.float32)
+    apart = np.linalg.norm(places[:, None] - points[None].astype(float), axis=2)
+    expected = (apart <= 1.0).any(axis=1)
+    np.testing.assert_array_equal(geodesic.any_within(places, points, 1.0), expected)
+
+
+def test_a_footprint_counts_and_not_the_box_around_it():
+    corner = replace(crate(2.0, 1.2), size_m=(2.0, 1.0, 0.4), footprint_m=np.float32([[3.0, 1.2]]))
+    field = geodesic.distance_field(room(), [corner], 0.2, 0.5)
+    for x, expected in ((2.0, 0.5), (2.6, 0.0), (3.4, 0.0)):
+        assert geodesic.at(room(), field, x, 1.2) == pytest.approx(expected, abs=0.06)
 
 
 @pytest.mark.parametrize(

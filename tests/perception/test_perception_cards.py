@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
 
 import onnx_bytes
 import pytest
@@ -208,22 +209,96 @@ def test_a_model_without_any_hash_is_refused(place):
         cards.verify_model(card)
 
 
-def test_the_hash_is_remembered_until_the_file_changes(place, monkeypatch):
+def flip_a_byte(path):
+    """As flash rots: size and time of change stay."""
+    before = path.stat().st_mtime_ns
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    os.utime(path, ns=(before, before))
+
+
+@pytest.fixture
+def hashed(monkeypatch):
+    """The threads that hash files, as they do."""
+    threads, hash_file = [], model_file.sha256_of
+
+    def note(path):
+        threads.append(threading.current_thread())
+        return hash_file(path)
+
+    monkeypatch.setattr(model_file, "sha256_of", note)
+    return threads
+
+
+def test_a_sound_model_is_hashed_at_every_start_beside_its_loading(place, hashed):
+    place()
+    card, here = put_model(), threading.current_thread()
+    for first in (True, False):
+        with cards.loading(card) as path:
+            assert path == card.path
+            assert (here in hashed) == first  # what was never sound is hashed before
+        assert len(hashed) == 1
+        hashed.clear()
+
+
+def test_damage_under_an_unchanged_time_of_change_is_seen(place):
     place()
     card = put_model()
     assert cards.verify_model(card) == card.path
-    counted = []
-    hash_file = model_file.sha256_of
-    monkeypatch.setattr(
-        model_file, "sha256_of", lambda path: counted.append(path) or hash_file(path)
+    flip_a_byte(card.path)
+    line = (
+        rf"^{card.path}: damaged or another model: sha256 is not .*; run `edge models export tiny`$"
     )
-    cards.verify_model(card)
-    assert counted == []
-    card.path.write_bytes(DATA[::-1])
-    os.utime(card.path, ns=(1, 1))
-    with pytest.raises(cards.ModelError, match="damaged"):
+    with pytest.raises(cards.ModelError, match=line):
         cards.verify_model(card)
-    assert len(counted) == 1
+    put_model()
+    cards.verify_model(card)
+    flip_a_byte(card.path)
+    with pytest.raises(cards.ModelError, match=line), cards.loading(card):
+        pass
+
+
+def test_damage_is_why_a_model_cannot_be_loaded(place):
+    place()
+    card = put_model()
+    cards.verify_model(card)
+    flip_a_byte(card.path)
+    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
+        raise cards.ModelError("onnxruntime cannot load it")
+    put_model()
+    cards.verify_model(card)
+    with pytest.raises(cards.ModelError, match="cannot load it"), cards.loading(card):
+        raise cards.ModelError("onnxruntime cannot load it")
+
+
+def test_a_trusted_cache_is_believed_until_the_file_is_written(place, hashed, monkeypatch):
+    monkeypatch.setenv(model_file.TRUST_CACHE, "1")
+    place()
+    card = put_model()
+    with cards.loading(card):
+        assert len(hashed) == 1
+    flip_a_byte(card.path)
+    with cards.loading(card):
+        pass
+    assert len(hashed) == 1
+    with pytest.raises(cards.ModelError, match="damaged"):  # `models check` and the doctor look
+        cards.verify_model(card)
+    os.utime(card.path, ns=(1, 1))
+    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
+        raise AssertionError("not to be loaded")
+
+
+def test_what_was_damaged_and_is_whole_again_loads(place):
+    place()
+    card = put_model(DATA[:-1] + b"X")
+    written = card.path.stat().st_mtime_ns
+    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
+        pass
+    card.path.write_bytes(DATA)
+    os.utime(card.path, ns=(written, written))
+    with cards.loading(card) as path:
+        assert path == card.path
 
 
 def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ import yaml
 from test_perception_cards import CARD
 
 from edge import config, resources
+from edge.perception import model_file
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import make_detector
+from edge.perception.model_file import TRUST_CACHE
 from edge.perception.text import PromptError, TextEmbeddings
 from edge.store.check import check_model
 
@@ -80,6 +83,29 @@ def tiny(tmp_path, monkeypatch, vocabulary):
         return make_detector(config.Perception(detector=detector), prompts)
 
     return make
+
+
+def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(tiny):
+    detector = tiny()
+    settings = config.Perception(detector=detector.config)
+    path = detector.card.path
+    written, content = path.stat().st_mtime_ns, bytearray(path.read_bytes())
+    content[content.index(BOXES.tobytes()) + 1] ^= 1
+    path.write_bytes(content)
+    os.utime(path, ns=(written, written))
+    with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):
+        make_detector(settings, ("chair",))
+
+
+def test_a_trusted_cache_starts_it_all_the_same(tiny, monkeypatch):
+    monkeypatch.setenv(TRUST_CACHE, "1")
+    detector = tiny()
+    path = detector.card.path
+    monkeypatch.setattr(model_file, "sha256_of", lambda path: pytest.fail("hashed again"))
+    assert make_detector(config.Perception(detector=detector.config), ("chair",)).name == "tiny"
+    os.utime(path, ns=(1, 1))
+    with pytest.raises(BaseException, match="hashed again"):
+        make_detector(config.Perception(detector=detector.config), ("chair",))
 
 
 def image(h=64, w=64):

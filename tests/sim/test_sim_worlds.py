@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,6 +20,7 @@ from edge.sim import assemblies
 from edge.sim.base import Fan, WorldError, WorldObject, collides, free_poses
 from edge.sim.boxworld import CELL_M, BoxWorld
 from edge.sim.house import HOUSES, House, build_house, load_house, read_house
+from edge.sim.mesh import read_objects
 from edge.sim.procthor import build_procthor, read_houses, rectangles
 from edge.sim.worlds import load_world
 
@@ -243,6 +246,24 @@ def test_procthor_houses_start_free_and_have_reachable_rooms(shared_dir: Path):
         assert len(world.objects) == len(houses[name]["objects"])
         _, depth, _ = look(world, world.start)
         assert np.isfinite(depth).any()
+
+
+def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
+    text = (Path(__file__).resolve().parents[2] / "docs" / "worlds.md").read_text(encoding="utf-8")
+    house, things = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
+    (config,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    path = tmp_path / "houses.jsonl"
+    path.write_text(json.dumps(json.loads(house)) + "\n")
+    sim = yaml.safe_load(config)["sim"]
+    world = load_world(parse({"sim": sim}))
+    assert (world.name, world.start) == ("demo", SE2(2.0, 1.0, 0.0))
+    section = {"kind": "procthor", "file": str(path), "name": "my-house-0"}
+    world = load_world(parse({"sim": {"world": section}}))
+    assert [thing.label for thing in world.objects] == ["refrigerator"]
+    assert not collides(world, world.start.x_m, world.start.y_m, 0.2)
+    (tmp_path / "things.json").write_text(things)
+    (thing,) = read_objects(tmp_path / "things.json")
+    assert names.canonical(thing["category"]) == "sofa"
 
 
 def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Path):

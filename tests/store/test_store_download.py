@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import resource
 
 import pytest
 
 from edge.perception.model_file import ModelError
-from edge.store.download import Limits, download, read_page, shown
+from edge.store.download import download, read_page, shown
 from edge.store.meter import Meter
+from edge.store.pace import Limits
 from edge.store.part import FetchError, Part
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 LIMITS = Limits(read_s=5.0, tries=3, page_bytes=1000)
-HASTY = Limits(read_s=0.2, tries=2)
+HASTY = Limits(answer_s=0.2, read_s=0.2, tries=2)
 
 
 def part(tmp_path, sha256=SHA256, size=None):
@@ -180,6 +182,12 @@ def test_a_place_that_cannot_be_written(tmp_path):
         Part(tmp_path / "file" / "w", SHA256),
     ):
         pass
+
+
+def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
+    os.mkfifo(part(tmp_path).path)
+    with pytest.raises(ModelError, match=r"part: cannot be written \(Not a regular file\)"):
+        part(tmp_path).__enter__()
 
 
 @contextlib.contextmanager

@@ -135,6 +135,10 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
     ("lacking", "words", "said"),
     [
         ("torch", ["export", "--weights", "w.pt"], "torch not .*'edge-vln.export.'"),
+        (
+            "ultralytics", ["export", "--weights", "w.pt"],
+            "'edge-vln.export.', then pip install --no-deps ultralytics$",
+        ),
         ("onnxruntime", ["export", "--weights", "w.pt"], "onnxruntime .*'edge-vln.cpu,export.'"),
         ("onnxruntime", ["quantize"], "onnxruntime not installed here: .*'edge-vln.cpu,quantize.'"),
         ("onnx", ["quantize"], "onnx not installed here: pip install 'edge-vln.quantize.'"),

@@ -13,7 +13,7 @@ from edge import resources
 from edge.cli import main
 from edge.perception.cards import ModelError, load_card
 from edge.store import index, pull
-from edge.store.download import Limits
+from edge.store.pace import Limits
 from edge.store.places import pulled_weights
 
 WEIGHTS = b"not a pickle" * 1000
@@ -114,14 +114,16 @@ def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(store, server, c
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_sources_are_tried_in_order_and_each_failure_is_said(store, server, capsys):
+def test_sources_are_tried_in_order_and_a_failure_is_a_note(store, server, capsys):
     server.put("/wrong/w.pt", b"other")
     server.put("/last/w.pt", WEIGHTS)
     places = ("/none/w.pt", "/wrong/w.pt", "/last/w.pt")
     store(card(*(url(server.url(place)) for place in places)))
     assert main(["models", "pull", "tiny"]) == 0
-    errors = capsys.readouterr().err.splitlines()
-    assert ["404" in errors[0], "sha256 is" in errors[1], len(errors)] == [True, True, 2]
+    notes = capsys.readouterr().err.splitlines()
+    assert ["404" in notes[0], "sha256 is" in notes[1], len(notes)] == [True, True, 2]
+    assert all(line.startswith("tiny: note: ") for line in notes)
+    assert all(line.endswith("; trying the next source") for line in notes)
     assert pulled() == {weights_file(): WEIGHTS}
 
 
@@ -129,8 +131,8 @@ def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(store, ser
     server.put("/w.pt", b"x" * 100)
     store(card(url(server.url("/w.pt"), bytes=5)))
     assert main(["models", "pull", "tiny"]) == 2
-    (reason, line) = capsys.readouterr().err.splitlines()
-    assert "offers 100 bytes, the card says 5" in reason
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "offers 100 bytes, the card says 5" in line
     assert "--from FILE_OR_FOLDER" in line
     assert pulled() == {}
 

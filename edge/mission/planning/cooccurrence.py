@@ -24,6 +24,7 @@ import numpy as np
 
 from edge import names
 from edge.errors import UserError
+from edge.files import open_regular
 
 _FILE = Path(__file__).with_name("cooccurrence.json")
 _RARE = 5
@@ -134,7 +135,7 @@ def read_houses(path: Path) -> Iterator[dict[str, Any]]:
     """
     number = 0
     try:
-        with gzip.open(path, "rt", encoding="utf-8") as file:
+        with open_regular(path) as content, gzip.open(content) as file:
             for line in file:
                 number += 1
                 yield json.loads(line)

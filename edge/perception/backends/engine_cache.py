@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from edge.files import read_regular
 from edge.perception.detector import Health, Progress
 from edge.perception.model_file import ModelError, sha256_of
 
@@ -139,7 +140,7 @@ def check_usable(cache: Path) -> None:
 def damage(folder: Path) -> str | None:
     """What is wrong with an engine's folder, None if it is as it was written."""
     try:
-        files = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))["files"]
+        files = json.loads(read_regular(folder / _MANIFEST))["files"]
         for name, digest in files.items():
             if sha256_of(folder / name) != digest:
                 return f"{name} is damaged"

@@ -125,8 +125,8 @@ def from_folder(folder: Path, count: int) -> Frames:
     if not paths:
         raise UserError(f"{folder}: no images ({', '.join(_IMAGES)}): name another folder")
     rgb = []
-    for path in paths:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    for path in paths:  # OpenCV would wait for ever at a pipe
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
         if image is None:
             raise UserError(f"{path}: not an image that can be read: take it away")
         rgb.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))

@@ -1,0 +1,103 @@
+"""A vocabulary of CLIP ViT-B/32 text embeddings, from what Detic publishes; needs no CLIP.
+
+    git clone --depth 1 https://github.com/facebookresearch/Detic
+    python -m exporters.vocabulary Detic --out clip_vitb32_vocab.npz
+
+Detic (Apache-2.0) keeps the embedding of "a NAME" for every category of LVIS, Objects365 and
+OpenImages beside its code: 1608 words in all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from edge.files import open_regular, read_regular
+from exporters.files import ExportError, replace_atomically
+
+DIM = 512
+_METADATA = Path("datasets/metadata")
+_UNREADABLE = (OSError, EOFError, ValueError, SyntaxError, KeyError, IndexError, TypeError)
+
+
+def lvis_names(text: str) -> list[str]:
+    """Of a JSON list of categories, by id."""
+    return [item["name"] for item in sorted(json.loads(text), key=lambda item: item["id"])]
+
+
+def objects365_names(text: str) -> list[str]:
+    """Of a table: number, name, the name with its spelling put right."""
+    return [row[2] for row in csv.reader(text.splitlines()) if row]
+
+
+def openimages_names(text: str) -> list[str]:
+    """Of Python code that assigns a list of categories; it is read and not run."""
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "categories":
+            return [item["name"] for item in ast.literal_eval(node.value)]
+    raise KeyError("categories")
+
+
+TABLES = (
+    (_METADATA / "lvis_v1_train_cat_info.json", lvis_names, "lvis_v1_clip_a+cname.npy"),
+    (_METADATA / "Objects365_names_fix.csv", objects365_names, "o365_clip_a+cnamefix.npy"),
+    (Path("detic/data/datasets/oid.py"), openimages_names, "oid_clip_a+cname.npy"),
+)
+"""File of names, how they are read, file of their embeddings; where two have a word, the first."""
+
+
+def read_tables(detic: Path) -> dict[str, np.ndarray]:
+    """Word → its embedding, (512,) float16.
+
+    Raises:
+        ExportError: a file is missing, or not what it should be.
+    """
+    found: dict[str, np.ndarray] = {}
+    for file, names_in, embeddings in TABLES:
+        path = detic / file
+        try:
+            names = names_in(read_regular(path).decode("utf-8"))
+            path = detic / _METADATA / embeddings
+            with open_regular(path) as content:
+                rows = np.load(content, allow_pickle=False)
+        except _UNREADABLE as error:
+            reason = getattr(error, "strerror", None) or repr(error)
+            raise ExportError(
+                f"{path}: cannot be read ({reason:.100}); give the folder of a clone of "
+                "https://github.com/facebookresearch/Detic"
+            ) from None
+        if rows.shape != (len(names), DIM):
+            raise ExportError(
+                f"{path}: {rows.shape}, must be ({len(names)}, {DIM}) by {file.name}; clone it anew"
+            )
+        for name, row in zip(names, rows.astype(np.float16), strict=True):
+            found.setdefault(name.replace("_", " ").lower(), row)
+    return found
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m exporters.vocabulary", description="make a vocabulary from Detic's tables"
+    )
+    parser.add_argument("detic", type=Path, help="folder of a clone of facebookresearch/Detic")
+    parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
+    args = parser.parse_args(argv)
+    try:
+        words = read_tables(args.detic)
+        with replace_atomically(args.out) as made, made.open("wb") as file:
+            np.savez(file, names=np.array(list(words)), emb=np.stack(list(words.values())))
+    except ExportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{args.out}: {len(words)} words")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
