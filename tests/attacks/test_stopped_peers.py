@@ -160,3 +160,4 @@ def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkey
         eventually(lambda: len(answered) == 11)
         assert [json.loads(answer)["n"] for answer in answered] == [*range(10), "stopped"]
         desk.close()
+        viewer.kill()  # or closing the session would wait for it
