@@ -59,7 +59,7 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
 
     replies = session.get(
         key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
-        timeout=timeout_s,
+        timeout=timeout_s, priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
     )  # fmt: skip
     for reply in replies:
         if reply.ok is not None:

@@ -11,15 +11,20 @@ from __future__ import annotations
 import json
 import logging
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Literal
 
 import zenoh
 
 from edge import config
 from edge.errors import Stopped, UserError
-from edge.topics import Topic
+from edge.topics import Qos, Topic
 
 log = logging.getLogger("edge.bus")
+
+BLOCKED_S = 1.0
+CLOSE_S = 2.0
 
 _ATTEMPT_MS = 500
 _PAUSE_S = 0.2
@@ -27,23 +32,27 @@ _NOBODY = "Unable to connect to any of"
 
 Role = Literal["listen", "connect"]
 
-# A goal is small and rare: it goes ahead of bulk data, and at once. `BLOCK` may wait for seconds
-# for a stopped subscriber, so only a sink's own thread may put such a topic.
-_QOS: dict[str, dict] = {
+# With a `BLOCK` message Zenoh waits, for up to 5 s, until its slowest receiver takes it. So does
+# the session that passes it on between its clients, and its two receiving threads serve them all:
+# one stopped viewer would make it deaf. Outside lockstep no topic may block. `DROP` leaves out only
+# the receiver that is behind; what must arrive is sent again by whoever publishes it.
+_URGENT: dict = {
+    "reliability": zenoh.Reliability.RELIABLE,
+    "priority": zenoh.Priority.INTERACTIVE_HIGH,
+    "express": True,
+}
+_QOS: dict[Qos, dict] = {
     "drop": {
         "congestion_control": zenoh.CongestionControl.DROP,
         "reliability": zenoh.Reliability.BEST_EFFORT,
         "priority": zenoh.Priority.DATA,
         "express": False,
     },
-    "block": {
-        "congestion_control": zenoh.CongestionControl.BLOCK,
-        "reliability": zenoh.Reliability.RELIABLE,
-        "priority": zenoh.Priority.INTERACTIVE_HIGH,
-        "express": True,
-    },
+    "urgent": {"congestion_control": zenoh.CongestionControl.DROP, **_URGENT},
+    "block": {"congestion_control": zenoh.CongestionControl.BLOCK, **_URGENT},
 }
 
+_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 
 
@@ -51,10 +60,14 @@ class BusError(UserError):
     """No session: one line that says which endpoint, why, and what to do."""
 
 
-def session_config(settings: config.Zenoh, role: Role) -> zenoh.Config:
+def session_config(settings: config.Zenoh, role: Role, exact: bool = False) -> zenoh.Config:
     """The Zenoh configuration of a process that plays `role`.
 
     With `mode: client` nobody listens: all connect to a router that runs elsewhere.
+
+    Whoever takes nothing for `BLOCKED_S`, while something waits for it that must not be dropped
+    (an answer to an order, or what another's peer publishes so), is let go; a client comes back by
+    itself. Where it must be `exact`, Zenoh's 5 s are left.
     """
     connects = role == "connect" or settings.mode == "client"
     values = {
@@ -69,14 +82,44 @@ def session_config(settings: config.Zenoh, role: Role) -> zenoh.Config:
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
     }
+    if not exact:
+        values[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
     result = zenoh.Config()
     for key, value in values.items():
         result.insert_json5(key, json.dumps(value))
     return result
 
 
+@contextmanager
+def session(
+    settings: config.Zenoh, role: Role, stop: threading.Event | None = None, exact: bool = False
+) -> Iterator[zenoh.Session]:
+    """A session as from `open_session`, closed at exit however its peers do.
+
+    For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
+    After `CLOSE_S` it goes on in a thread, which `edge.cli` does not wait for.
+    """
+    opened = open_session(settings, role, stop, exact)
+    try:
+        yield opened
+    finally:
+        closing = threading.Thread(target=_close, args=(opened,), name="zenoh-close", daemon=True)
+        closing.start()
+        closing.join(CLOSE_S)
+        if closing.is_alive():
+            log.warning("a peer at %s takes nothing: not waited for", settings.endpoint)
+
+
+def _close(opened: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):  # it took longer than Zenoh's own limit
+        opened.close()
+
+
 def open_session(
-    settings: config.Zenoh, role: Role, stop: threading.Event | None = None
+    settings: config.Zenoh,
+    role: Role,
+    stop: threading.Event | None = None,
+    exact: bool = False,
 ) -> zenoh.Session:
     """A session; the caller closes it (an unclosed one can hang the process's exit).
 
@@ -86,6 +129,7 @@ def open_session(
 
     Args:
         stop: gives up waiting when it is set.
+        exact: see `session_config`.
 
     Raises:
         BusError: the endpoint is taken or is no endpoint.
@@ -96,7 +140,7 @@ def open_session(
     told = False
     while True:
         try:
-            return zenoh.open(session_config(settings, role))
+            return zenoh.open(session_config(settings, role, exact))
         except zenoh.ZError as error:
             if _NOBODY not in str(error):
                 raise BusError(_explain(settings.endpoint, role, str(error))) from None

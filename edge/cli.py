@@ -49,12 +49,13 @@ def _outcome(args: argparse.Namespace) -> int:
 
 
 def _leave(code: int) -> int:
-    """The exit code; where a model is still being loaded, the process ends with it here and now.
+    """The exit code; where a thread must not be waited for, the process ends with it here and now.
 
-    Its runtime would not survive the interpreter's end under its thread, and loading may take
-    minutes (see `edge.perception.swap`).
+    Such a thread loads a model, which may take minutes (see `edge.perception.swap`), or closes a
+    session with a stopped peer (see `edge.bus`). Neither's library would survive the interpreter's
+    end under its thread.
     """
-    if any(thread.name == "swap" for thread in threading.enumerate()):
+    if any(thread.name in ("swap", "zenoh-close") for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

@@ -1,20 +1,25 @@
 """Where the running service takes orders over Zenoh: one line in, one answer out, nobody waits.
 
 A desk is a queryable: a JSON object comes in, a JSON object or an error `{"error": <one line>}`
-goes out. It has two threads. One receives, answers and keeps time; the other prepares orders that
-take a while to understand. The loop only looks into an inbox, so neither a slow preparation nor a
-slow asker holds up the robot.
+goes out, to every order. One thread receives and keeps time, one prepares orders that take a while
+to understand, a few send the answers. The loop only looks into two lanes, so neither a slow
+preparation nor a slow asker holds up the robot.
+
+Zenoh does not tell whose an order is, so a flood is limited by what it asks for, not by who asks:
+orders that need no preparation pass all others, equal ones are one for the loop, and those that
+stop the robot always find a place.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
@@ -22,6 +27,7 @@ from typing import Protocol
 import zenoh
 
 from edge.errors import UserError
+from edge.text import one_line
 
 log = logging.getLogger("edge.desk")
 
@@ -30,9 +36,14 @@ MAX_CHARS = 10_000
 MAX_ERROR_CHARS = 1000
 PATIENCE_S = 2.0
 
-_WAITING_NEW = 2  # besides the one that is being worked on
-_WAITING = 32
+_ARRIVED = 1024  # kept by Zenoh between two looks, of which each takes `_A_LOOK`: 6,400 a second
+_A_LOOK = 128
 _RECEIVE_S = 0.02
+_WAITING_NEW = 2  # to be prepared, besides the one that is being worked on
+_WAITING = 8  # groups in each lane
+_SENDERS = 4
+_READS = "status"  # changes nothing
+_BUSY = "busy with other orders; try again later"
 
 
 class Order(Protocol):
@@ -44,7 +55,7 @@ class Order(Protocol):
 
 @dataclass(frozen=True)
 class Request:
-    """An order for the loop.
+    """An order for the loop, of one asker or of several who want the same.
 
     Attributes:
         do: the order's.
@@ -112,6 +123,7 @@ class Desk:
         read: makes an order of a payload; raises ValueError, with one line, for what is none.
         prepare: by `do`, for orders that take a while: called on a thread of the desk, one at a
             time; raises UserError for what cannot be done.
+        stops: orders, by `do`, that stop the robot; never refused as one too many.
         patience_s: how long the loop may take to answer.
     """
 
@@ -121,130 +133,241 @@ class Desk:
         key: str,
         read: Callable[[bytes], Order],
         prepare: Mapping[str, Callable[..., object]],
+        stops: Collection[str] = (),
         patience_s: float = PATIENCE_S,
     ) -> None:
         self._key, self._read, self._prepare = key, read, prepare
         self._patience_s = patience_s
-        self._lock = threading.Lock()
-        self._inbox: deque[_Asker] = deque()
+        self._lock = threading.Lock()  # for the two lanes and what is open
+        self._first = _Lane(frozenset(stops))
+        self._prepared: deque[_Group] = deque()
         self._open: set[_Asker] = set()
-        self._answered: queue.SimpleQueue[_Asker] = queue.SimpleQueue()
+        self._polled_s = -math.inf
+        self._answered: queue.SimpleQueue[_Asker | None] = queue.SimpleQueue()
         self._new: queue.Queue[_Asker | None] = queue.Queue(_WAITING_NEW)
         self._closing = threading.Event()
         # A ring lets the oldest go when it is full; a FIFO would block the session.
-        self._queryable = session.declare_queryable(self._key, zenoh.handlers.RingChannel(_WAITING))
+        self._queryable = session.declare_queryable(self._key, zenoh.handlers.RingChannel(_ARRIVED))
+        tasks = {"post": self._serve, "prepare": self._work}
+        tasks |= {f"answer-{n}": self._send for n in range(_SENDERS)}
         self._threads = [
             threading.Thread(target=target, name=f"desk-{name}", daemon=True)
-            for name, target in (("post", self._serve), ("prepare", self._work))
+            for name, target in tasks.items()
         ]
         for thread in self._threads:
             thread.start()
 
     def poll(self) -> Request | None:
-        """The next order, if there is one. For the loop: never blocks."""
-        if not self._inbox:
+        """The next order, if there is one; a prepared one when no other waits. For the loop: never
+        blocks."""
+        self._polled_s = time.monotonic()
+        if not self._first and not self._prepared:
             return None
         with self._lock:
-            return self._inbox.popleft().request() if self._inbox else None
+            group = self._first.pop()
+            if group is None and self._prepared:
+                group = self._prepared.popleft()
+        return None if group is None else group.request()
 
     def close(self, timeout_s: float = 1.0) -> None:
         """Refuse what is open and take nothing more; a preparation that goes on is abandoned."""
         self._closing.set()
+        until_s = time.monotonic() + timeout_s
         for thread in self._threads:
-            thread.join(timeout_s)
+            thread.join(max(until_s - time.monotonic(), 0.0))
 
     # The first thread.
 
     def _serve(self) -> None:
         try:
             while not self._closing.wait(_RECEIVE_S):
-                for asker in self._arrived():
+                for asker in self._arrived(_A_LOOK):
                     self._receive(asker)
                 self._give_up(time.monotonic())
-                self._send()
-            self._open.update(self._arrived())
+            self._note(self._arrived(_ARRIVED))
             self._queryable.undeclare()
         except zenoh.ZError as error:
             log.warning("no more orders are taken, the session is closed: %s", _reason(error))
         finally:
-            for asker in tuple(self._open):
+            with self._lock:
+                left = tuple(self._open)
+            for asker in left:
                 asker.refuse("the service is stopping")
-            self._send()
             with suppress(queue.Empty):
                 while True:
                     self._new.get_nowait()
             self._new.put(None)
+            for _ in range(_SENDERS):
+                self._answered.put(None)
 
-    def _arrived(self) -> Iterator[_Asker]:
-        while (query := self._queryable.try_recv()) is not None:
-            yield _Asker(query, self._answered.put)
+    def _arrived(self, most: int) -> Iterator[_Asker]:
+        for _ in range(most):
+            if (query := self._queryable.try_recv()) is None:
+                return
+            yield _Asker(query, self._finished)
+
+    def _note(self, askers: Iterable[_Asker]) -> None:
+        with self._lock:
+            self._open.update(askers)
 
     def _receive(self, asker: _Asker) -> None:
-        self._open.add(asker)
+        self._note((asker,))
         try:
-            asker.order = self._read(asker.payload())
+            order = self._read(asker.payload())
         except ValueError as error:
             asker.refuse(str(error))
             return
-        if asker.order.do not in self._prepare:
-            self._hand_over(asker)
+        if order.do not in self._prepare:
+            asker.until_s = time.monotonic() + self._patience_s
+            with self._lock:
+                taken = self._first.add(order.do, asker)
+            if not taken:
+                asker.refuse(_BUSY)
             return
+        asker.order = order
         try:
             self._new.put_nowait(asker)
         except queue.Full:
-            asker.refuse(f"busy with other orders to do: {asker.order.do}; try again later")
+            asker.refuse(f"busy with other orders to do: {order.do}; try again later")
 
     def _give_up(self, now_s: float) -> None:
-        for asker in tuple(self._open):
-            if now_s < asker.until_s:
-                continue
-            with self._lock:
-                taken = asker not in self._inbox
-                if not taken:
-                    self._inbox.remove(asker)
-            asker.refuse(
-                f"taken, but not answered within {self._patience_s:g} s; ask for the status"
-                if taken
-                else f"the loop is not running: not taken within {self._patience_s:g} s"
-            )
+        with self._lock:
+            late = [asker for asker in self._open if now_s >= asker.until_s]
+            waited = {asker for asker in late if self._forget(asker)}
+            polled_s = self._polled_s
+        for asker in late:
+            limit = f"within {self._patience_s:g} s"
+            if asker not in waited:
+                asker.refuse(f"taken, but not answered {limit}; ask for the status")
+            elif now_s - polled_s < self._patience_s:
+                asker.refuse(f"busy with other orders: not taken {limit}; try again later")
+            else:
+                asker.refuse(f"the loop is not running: not taken {limit}")
 
-    def _send(self) -> None:
-        while not self._answered.empty():
-            asker = self._answered.get()
+    def _forget(self, asker: _Asker) -> bool:
+        """Take an order back that the loop has not taken; False where it has."""
+        if self._first.remove(asker):
+            return True
+        for group in self._prepared:
+            if asker in group.askers:
+                self._prepared.remove(group)
+                return True
+        return False
+
+    def _finished(self, asker: _Asker) -> None:
+        with self._lock:
             self._open.discard(asker)
-            asker.send(self._key)
+        self._answered.put(asker)
 
     # The second thread.
 
     def _work(self) -> None:
         while (asker := self._new.get()) is not None:
+            order = asker.order
+            assert order is not None
             try:
-                asker.prepared = self._prepare[asker.order.do](asker.order)
+                prepared = self._prepare[order.do](order)
             except UserError as error:
                 asker.refuse(str(error))
             except Exception as error:
                 log.exception("an order could not be prepared")
                 asker.refuse(f"internal error: {type(error).__name__}: {error}")
             else:
-                self._hand_over(asker)
+                self._hand_over(_Group(order.do, [asker], prepared))
 
-    def _hand_over(self, asker: _Asker) -> None:
+    def _hand_over(self, group: _Group) -> None:
+        (asker,) = group.askers
         asker.until_s = time.monotonic() + self._patience_s
         with self._lock:
-            full = len(self._inbox) >= _WAITING
+            full = len(self._prepared) >= _WAITING
             if not full:
-                self._inbox.append(asker)
+                self._prepared.append(group)
         if full:
-            asker.refuse("busy with other orders; try again later")
+            asker.refuse(_BUSY)
+
+    # The others: one that answers a stopped asker waits until Zenoh lets that one go.
+
+    def _send(self) -> None:
+        while (asker := self._answered.get()) is not None:
+            asker.send(self._key)
+
+
+@dataclass
+class _Group:
+    """Those who gave the same order one after the other; the loop does it once, for all."""
+
+    do: str
+    askers: list[_Asker]
+    prepared: object | None = None
+
+    def request(self) -> Request:
+        return Request(self.do, self.prepared, self.answer, self.refuse)
+
+    def answer(self, data: dict) -> None:
+        # Encoded here: the dict is the caller's, who may go on to change it.
+        try:
+            encoded, is_error = json.dumps(data, allow_nan=False).encode(), False
+        except (TypeError, ValueError) as error:
+            log.error("an answer to an order is not JSON: %s", error)
+            encoded, is_error = b'{"error": "internal error: the answer is not JSON"}', True
+        for asker in self.askers:
+            asker.finish(encoded, is_error)
+
+    def refuse(self, reason: str) -> None:
+        for asker in self.askers:
+            asker.refuse(reason)
+
+
+class _Lane:
+    """Orders that need no preparation, in the order in which they came; equal ones are one.
+
+    One that stops the robot joins an equal one even past other stops, so however many come, only
+    few groups wait, and none of them is ever turned away. It never passes an order that sets the
+    robot going, nor does any of those pass it: the last word stands.
+
+    Args:
+        stops: which orders stop the robot.
+    """
+
+    def __init__(self, stops: frozenset[str]) -> None:
+        self._stops = stops
+        self._groups: deque[_Group] = deque()
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def add(self, do: str, asker: _Asker) -> bool:
+        """False: too many wait."""
+        for group in reversed(self._groups):
+            if group.do == do:
+                group.askers.append(asker)
+                return True
+            if do not in self._stops or group.do not in self._stops | {_READS}:
+                break
+        if do not in self._stops and len(self._groups) >= _WAITING:
+            return False
+        self._groups.append(_Group(do, [asker]))
+        return True
+
+    def pop(self) -> _Group | None:
+        return self._groups.popleft() if self._groups else None
+
+    def remove(self, asker: _Asker) -> bool:
+        for group in self._groups:
+            if asker in group.askers:
+                group.askers.remove(asker)
+                if not group.askers:
+                    self._groups.remove(group)
+                return True
+        return False
 
 
 class _Asker:
     """One query, from its arrival to its one answer."""
 
     def __init__(self, query: zenoh.Query, answered: Callable[[_Asker], None]) -> None:
-        self.order: Order | None = None
-        self.prepared: object | None = None
-        self.until_s = float("inf")
+        self.order: Order | None = None  # of one that is to be prepared
+        self.until_s = math.inf
         self._query, self._answered = query, answered
         self._first = threading.Lock()
         self._reply: bytes = b""
@@ -259,25 +382,14 @@ class _Asker:
             raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
         return payload.to_bytes()
 
-    def request(self) -> Request:
-        return Request(self.order.do, self.prepared, self.answer, self.refuse)
-
-    def answer(self, data: dict) -> None:
-        self._finish(data, is_error=False)
-
     def refuse(self, reason: str) -> None:
-        line = " ".join(reason.split())
-        self._finish({"error": line[:MAX_ERROR_CHARS]}, is_error=True)
+        line = one_line(reason, MAX_ERROR_CHARS)
+        self.finish(json.dumps({"error": line}).encode(), is_error=True)
 
-    def _finish(self, data: dict, is_error: bool) -> None:
-        # Encoded here: the dict is the caller's, who may go on to change it.
-        try:
-            encoded = json.dumps(data, allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
-            log.error("an answer to an order is not JSON: %s", error)
-            encoded, is_error = b'{"error": "internal error: the answer is not JSON"}', True
+    def finish(self, reply: bytes, is_error: bool) -> None:
+        """Only the first counts."""
         if self._first.acquire(blocking=False):
-            self._reply, self._is_error = encoded, is_error
+            self._reply, self._is_error = reply, is_error
             self._answered(self)
 
     def send(self, key: str) -> None:

@@ -52,7 +52,7 @@ class ModelsDesk(Desk):
 
     def __init__(self, session: zenoh.Session, prefix: str, patience_s: float = PATIENCE_S) -> None:
         key = f"{prefix}/{topics.MODELS_REQUEST}"
-        super().__init__(session, key, parse_order, {"use": _check}, patience_s)
+        super().__init__(session, key, parse_order, {"use": _check}, patience_s=patience_s)
 
 
 def _check(order: ModelOrder) -> ModelOrder:

@@ -16,11 +16,10 @@ from time import perf_counter_ns
 
 import zenoh
 
-from edge import models_desk, requests
+from edge import bus, models_desk, requests
 from edge.advice import make_advisers
-from edge.bus import open_session
 from edge.config import Config
-from edge.desk import Desk
+from edge.desk import Desk, Request
 from edge.errors import Stopped
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
@@ -45,6 +44,7 @@ log = logging.getLogger("edge.runner")
 _SWITCH_S = 2e-4
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
+_ORDERS = 12  # more than wait in a desk's first lane
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
 
 
@@ -115,7 +115,9 @@ def open_service(
         _go_on(stop)
         warm_up(config)
         _go_on(stop)
-        session = stack.enter_context(open_session(config.zenoh, role="listen"))
+        session = stack.enter_context(
+            bus.session(config.zenoh, "listen", exact=config.loop.lockstep)
+        )
         source = ZenohSource(session, config)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]
@@ -257,11 +259,23 @@ def _hear(running: Running) -> Observation | None:
 
 def _obey(running: Running, now_ns: int) -> None:
     """Take the next orders from outside, if there are any, and the next step of a swap."""
-    if (request := running.desk.poll()) is not None:
+    for request in _orders(running.desk):
         requests.handle(running.service, request, now_ns)
-    if (request := running.models.poll()) is not None:
+    for request in _orders(running.models):
         models_desk.handle(running.service.swapper, request, now_ns)
     running.service.swapper.step(now_ns)
+
+
+def _orders(desk: Desk) -> Iterator[Request]:
+    """What waits at a desk, for one look: a few, of which one was prepared, since a new mission
+    takes a while to begin."""
+    for _ in range(_ORDERS):
+        request = desk.poll()
+        if request is None:
+            return
+        yield request
+        if request.prepared is not None:
+            return
 
 
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+Qos = Literal["drop", "urgent", "block"]
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
@@ -12,14 +14,16 @@ class Topic:
 
     Attributes:
         type: ROS 2 message (CDR), or `json`.
-        qos: `drop`: best effort, newest wins; `block`: reliable, the sink's thread waits.
+        qos: `drop`: best effort, newest wins; `urgent`: goes ahead of these, and is sent again
+            until it is answered or out of date; `block`: none may be lost, whoever puts it waits,
+            which only lockstep may, where time stands still meanwhile.
         rate_hz: the usual rate; 0 = on events.
         writer: who publishes it.
     """
 
     key: str
     type: str
-    qos: Literal["drop", "block"]
+    qos: Qos
     rate_hz: float
     writer: Literal["sensors", "service", "controller"]
 
@@ -37,15 +41,15 @@ SCAN = Topic("lidar/scan", "sensor_msgs/LaserScan", "drop", 10, "sensors")
 ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
 GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "sensors")
 
-GOAL = Topic("goal", "geometry_msgs/PoseStamped", "block", 0, "service")
+GOAL = Topic("goal", "geometry_msgs/PoseStamped", "urgent", 0, "service")
 MAP = Topic("map", "nav_msgs/OccupancyGrid", "drop", 2, "service")
 STATUS = Topic("status", "json", "drop", 1, "service")
 LATENCY = Topic("latency", "json", "drop", 1, "service")
-MISSION = Topic("mission", "json", "block", 0, "service")
+MISSION = Topic("mission", "json", "urgent", 0, "service")
 TICK = Topic("tick", "json", "block", 0, "service")
 
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
-GOAL_STATUS = Topic("goal_status", "json", "block", 0, "controller")
+GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 
 # Not a topic but a queryable: orders to the mission, JSON in and out (see `edge.mission.desk`).
 MISSION_REQUEST = "mission/request"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 import zenoh
@@ -86,4 +87,27 @@ def test_every_topic_can_be_published_with_its_qos(topic):
     assert key == f"fleet/r1/{topic.key}"
     blocks = qos["congestion_control"] == zenoh.CongestionControl.BLOCK
     assert blocks == (topic.qos == "block")
-    assert (qos["reliability"] == zenoh.Reliability.RELIABLE) == blocks
+    assert (qos["reliability"] == zenoh.Reliability.RELIABLE) == (topic.qos != "drop")
+    assert (qos["priority"] == zenoh.Priority.DATA) == (topic.qos == "drop")
+
+
+def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():
+    assert [topic.key for topic in topics.ALL if topic.qos == "block"] == ["tick"]
+
+
+@pytest.mark.parametrize(("exact", "wait_s"), [(False, bus.BLOCKED_S), (True, 5.0)])
+def test_a_peer_that_takes_nothing_is_let_go(exact, wait_s):
+    config = bus.session_config(Zenoh(), "listen", exact)
+    key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+    assert value(config, key) == wait_s * 1e6
+
+
+def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, caplog):
+    go = threading.Event()
+    stuck = SimpleNamespace(close=lambda: go.wait(PATIENCE_S))
+    monkeypatch.setattr(bus, "open_session", lambda *_: stuck)
+    monkeypatch.setattr(bus, "CLOSE_S", 0.01)
+    with bus.session(Zenoh(endpoint="tcp/here:1"), "listen") as session:
+        assert session is stuck
+    assert "a peer at tcp/here:1 takes nothing: not waited for" in caplog.text
+    go.set()

@@ -19,6 +19,7 @@ _TEXTS = ("instruction", "formula")
 
 Verb = Literal["new", "pause", "resume", "cancel", "status"]
 VERBS: tuple[Verb, ...] = ("new", "pause", "resume", "cancel", "status")
+STOPS = ("pause", "cancel")
 _TAKEN = {verb: _TEXTS if verb == "new" else () for verb in VERBS}
 
 
@@ -63,4 +64,4 @@ class MissionDesk(Desk):
             return prepare(order.instruction, order.formula)
 
         key = f"{prefix}/{topics.MISSION_REQUEST}"
-        super().__init__(session, key, parse_order, {"new": new}, patience_s)
+        super().__init__(session, key, parse_order, {"new": new}, STOPS, patience_s)

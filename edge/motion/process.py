@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 
 from edge import topics
-from edge.bus import declare_publisher, open_session
+from edge.bus import declare_publisher, session
 from edge.config import Config
 from edge.geometry import SE2, se2_of
 from edge.motion.controller import Controller
@@ -40,8 +40,8 @@ _MAX_JSON = 4096
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; returns the exit status."""
     warm_up(config)
-    with open_session(config.zenoh, "connect", stop) as session:
-        bus = Bus(session, config)
+    with session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as opened:
+        bus = Bus(opened, config)
         controller = Controller(config)
         try:
             if config.sim.lockstep:
@@ -78,10 +78,12 @@ class Bus:
             topic: session.declare_subscriber(topic.under(prefix), zenoh.handlers.RingChannel(kept))
             for topic, kept in _RINGS.items()
         }
-        # In lockstep the simulator waits for every command: none may be dropped.
-        command = replace(topics.CMD_VEL, qos="block") if lockstep else topics.CMD_VEL
-        self._commands = declare_publisher(session, command, prefix)
-        self._answers = declare_publisher(session, topics.GOAL_STATUS, prefix)
+        # In lockstep simulator and service wait for every message: none may be dropped.
+        change = {"qos": "block"} if lockstep else {}
+        self._commands, self._answers = (
+            declare_publisher(session, replace(topic, **change), prefix)
+            for topic in (topics.CMD_VEL, topics.GOAL_STATUS)
+        )
 
     def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
         """Everything that came, oldest first; what cannot be read is counted."""

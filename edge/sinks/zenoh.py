@@ -2,8 +2,8 @@
 
 The loop only puts things into a mailbox; encoding and sending happen on the mailbox's thread.
 A goal goes out every 0.5 s until it is answered, then every second until it is settled, so that a
-controller that starts anew finds it. The mission goes out when it changes and every second, so
-that whoever joins late learns of it within a second; nothing needs to be asked for.
+controller that was behind or starts anew finds it. The mission goes out when it changes and every
+second, so that whoever joins late learns of it within a second; nothing needs to be asked for.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class ZenohSink(SinkBase):
             self.publish_tick(observation.stamp_ns)
 
     def close(self) -> None:
-        """Send what is left; gives up after a second, for a stopped subscriber may block it."""
+        """Send what is left; gives up after a second, for a stopped peer may block lockstep."""
         if self._mailbox.close(_CLOSE_S):
             for publisher in self._publishers.values():
                 publisher.undeclare()

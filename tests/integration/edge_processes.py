@@ -8,10 +8,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
+import pytest
+
+from edge.ports import free_port
 
 # Only a failing test waits this long: for something to be said, for a mission to end, and for a
 # process that is told to end, which first writes its report.
@@ -103,3 +106,22 @@ def write_config(folder: Path, **sections: dict) -> Path:
     config["mission"] = {"time_limit_s": 1e6, **config["mission"]}
     path.write_text(json.dumps(config), encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def endpoint() -> str:
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+@pytest.fixture
+def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
+    """Starts `edge` commands; all are killed at the end."""
+    started = []
+
+    def start(*arguments: object, **environ: str) -> Edge:
+        started.append(Edge(*arguments, cwd=tmp_path, **environ))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()

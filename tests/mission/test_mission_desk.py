@@ -6,7 +6,7 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ from patience import PATIENCE_S, eventually
 from edge.asking import OrderError
 from edge.bus import open_session
 from edge.config import Zenoh
-from edge.desk import MAX_BYTES, MAX_CHARS, Request
+from edge.desk import _WAITING, MAX_BYTES, MAX_CHARS, Request, _Asker
 from edge.errors import UserError
 from edge.mission.desk import VERBS, MissionDesk, Order, parse_order
 from edge.mission.order import ask
@@ -272,6 +272,18 @@ def test_a_loop_that_does_not_run_is_told_of(session, open_desk):
     assert desk.poll() is None
 
 
+def test_a_loop_that_runs_and_does_not_come_to_an_order_is_not_called_stopped(session, open_desk):
+    desk = open_desk(patience_s=0.2)
+    asked = [Asking(session, do="new", formula=f"F {name}") for name in "ab"]
+    # What goes first keeps the loop busy; it never comes to the prepared ones.
+    while not all(asking.done for asking in asked):
+        with desk._lock:
+            desk._first.add("status", _Asker(None, lambda _: None))
+        desk.poll()
+    for asking in asked:
+        assert "busy with other orders: not taken within 0.2 s" in asking.refusal
+
+
 def test_a_loop_that_takes_an_order_and_says_nothing_is_told_of(session, open_desk, monkeypatch):
     desk = open_desk()
     asking = Asking(session, do="pause")
@@ -335,9 +347,71 @@ def test_who_asks_for_everything_below_the_prefix_gets_an_answer_too(session, op
 def test_a_crowd_of_askers_gets_an_answer_each(session, open_desk):
     desk = open_desk()
     asking = [Asking(session, do="status") for _ in range(16)]
-    for n in range(16):
-        taken(desk).answer({"n": n})
-    assert sorted(a.answer["n"] for a in asking) == list(range(16))
+    answered = 0
+    while not all(a.done for a in asking):
+        if (request := desk.poll()) is not None:
+            answered += 1
+            request.answer({"n": answered})
+    assert {a.answer["n"] for a in asking} == set(range(1, answered + 1))
+
+
+def waiting(desk: MissionDesk, session: zenoh.Session, verbs: Iterable[str]) -> list[Asking]:
+    """Orders that the desk takes in, one after the other, and the loop has not seen."""
+    asked, before = [], len(desk._open)
+    for n, verb in enumerate(verbs, start=before + 1):
+        asked.append(Asking(session, do=verb))
+        eventually(lambda n=n: len(desk._open) == n)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("arrived", "done"),
+    [
+        ("", ""),
+        ("pause pause pause", "pause"),
+        ("pause cancel status pause cancel status", "pause cancel status"),
+        ("pause resume pause", "pause resume pause"),
+        ("resume resume pause resume", "resume pause resume"),
+        ("status pause status", "status pause status"),
+        ("resume cancel pause cancel status status", "resume cancel pause status"),
+    ],
+)
+def test_equal_orders_are_one_for_the_loop_and_the_last_word_stands(
+    session, open_desk, arrived, done
+):
+    desk = open_desk()
+    asked = waiting(desk, session, arrived.split())
+    for verb in done.split():
+        request = desk.poll()
+        assert request.do == verb
+        request.answer({"did": verb})
+    assert desk.poll() is None
+    assert [a.answer["did"] for a in asked] == arrived.split()
+
+
+def test_what_stops_the_robot_passes_a_new_mission(session, open_desk):
+    desk = open_desk()
+    new = Asking(session, do="new", formula="F a")
+    eventually(lambda: desk._prepared)
+    others = waiting(desk, session, ["status", "cancel"])
+    assert [desk.poll().do for _ in range(3)] == ["status", "cancel", "new"]
+    desk.close()
+    assert all("stopping" in asking.refusal for asking in (new, *others))
+
+
+def test_what_stops_the_robot_always_finds_a_place(session, open_desk):
+    desk = open_desk()
+    flood = ["pause", "resume"] * 8
+    asked = waiting(desk, session, flood[:_WAITING])
+    for verb in ("status", "status"):
+        assert "busy with other orders" in Asking(session, do=verb).refusal
+    asked += waiting(desk, session, ["pause", "cancel", "pause", "cancel"])
+    done = []
+    while (request := desk.poll()) is not None:
+        done.append(request.do)
+        request.answer({"did": request.do})
+    assert done == [*flood[:_WAITING], "pause", "cancel"]
+    assert [a.answer["did"] for a in asked[_WAITING:]] == ["pause", "cancel"] * 2
 
 
 def test_an_asker_that_has_gone_is_no_matter(session, open_desk):

@@ -1,0 +1,70 @@
+"""Floods of orders: each is answered, and those that stop the robot get through."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from edge_processes import write_config
+from patience import PATIENCE_S
+
+from edge.bus import open_session
+from edge.config import Zenoh
+from edge.mission.order import ask
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+PREFIX, KEY = "edge", "edge/mission/request"
+FLOODERS = 3
+PAUSES = 16
+A_SECOND = 250  # orders, of each flooder, where the machine can
+FLOODS = {
+    "new": [{"do": "new", "formula": "F chair"}, {"do": "new", "instruction": "find the bed"}],
+    "stop and go": [{"do": "pause"}, {"do": "resume"}, {"do": "status"}],
+    "nonsense": [{"do": "explode"}, {"do": "new"}, {"do": "new", "formula": "F" * 60_000}],
+}
+
+
+@pytest.mark.parametrize("orders", FLOODS.values(), ids=FLOODS)
+def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_path, orders):
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"})
+    service = edge("run", config).says("ready:")
+    edge("sim", config)
+    service.says("frontier")
+    stop = threading.Event()
+
+    def flood(_: int) -> list[list[bytes]]:
+        """The answers to each order: what it says, or its error."""
+        asked = []
+        with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+            while not stop.is_set():
+                payload = json.dumps(orders[len(asked) % len(orders)])
+                asked.append(session.get(KEY, payload=payload, timeout=PATIENCE_S))
+                time.sleep(1 / A_SECOND)
+            return [
+                [(reply.ok or reply.err).payload.to_bytes() for reply in replies]
+                for replies in asked
+            ]
+
+    with (
+        open_session(Zenoh(endpoint=endpoint), "connect") as session,
+        ThreadPoolExecutor(FLOODERS) as pool,
+    ):
+        flooding = [pool.submit(flood, n) for n in range(FLOODERS)]
+        paused = []
+        try:
+            for _ in range(PAUSES):
+                paused.append(ask(session, PREFIX, {"do": "pause"}, PATIENCE_S)["paused"])
+                time.sleep(0.2)
+        finally:
+            stop.set()
+        answered = [answers for future in flooding for answers in future.result(PATIENCE_S)]
+        assert paused == [True] * PAUSES
+        assert len(answered) > 50 * FLOODERS
+        assert {len(answers) for answers in answered} == {1}
+        said = [json.loads(answer) for (answer,) in answered]
+        assert not [answer for answer in said if "not running" in answer.get("error", "")]
+        assert ask(session, PREFIX, {"do": "cancel"}, PATIENCE_S)["phase"] == "failed"

@@ -1,0 +1,163 @@
+"""A peer that is stopped (SIGSTOP) and takes nothing any more costs only itself."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import zenoh
+from edge_processes import write_config
+from patience import PATIENCE_S, eventually
+from viewer_peer import ALIVE
+
+from edge import desk as desk_module
+from edge import topics
+from edge.bus import declare_publisher, open_session
+from edge.config import Zenoh
+from edge.mission.desk import MissionDesk
+from edge.mission.order import ask
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+PEER = Path(__file__).with_name("viewer_peer.py")
+PREFIX = "edge"
+BEAT_S = 0.1
+FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
+
+
+@pytest.fixture
+def start_viewer(endpoint) -> Iterator[Callable[[], subprocess.Popen]]:
+    """Starts viewers of everything; all are killed at the end."""
+    started = []
+
+    def start() -> subprocess.Popen:
+        pipe = subprocess.PIPE
+        command = [sys.executable, str(PEER), endpoint]
+        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True))
+        assert started[-1].stdout.readline() == "ready\n"
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def let_go(session: zenoh.Session) -> threading.Event:
+    """Set once the service has let a viewer go."""
+    gone = threading.Event()
+
+    def changed(sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            gone.set()
+
+    session.liveliness().declare_subscriber(ALIVE, changed)
+    return gone
+
+
+class Ears:
+    """Hears topics, and counts their longest silences in beats of a pulse of its own."""
+
+    def __init__(self, session: zenoh.Session, keys: Iterable[str]) -> None:
+        self.silences = dict.fromkeys(keys, 0)
+        self._since = dict.fromkeys(keys, 0)
+        self._subscribers = [
+            session.declare_subscriber(f"{PREFIX}/{key}", lambda _, key=key: self._hear(key))
+            for key in keys
+        ]
+
+    def _hear(self, key: str) -> None:
+        self._since[key] = 0
+
+    def beat(self) -> None:
+        for key, beats in self._since.items():
+            self._since[key] = beats + 1
+            self.silences[key] = max(self.silences[key], beats + 1)
+
+
+def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_viewer):
+    """Before it is let go, for its silence, all else flows on and orders are answered."""
+    config = write_config(
+        tmp_path,
+        zenoh={"endpoint": endpoint},
+        mission={"target": "unicorn"},
+        report={"map_hz": 10, "status_hz": 10},
+    )
+    service = edge("run", config).says("ready:")
+    edge("sim", config)
+    service.says("frontier")
+    with (
+        open_session(Zenoh(endpoint=endpoint), "connect") as session,
+        open_session(Zenoh(endpoint=endpoint), "connect") as asking,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        ears = Ears(session, (*FLOWS, "answer"))
+        viewer, gone = start_viewer(), let_go(session)
+        viewer.send_signal(signal.SIGSTOP)
+        paused: list[bool] = []
+
+        def order() -> None:
+            while not gone.is_set():
+                do = ("pause", "resume")[len(paused) % 2]
+                paused.append(ask(asking, PREFIX, {"do": do}, PATIENCE_S)["paused"])
+                session.put(f"{PREFIX}/answer", b"")
+
+        ordering = pool.submit(order)
+        while not gone.wait(BEAT_S):
+            ears.beat()
+            assert not ordering.done(), ordering.exception()
+        ordering.result(PATIENCE_S)
+        assert paused == [n % 2 == 0 for n in range(len(paused))]
+        # Without a stopped viewer 2; where one is waited for, 50 to 100.
+        assert max(ears.silences.values()) < 40, ears.silences
+    second = start_viewer()
+    second.send_signal(signal.SIGSTOP)
+    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        maps = session.declare_subscriber(f"{PREFIX}/map", zenoh.handlers.FifoChannel(1000))
+        for _ in range(20):  # by then nothing more fits between the service and the viewer
+            maps.recv()
+    assert service.stop(signal.SIGTERM) == 0, service.output
+    assert "takes nothing: not waited for" in service.output
+    assert "Traceback" not in service.output
+
+
+def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkeypatch):
+    answered, send = [], desk_module._Asker.send
+
+    def noted(asker: desk_module._Asker, key: str) -> None:
+        send(asker, key)
+        answered.append(asker._reply)
+
+    monkeypatch.setattr(desk_module._Asker, "send", noted)
+    # `exact`, so that the one that is stopped is waited for as long as can be.
+    with (
+        open_session(Zenoh(endpoint=endpoint), "listen", exact=True) as session,
+        open_session(Zenoh(endpoint=endpoint), "connect") as asking,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        desk = MissionDesk(session, PREFIX, lambda *texts: texts)
+        viewer = start_viewer()
+        viewer.stdin.write("\n")
+        viewer.stdin.flush()
+        unanswered = eventually(desk.poll)
+        viewer.send_signal(signal.SIGSTOP)
+        maps = declare_publisher(session, topics.MAP, PREFIX)
+        for _ in range(200):  # 200 MB: more than fits in between
+            maps.put(bytes(1_000_000))
+        answered.clear()
+        unanswered.answer({"n": "stopped"})
+        for n in range(10):
+            answer = pool.submit(ask, asking, PREFIX, {"do": "pause"}, PATIENCE_S)
+            eventually(desk.poll).answer({"n": n})
+            assert answer.result(PATIENCE_S) == {"n": n}
+        eventually(lambda: len(answered) == 11)
+        assert [json.loads(answer)["n"] for answer in answered] == [*range(10), "stopped"]
+        desk.close()
+        viewer.kill()  # or closing the session would wait for it

@@ -1,0 +1,34 @@
+"""A viewer of everything for the tests, alive until it is let go: `python viewer_peer.py ENDPOINT`.
+
+It says `ready` when the service knows of it, and asks for the mission's status once for every
+line that comes in.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import zenoh
+
+from edge.bus import open_session
+from edge.config import Zenoh
+
+ALIVE = "viewer/alive"
+DESK = "edge/mission/request"
+
+
+def main(endpoint: str) -> None:
+    # As on another machine: there, what is large does not pass by in shared memory.
+    session = open_session(Zenoh(endpoint=endpoint, shared_memory=False), "connect")
+    ends = [
+        session.liveliness().declare_token(ALIVE),
+        session.declare_subscriber("edge/**", zenoh.handlers.RingChannel(8)),
+    ]
+    list(session.get(DESK))  # refused: it had no payload, and came after the declarations
+    print("ready", flush=True)
+    for _ in sys.stdin:
+        ends.append(session.get(DESK, payload=b'{"do": "status"}'))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
