@@ -83,8 +83,9 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
             f"mission: {len(letters)} targets, at most {config.max_targets} are allowed "
             "(mission.max_targets)"
         )
-    automaton = compile_with(config.compiler, formula, config.max_states, config.compile_limit_s)
-    diagnosis = diagnose(automaton, config.max_states, config.compile_limit_s)
+    limits = (config.max_states, config.compile_limit_steps)
+    automaton = compile_with(config.compiler, formula, *limits)
+    diagnosis = diagnose(automaton, *limits)
     if diagnosis.contradiction:
         parts = "; ".join(f"{part} ({describe(part)})" for part in diagnosis.contradiction)
         what = "these conflict" if len(diagnosis.contradiction) > 1 else "this cannot be done"
