@@ -22,6 +22,7 @@ from typing import Protocol
 import zenoh
 
 from edge.errors import UserError
+from edge.text import one_line
 
 log = logging.getLogger("edge.desk")
 
@@ -266,8 +267,7 @@ class _Asker:
         self._finish(data, is_error=False)
 
     def refuse(self, reason: str) -> None:
-        line = " ".join(reason.split())
-        self._finish({"error": line[:MAX_ERROR_CHARS]}, is_error=True)
+        self._finish({"error": one_line(reason, MAX_ERROR_CHARS)}, is_error=True)
 
     def _finish(self, data: dict, is_error: bool) -> None:
         # Encoded here: the dict is the caller's, who may go on to change it.

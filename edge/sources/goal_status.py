@@ -8,6 +8,7 @@ import logging
 import zenoh
 
 from edge import topics
+from edge.text import one_line
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.sources.goal_status")
@@ -38,7 +39,7 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
         raise ValueError(f"state: unknown {state!r:.40} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
         raise ValueError(f"reason: expected text, got {reason!r:.40}")
-    return GoalStatus(stamp, state, reason)
+    return GoalStatus(stamp, state, one_line(reason))
 
 
 class GoalStatusInbox:

@@ -16,6 +16,7 @@ from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 from edge import __version__
 from edge.store.meter import Meter
 from edge.store.part import MAX_BYTES, FetchError, Interrupted, Part
+from edge.text import one_line
 
 _BLOCK = 1 << 16
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
@@ -88,8 +89,8 @@ def shown(url: str) -> str:
     try:
         split = urlsplit(url)
     except ValueError:
-        return url.rpartition("@")[2]
-    return urlunsplit(split._replace(netloc=_host(split)))
+        return one_line(url.rpartition("@")[2], 500)
+    return one_line(urlunsplit(split._replace(netloc=_host(split))), 500)
 
 
 def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:
@@ -208,4 +209,4 @@ def _host(split: SplitResult) -> str:
 def _reason(error: object) -> str:
     """A socket's error in words."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(str(text).split())[:200]
+    return one_line(text)
