@@ -10,6 +10,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from edge.errors import Stopped, UserError
+from edge.text import one_line
 
 if TYPE_CHECKING:
     import zenoh
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from edge.config import Zenoh
 
 CONNECT_S = 5.0
+_REASON_CHARS = 1000  # what a desk sends at most, see `edge.desk`
 _ZENOH_TIMEOUT = b"Timeout"  # what Zenoh itself puts in the place of an answer
 
 
@@ -67,7 +69,8 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
         content = reply.err.payload.to_bytes()
         if content == _ZENOH_TIMEOUT:
             raise OrderError(f"{what}: {key}: no answer within {timeout_s:g} s")
-        raise OrderError(f"{what}: refused: {_object(key, content, what).get('error')}")
+        reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
+        raise OrderError(f"{what}: refused: {reason}")
     raise OrderError(f"{what}: no service answers at {key}; start one with `edge run`")
 
 

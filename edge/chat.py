@@ -24,9 +24,9 @@ from urllib.parse import SplitResult, urlsplit
 
 from edge.config import TranslatorLlm
 from edge.errors import UserError
+from edge.text import one_line
 
 READ_BYTES = 65536
-SHOWN_CHARACTERS = 200
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
 ROUNDING = 1e-3  # how far above 0 a log-probability may be
 LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
@@ -287,7 +287,7 @@ class ChatClient:
         """One short printable line of what the server said, which may have quoted the key."""
         text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
         text = text.replace(self._api_key, "***") if self._api_key else text
-        return _line(text)
+        return one_line(text)
 
     def _error(self, what: str) -> ChatError:
         return ChatError(f"{self.url}: {what}")
@@ -302,12 +302,12 @@ def _split(url: str) -> SplitResult:
         parts = urlsplit(url)
         parts.port  # noqa: B018 - raises when it is no number
     except ValueError:
-        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}") from None
+        raise ChatError(f"not the URL of a chat server: {one_line(url)!r}; {wanted}") from None
     if parts.username is not None or parts.password is not None:
         raise ChatError(f"the URL of a chat server must not hold a password; {wanted}")
     usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
     if not usable or " " in url or not url.isascii():
-        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}")
+        raise ChatError(f"not the URL of a chat server: {one_line(url)!r}; {wanted}")
     return parts
 
 
@@ -333,7 +333,7 @@ def _reason(error: BaseException, limit_s: float) -> str:
         case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
             return "the host is not known; check the URL"
         case ssl.SSLCertVerificationError():
-            return f"its certificate is not trusted ({_line(error.verify_message)})"
+            return f"its certificate is not trusted ({one_line(error.verify_message)})"
         case ConnectionRefusedError():
             return "nothing listens there; start the server or correct the URL"
         case ConnectionError() | http.client.IncompleteRead():
@@ -344,12 +344,6 @@ def _reason(error: BaseException, limit_s: float) -> str:
         case OSError():
             return f"cannot be reached ({error.strerror or type(error).__name__}); check the URL"
     raise error
-
-
-def _line(text: str) -> str:
-    """The text as one printable line, shortened."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return line if len(line) <= SHOWN_CHARACTERS else line[: SHOWN_CHARACTERS - 1] + "…"
 
 
 def client_of(config: TranslatorLlm) -> ChatClient:

@@ -16,6 +16,7 @@ import threading
 from edge.errors import Stopped, UserError
 from edge.logs import setup
 from edge.parsers import make_parser
+from edge.text import printable_lines
 
 _PARENT_LOOK_S = 1.0
 
@@ -44,7 +45,7 @@ def _outcome(args: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except UserError as error:
-        print(error, file=sys.stderr)
+        print(printable_lines(error), file=sys.stderr)
         return 2
 
 

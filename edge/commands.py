@@ -20,6 +20,7 @@ from edge.ports import free_port
 from edge.runner import loop, open_service
 from edge.sinks.console import ConsoleSink, RecorderSink
 from edge.sinks.recorder import RunRecord
+from edge.text import one_line
 from edge.types import MissionStatus
 
 log = logging.getLogger("edge")
@@ -70,7 +71,7 @@ def _serve(
     recorder = RecorderSink(config)
     with open_service(config, [ConsoleSink(), recorder], asked, formula, stop) as running:
         instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", instruction, config.zenoh.endpoint)
+        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.endpoint)
         status = loop(running, stop, once)
         record = recorder.record(running.service, running.source.counters)
         return Outcome(status, running.service.latency.report(), record)

@@ -25,6 +25,7 @@ from urllib.parse import urlsplit
 from edge import machine, resources
 from edge.config import Config, load
 from edge.errors import UserError
+from edge.text import one_line
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -75,7 +76,7 @@ def examine(config: Config) -> list[Finding]:
             findings += check(config)
         except Exception as error:
             name = check.__name__.removeprefix("check_").replace("_", " ")
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            reason = one_line(f"{type(error).__name__}: {error}")
             findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
     return findings
 
@@ -355,7 +356,8 @@ def check_mission(config: Config) -> Iterator[Finding]:
         what, todo = _split(error)
         yield Finding("fail", what, todo or "see `edge mission explain`")
     else:
-        yield Finding("ok", f"mission: {brief.translation.english} [{brief.translation.formula}]")
+        translation = brief.translation
+        yield Finding("ok", f"mission: {translation.understood} [{one_line(translation.formula)}]")
 
 
 def _targets(config: Config) -> tuple[str, ...]:

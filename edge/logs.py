@@ -6,12 +6,16 @@ import argparse
 import json
 import logging
 import sys
+import textwrap
 from collections.abc import Hashable
 from datetime import datetime, timezone
 from typing import Any, TextIO
 
+from edge.text import one_line, printable_lines
+
 LEVELS = ("debug", "info", "warning", "error")
 CLEAR_LINE = "\r\x1b[2K"
+MAX_MESSAGE = 2000  # characters of a line for people
 
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 _seen: dict[Hashable, object] = {}
@@ -51,7 +55,11 @@ def once(key: Hashable) -> bool:
 
 
 class HumanFormatter(logging.Formatter):
-    """`12:34:56.789 warning mapping: text`; wipes a progress line on a terminal first."""
+    """`12:34:56.789 warning mapping: text`; wipes a progress line on a terminal first.
+
+    Whatever a message quotes, it stays one line without control characters. Only the traceback of
+    an exception has further lines, indented ones.
+    """
 
     def __init__(self, terminal: bool = False) -> None:
         super().__init__()
@@ -60,9 +68,12 @@ class HumanFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         clock = datetime.fromtimestamp(record.created).strftime("%H:%M:%S.%f")[:-3]
         name = record.name.removeprefix("edge.")
-        text = f"{self._before}{clock} {record.levelname.lower():7} {name}: {record.getMessage()}"
+        message = one_line(record.getMessage(), MAX_MESSAGE)
+        text = f"{self._before}{clock} {record.levelname.lower():7} {name}: {message}"
         if record.exc_info:
-            text += "\n" + self.formatException(record.exc_info)
+            # Indented, so that no line of an exception's own words looks like one of the log's.
+            trace = printable_lines(self.formatException(record.exc_info))
+            text += "\n" + textwrap.indent(trace, "    ")
         return text
 
 
@@ -79,4 +90,10 @@ class JsonFormatter(logging.Formatter):
         extra = {key: value for key, value in vars(record).items() if key not in _STANDARD}
         if record.exc_info:
             fields["exception"] = self.formatException(record.exc_info)
-        return json.dumps({**extra, **fields}, default=str, ensure_ascii=False)
+        line = json.dumps({**extra, **fields}, default=str, ensure_ascii=False)
+        return line if line.isprintable() else "".join(map(_escaped, line))
+
+
+def _escaped(char: str) -> str:
+    """JSON's escape of a character that does not print: some drive terminals, as U+009B does."""
+    return char if char.isprintable() else json.dumps(char)[1:-1]

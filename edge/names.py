@@ -12,6 +12,11 @@ import re
 from collections.abc import Iterator
 from functools import lru_cache
 
+from edge.errors import UserError
+from edge.text import one_line
+
+MAX_CHARS = 200
+
 ALIASES: dict[str, tuple[str, ...]] = {
     "air conditioner": ("airconditioner", "aircon", "ac unit"),
     "armchair": ("arm chair", "easy chair", "recliner", "lounge chair"),
@@ -132,21 +137,46 @@ for _name, _others in ALIASES.items():
         _CANONICAL[_other] = _name
 
 
+class NotANameError(UserError, ValueError):
+    """A text that names nothing: the message shows it and says why."""
+
+
 def normalise(word: str) -> str:
     """Lower case, single spaces, no article, no model suffix: `SofaC_01` becomes `sofa`.
 
+    What this takes is a name, everywhere: in prompts, formulas, worlds and vocabularies.
+
     Raises:
-        ValueError: nothing is left.
+        NotANameError: no letter or digit is left, a character does not print (line breaks,
+            escapes, what turns the direction of writing), or there are more than `MAX_CHARS`.
     """
+    if len(word) > MAX_CHARS:
+        raise NotANameError(f"{_shown(word)} is no name: it has more than {MAX_CHARS} characters")
+    if not word.isprintable():
+        at = next(i for i, c in enumerate(word) if not c.isprintable())
+        raise NotANameError(
+            f"{_shown(word)} is no name: character {at + 1} (U+{ord(word[at]):04X}) does not print"
+        )
+    text = _tidied(word)
+    while (again := _tidied(text)) != text:  # what one pass uncovers may be for the next to take
+        text = again
+    if not any(map(str.isalnum, text)):
+        raise NotANameError(f"{_shown(word)} is no name: it needs a letter or a digit")
+    return text
+
+
+def _tidied(word: str) -> str:
     text = " ".join(re.sub(r"[_\-]+", " ", word).split())
     if _CAMEL.search(text) or text[-1:].isdigit():
         text = _VARIANT.sub("", " ".join(_CAMEL.sub(" ", text).split()))
     text = text.lower().strip(" .,;:!?'\"")
     for article in _ARTICLES:
         text = text.removeprefix(article)
-    if not text:
-        raise ValueError(f"not a name: {word!r}")
     return text
+
+
+def _shown(word: str) -> str:
+    return f"'{one_line(word, 60)}'"
 
 
 def singular(phrase: str) -> str:
@@ -164,11 +194,23 @@ def singular(phrase: str) -> str:
         last = last[:-2]
     elif last.endswith("s") and not last.endswith(_NO_PLURAL) and len(last) > 3:
         last = last[:-1]
+    if not last[-1:].isalpha():  # 1990s is no plural
+        return phrase
     return f"{head} {last}" if head else last
 
 
+def is_name(text: str) -> bool:
+    """Whether a text names anything at all, see `normalise`."""
+    try:
+        return bool(normalise(text))
+    except NotANameError:
+        return False
+
+
 def is_known(word: str) -> bool:
-    """Whether the alias table has the word (singular or plural)."""
+    """Whether the alias table has the word (singular or plural); false of what is no name."""
+    if not is_name(word):
+        return False
     text = normalise(word)
     return text in _CANONICAL or singular(text) in _CANONICAL
 
@@ -209,18 +251,23 @@ def is_kind_of(word: str, broader: str) -> bool:
 def head_phrase(phrase: str) -> str:
     """The part of a phrase that names the thing.
 
+    Raises:
+        NotANameError: the phrase is none, or has no such part.
+
     >>> head_phrase("the tall white trash bin next to the sofa")
     'tall white trash bin'
     """
-    return _AFTER_HEAD.split(normalise(phrase), maxsplit=1)[0]
+    head = _AFTER_HEAD.split(normalise(phrase), maxsplit=1)[0]
+    if not is_name(head):
+        raise NotANameError(f"{_shown(phrase)} is no name: it says where a thing is, not which")
+    return head
 
 
 def head_nouns(phrase: str) -> Iterator[str]:
-    """Ever shorter endings of the phrase's head: the first known one is its noun.
+    """Ever shorter endings of the phrase's head that are names: the first known one is its noun.
 
     >>> list(head_nouns("tall white trash bin"))
     ['tall white trash bin', 'white trash bin', 'trash bin', 'bin']
     """
     words = head_phrase(phrase).split()
-    for start in range(len(words)):
-        yield " ".join(words[start:])
+    yield from filter(is_name, (" ".join(words[start:]) for start in range(len(words))))

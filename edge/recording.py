@@ -30,6 +30,7 @@ from edge.children import python_module
 from edge.config import Config, Zenoh, load
 from edge.errors import UserError
 from edge.files import open_regular
+from edge.text import one_line
 from edge.topics import Topic
 from edge.wire import DecodeError, schemas
 from edge.wire.cdr import HEADER, STAMP
@@ -174,7 +175,7 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror}") from None
     except (McapError, EOFError, ValueError) as error:
-        detail = " ".join(str(error).split())[:120] or type(error).__name__
+        detail = one_line(error, 120) or type(error).__name__
         raise RecordingError(f"{path}: not a complete MCAP file: {detail}") from None
 
 

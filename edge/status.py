@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.advice import Advisers
@@ -70,9 +71,9 @@ def mission_of(mission: MissionRun) -> dict[str, object]:
     """Formula, automaton state, plan and sets of a mission (ViTL IV-A2), and why this target."""
     translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
     return {
-        "formula": str(mission.brief.automaton.formula),
-        "english": translation.english,
-        "translated_by": translation.backend,
+        "formula": one_line(mission.brief.automaton.formula),
+        "english": translation.understood,
+        "translated_by": one_line(translation.backend),
         "state": mission.state,
         "states": mission.brief.automaton.n_states,
         "word": list(mission.word),

@@ -16,6 +16,18 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
     'stuck 12:00 info mission: [31m reached'
     """
     # Ten times the limit is looked at: a novel costs no more than a letter.
-    start = str(text)[: 10 * limit]
-    line = " ".join("".join(c if c.isprintable() else " " for c in start).split())
+    line = " ".join(_printable(str(text)[: 10 * limit]).split())
     return line if len(line) <= limit else line[: limit - 1] + "…"
+
+
+def printable_lines(text: object) -> str:
+    """The lines of a text of ours that quotes others' words, without control characters.
+
+    >>> printable_lines("robot.yaml: one fault\\nrobot.yaml: \\x1b[2J")
+    'robot.yaml: one fault\\nrobot.yaml:  [2J'
+    """
+    return "\n".join(map(_printable, str(text).splitlines()))
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -180,7 +180,7 @@ class MissionStatus:
 
     Attributes:
         target: what is pursued now; at the end, what was pursued last.
-        instruction: what was asked for.
+        instruction: what was asked for, as one line (`edge.text.one_line`).
     """
 
     target: str

@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from edge.text import one_line
+
 
 def parse_yaml(text: str | bytes) -> Any:
     """What a YAML text says, without tags of Python's.
@@ -17,7 +19,7 @@ def parse_yaml(text: str | bytes) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError) as error:
-        raise ValueError(" ".join(str(error).split())) from None
+        raise ValueError(one_line(error, 400)) from None
     except RecursionError:
         raise ValueError("nested too deeply") from None
     except (AttributeError, IndexError, KeyError):  # PyYAML's at `!!timestamp x`, `!!int ""`

@@ -75,6 +75,10 @@ FAULTS = [
     ({"robot": {"radius_m": float("nan")}}, "f.yaml: robot.radius_m: "),
     ({"robot": {"name": "a b"}}, "f.yaml: robot.name: "),
     ({"mission": {"target": ""}}, "f.yaml: mission.target: "),
+    (
+        {"mission": {"compile_limit_s": 5.0}},
+        "f.yaml: mission.compile_limit_s: unknown key (did you mean 'compile_limit_steps'?)",
+    ),
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
     (
         {"perception": {"isolation": "process", "detector": {"kind": "sim"}}},

@@ -42,6 +42,48 @@ def test_json_lines():
     assert "ValueError: bad" in second["exception"]
 
 
+SAID = (
+    "goal failed: stuck\n12:00:00.000 info    mission: \x1b[31mreached\x9b2J\u202e" + "!" * 10_000
+)
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
+    out = io.StringIO()
+    logs.setup("info", as_json, stream=out)
+    logging.getLogger("edge.orders").warning("%s", SAID)
+    line = out.getvalue().removesuffix("\n")
+    assert line.isprintable()
+    if as_json:
+        assert json.loads(line)["message"] == SAID
+    else:
+        assert "goal failed: stuck 12:00:00.000 info mission: [31mreached 2J !!" in line
+        assert len(line) < logs.MAX_MESSAGE + 100
+
+
+def test_a_traceback_has_lines_of_its_own_and_no_control_characters():
+    out = io.StringIO()
+    logs.setup("info", stream=out)
+    try:
+        raise ValueError("bad\n12:00:00.000 info    mission: \x1b[31mreached")
+    except ValueError:
+        logging.getLogger("edge").exception("failed: %s", "a\nb")
+    first, *trace = out.getvalue().splitlines()
+    assert first.endswith("error   edge: failed: a b")
+    assert trace[0] == "    Traceback (most recent call last):"
+    assert all(line.startswith("    ") and line.isprintable() for line in trace)
+    assert trace[-1] == "    12:00:00.000 info    mission:  [31mreached"
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_text_that_is_no_unicode_is_logged(as_json):
+    out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    logs.setup("info", as_json, stream=out)
+    logging.getLogger("edge").warning("file \udc80 and 🪑")
+    out.flush()
+    assert "🪑" in out.buffer.getvalue().decode()
+
+
 def test_set_up_again_replaces():
     first, second = io.StringIO(), io.StringIO()
     logs.setup(stream=first)

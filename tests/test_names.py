@@ -8,15 +8,51 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge import names
+from edge.errors import UserError
 
 
-@pytest.mark.parametrize("word", ["", "  ", "the", "_", "a "])
-def test_nothing_is_not_a_name(word):
-    if word.strip() in ("the", "a"):
-        assert names.canonical(word) == word.strip()  # an article alone is all there is
-    else:
-        with pytest.raises(ValueError, match="not a name"):
-            names.canonical(word)
+@pytest.mark.parametrize(
+    ("word", "why"),
+    [
+        ("", "'' is no name: it needs a letter or a digit"),
+        ("  ", "it needs a letter or a digit"),
+        ("_", "'_' is no name: it needs a letter or a digit"),
+        ("-", "it needs a letter or a digit"),
+        ("...", "'...' is no name: it needs a letter or a digit"),
+        ("the €", "it needs a letter or a digit"),
+        (". 1", "it needs a letter or a digit"),  # a model's number is no name
+        ("tv\0", "'tv' is no name: character 3 (U+0000) does not print"),
+        ("\x1b[31mtv", "'[31mtv' is no name: character 1 (U+001B) does not print"),
+        ("tv\n12:00 info", "'tv 12:00 info' is no name: character 3 (U+000A) does not print"),
+        ("tv\u202evt", "'tv vt' is no name: character 3 (U+202E) does not print"),
+        ("\udc80tv", "'tv' is no name: character 1 (U+DC80) does not print"),
+        ("b" * 201, f"'{'b' * 59}…' is no name: it has more than 200 characters"),
+    ],
+)
+def test_what_is_no_name_is_refused_with_the_reason(word, why):
+    assert not names.is_name(word)
+    assert not names.is_known(word)
+    with pytest.raises(names.NotANameError) as caught:
+        names.canonical(word)
+    assert str(caught.value).endswith(why)
+    assert isinstance(caught.value, UserError)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [
+        ("the", "the"),  # an article alone is all there is
+        ("a ", "a"),
+        ("7", "7"),
+        ("椅子", "椅子"),
+        ("salt & pepper mill", "salt & pepper mill"),
+        ("b" * 200, "b" * 200),
+        ("1990s", "1990s"),
+    ],
+)
+def test_odd_names_are_names(word, name):
+    assert names.canonical(word) == name
 
 
 @pytest.mark.parametrize(
@@ -76,14 +112,35 @@ def test_every_alias_stands_once_and_is_normalised():
     assert all(names.normalise(n) == n for n in everything)
 
 
-@given(st.text(max_size=40))
+pieces = st.sampled_from(["the", "a", "SofaC", "01", "€", "123s", "near", ".", "dishes", "tv", "<"])
+odd = st.one_of(st.text(max_size=40), st.lists(pieces, max_size=6).map(" ".join))
+
+
+@given(odd)
 def test_any_text_is_a_lower_case_name_or_refused(word):
     try:
         name = names.canonical(word)
-    except ValueError:
+    except names.NotANameError:
         return
-    assert name
     assert name == name.lower()
+    assert name.isprintable()
+    assert any(map(str.isalnum, name))
+    assert names.canonical(name) == name
+
+
+@given(odd)
+def test_what_is_made_of_a_name_are_names_or_it_is_refused(word):
+    try:
+        parts = [names.head_phrase(word), *names.head_nouns(word), *names.names_of(word)]
+    except names.NotANameError:
+        return
+    assert all(map(names.is_name, parts))
+
+
+@pytest.mark.parametrize("phrase", ["€ near the chair", "& € on the sofa"])
+def test_a_phrase_that_says_only_where_names_nothing(phrase):
+    with pytest.raises(names.NotANameError, match="says where a thing is, not which"):
+        names.head_phrase(phrase)
 
 
 def test_every_name_and_alias_leads_to_its_canonical_name_and_stays_there():

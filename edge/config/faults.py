@@ -7,6 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from edge.text import one_line
+
 
 def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     """One line for one fault of pydantic's list.
@@ -18,11 +20,11 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     """
     *sections, leaf = fault["loc"] or ("",)
     shown, models = _walk(sections, root)
-    key = ".".join([*shown, str(leaf)])
+    key = one_line(".".join([*shown, str(leaf)]))
     kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
-        return f"{path}: {key}.kind: unknown {context['tag']!r} (choices: {choices})"
+        return f"{path}: {key}.kind: unknown {context['tag']!r:.80} (choices: {choices})"
     if kind == "union_tag_not_found":
         kinds = [m.model_fields["kind"].default for m in _walk(list(fault["loc"]), root)[1]]
         return f"{path}: {key}.kind: missing (choices: {', '.join(kinds)})"
@@ -32,7 +34,7 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
         return f"{path}: {key}: missing"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{path}: {key}: unknown {given!r} (choices: {choices})"
+        return f"{path}: {key}: unknown {given!r:.80} (choices: {choices})"
     if kind == "extra_forbidden":
         names = sorted({name for model in models for name in model.model_fields} - {"path"})
         close = difflib.get_close_matches(str(leaf), names, n=1)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Union
 
 from pydantic import Field
 
-from edge.config.section import NonNegative, Positive, Section
+from edge.config.section import Name, NonNegative, Positive, Section
 
 
 class TranslatorLtl(Section):
@@ -65,9 +65,11 @@ class Mission(Section):
     """What to do, and when to give up. `instruction` takes the place of `target` (which means
     just "reach it") and is read by `translator`; see `edge mission explain`. A target that was
     pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
+    `max_states` and `compile_limit_steps` bound the work of compiling it, in counts that are the
+    same on every machine: the default takes a few seconds at most.
     `checkpoint` is the file that a mission goes on from after a restart."""
 
-    target: Annotated[str, Field(min_length=1)] = "chair"
+    target: Name = "chair"
     instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
     translator: Annotated[
         Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
@@ -76,7 +78,7 @@ class Mission(Section):
         PlannerVitl()
     )
     compiler: Literal["own", "spot"] = "own"
-    compile_limit_s: Positive = 5.0
+    compile_limit_steps: Annotated[int, Field(ge=1)] = 30_000_000
     max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None

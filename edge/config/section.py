@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from edge import names
 from edge.errors import UserError
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+def _named(text: str) -> str:
+    names.normalise(text)  # NotANameError is a ValueError, as pydantic wants it
+    return text
+
+
+Name = Annotated[str, AfterValidator(_named)]
 
 
 class ConfigError(UserError):

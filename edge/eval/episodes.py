@@ -24,6 +24,7 @@ from edge.children import python_module
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.sim.base import World, WorldObject
@@ -249,7 +250,7 @@ def _run_all(
         except (ValueError, TypeError):
             last = (err.strip().splitlines() or ["no output"])[-1]
             return Outcome(
-                episode.target, episode.start, False, f"crashed ({code}): {last}",
+                episode.target, episode.start, False, f"crashed ({code}): {one_line(last)}",
                 episode.shortest_m, 0.0, 0.0, math.inf, 0,
             )  # fmt: skip
 

@@ -28,9 +28,11 @@ from edge.eval.task_templates import generate
 from edge.files import open_regular
 from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
+from edge.text import one_line
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
+_SHOWN_CHARS = 400  # of each
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +229,7 @@ def _scored(
 def _shown(lines: Sequence[str]) -> Iterator[str]:
     """The first of the failures, for the screen."""
     for line in lines[:_SHOWN_FAILURES]:
-        yield f"  {line}"
+        yield f"  {one_line(line, _SHOWN_CHARS)}"
     if len(lines) > _SHOWN_FAILURES:
         yield f"  … and {len(lines) - _SHOWN_FAILURES} more (--failures FILE lists them all)"
 

@@ -16,7 +16,7 @@ import numpy as np
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
 from edge.mission.logic.formula import Formula, propositions
-from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Limits
 
 __all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula", "compile_with"]
 
@@ -79,24 +79,26 @@ class Automaton:
         return zip((*self.letters, NOTHING), self.delta[state].tolist(), strict=True)
 
 
-def compile_formula(formula: Formula, max_states: int = 20000, limit_s: float = 5.0) -> Automaton:
+def compile_formula(
+    formula: Formula, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
+) -> Automaton:
     """The automaton of a formula, by our own compiler.
 
     Args:
         max_states: the most states that it, or any automaton on the way to it, may have.
-        limit_s: the most seconds that may be spent.
+        max_steps: the most steps of work that may be taken, see `edge.mission.logic.limits`.
 
     Raises:
         CompileError: a limit was passed.
     """
-    return compile_with("own", formula, max_states, limit_s)
+    return compile_with("own", formula, max_states, max_steps)
 
 
 def compile_with(
     compiler: Literal["own", "spot"],
     formula: Formula,
-    max_states: int = 20000,
-    limit_s: float = 5.0,
+    max_states: int = MAX_STATES,
+    max_steps: int = MAX_STEPS,
 ) -> Automaton:
     """What `compile_formula` does, by a compiler of choice; the automaton is the same.
 
@@ -104,7 +106,7 @@ def compile_with(
         CompileError: a limit was passed.
         UserError: Spot was chosen, and its real bindings are not there.
     """
-    limits = Limits(max_states, limit_s)
+    limits = Limits(max_states, max_steps)
     letters = propositions(formula)
     delta, accepting = COMPILERS[compiler](formula, letters, limits)
     return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, limits))
@@ -115,7 +117,7 @@ def steps_left(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.n
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:
-        limits.check_time()
+        limits.spend_cells(delta.size)
         reach = left[delta]
         new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
         if np.array_equal(new, left):

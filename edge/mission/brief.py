@@ -16,6 +16,9 @@ from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.ltl import Formula
 from edge.mission.planner import make_planner
 from edge.mission.translate import Translation, make_translator
+from edge.text import one_line
+
+_MOST_SHOWN = 600  # of the parts of a contradiction
 
 
 class MissionError(UserError):
@@ -40,7 +43,7 @@ class Brief:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a person should know before the robot drives."""
-        unused = ", ".join(self.diagnosis.unused)
+        unused = one_line(", ".join(self.diagnosis.unused))
         return (f"does not matter to the mission: {unused}",) if unused else ()
 
 
@@ -64,10 +67,6 @@ def prepare(config: Mission, instruction: str | None = None, formula: str | None
             instruction if instruction is not None else config.instruction
         )
     else:
-        if not config.target.strip():
-            raise MissionError(
-                "mission.target: empty prompt: name a thing to look for, such as 'chair'"
-            )
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
     return brief_of(config, translation)
@@ -83,17 +82,19 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
             f"mission: {len(letters)} targets, at most {config.max_targets} are allowed "
             "(mission.max_targets)"
         )
-    automaton = compile_with(config.compiler, formula, config.max_states, config.compile_limit_s)
-    diagnosis = diagnose(automaton, config.max_states, config.compile_limit_s)
+    limits = (config.max_states, config.compile_limit_steps)
+    automaton = compile_with(config.compiler, formula, *limits)
+    diagnosis = diagnose(automaton, *limits)
     if diagnosis.contradiction:
-        parts = "; ".join(f"{part} ({describe(part)})" for part in diagnosis.contradiction)
+        shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
+        parts = one_line("; ".join(f"{part} ({english})" for part, english in shown), _MOST_SHOWN)
         what = "these conflict" if len(diagnosis.contradiction) > 1 else "this cannot be done"
         raise MissionError(f"mission: a contradiction, {what}: {parts}")
     if automaton.steps_left[0] == 0:
         always = ", whatever is reached" if diagnosis.tautology else ""
         raise MissionError(
-            f"mission: fulfilled by doing nothing{always}; name something to reach: {formula} "
-            f"({translation.english})"
+            f"mission: fulfilled by doing nothing{always}; name something to reach: "
+            f"{one_line(formula)} ({one_line(translation.english)})"
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
     automaton = _narrowed(automaton, targets)

@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 
 from edge.errors import UserError
+from edge.text import one_line
 
 _DRAWINGS = (".svg", ".png", ".dot")
+_LIST_CHARS = 1000
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,12 +31,13 @@ def run(args: argparse.Namespace) -> int:
     brief = prepare(mission, text, formula)
     plan = make_planner(mission.planner, brief.automaton).plan(0, Knowledge())
     translation = brief.translation
-    print(f"understood:  {translation.english}")
-    print(f"formula:     {translation.formula}")
+    print(f"understood:  {translation.understood}")
+    print(f"formula:     {one_line(translation.formula)}")
     print(f"by:          {translation.backend}, {translation.seconds:.2f} s")
-    print(f"targets:     {', '.join(brief.targets)}")
+    print(f"targets:     {one_line(', '.join(brief.targets), _LIST_CHARS)}")
     print(f"automaton:   {brief.automaton.n_states} states")
-    print(f"first plan:  {', then '.join(step or 'nothing' for step in plan.steps)}")
+    steps = ", then ".join(step or "nothing" for step in plan.steps)
+    print(f"first plan:  {one_line(steps, _LIST_CHARS)}")
     for warning in brief.warnings:
         print(f"warning:     {warning}")
     if drawing is not None:

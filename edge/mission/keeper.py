@@ -15,6 +15,7 @@ from edge.mission.brief import Brief, MissionError, brief_of
 from edge.mission.checkpoint import CheckpointWriter, continuous, load
 from edge.mission.saved import Saved, restore_instance, save_instances
 from edge.mission.translate import Translation
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.mission.run import MissionRun
@@ -73,8 +74,9 @@ class Keeper:
             service.mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
             )
-            log.info("going on with the mission: %s (state %d, reached: %s)", saved.instruction,
-                     service.mission.state, ", ".join(saved.reached) or "nothing yet")  # fmt: skip
+            log.info("going on with the mission: %s (state %d, reached: %s)",
+                     one_line(saved.instruction), service.mission.state,
+                     one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def restore_places(self, service: Service, observation: Observation) -> None:
         """Put the instances back if the robot's odometry is still the one they were seen in."""
@@ -109,7 +111,7 @@ class Keeper:
 
         def made() -> Saved:
             saved = Saved(
-                instruction=status.instruction,
+                instruction=brief.translation.instruction,
                 formula=str(brief.automaton.formula),
                 backend=brief.translation.backend,
                 english=brief.translation.english,
@@ -156,6 +158,7 @@ def _to_go_on_with(saved: Saved | None, asked: str | None) -> Saved | None:
     if saved is None or saved.phase in ("reached", "failed"):
         return None
     if asked is not None and asked != saved.instruction:
-        log.info("the checkpoint's mission (%s) gives way to the new one", saved.instruction)
+        log.info("the checkpoint's mission (%s) gives way to the new one",
+                 one_line(saved.instruction))  # fmt: skip
         return None
     return saved

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge import asking
+from edge.text import one_line
 
 if TYPE_CHECKING:
     import zenoh
 
 ANSWER_S = 5.0
+_ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
 
 _VERBS = {
@@ -72,45 +75,48 @@ def ask(session: zenoh.Session, prefix: str, request: dict, timeout_s: float) ->
 
 def as_text(answer: dict) -> str:
     """A line for each thing that people ask for, of those that the answer tells."""
-    rows = [(name, _phrase(tell(answer))) for name, tell in _ROWS.items()]
+    rows = [(name, one_line(tell(answer), _ROW_CHARS)) for name, tell in _ROWS.items()]
     width = max(map(len, _ROWS)) + 2
     return "\n".join(f"{name + ':':{width}}{text}" for name, text in rows if text) or "done"
 
 
-def _phrase(value: object) -> str:
-    if value is None:
-        return ""
-    return ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+def _text(key: str, between: str = ", ") -> Callable[[dict], str]:
+    """What an answer has under a key, as text: of a list its entries, of nothing nothing."""
+
+    def tell(answer: dict) -> str:
+        value = answer.get(key)
+        if isinstance(value, list):
+            return between.join(str(entry) or "nothing for a step" for entry in value)
+        return "" if value is None else str(value)
+
+    return tell
 
 
-def _state(answer: dict) -> str | None:
+def _state(answer: dict) -> str:
     state, states = answer.get("state"), answer.get("states")
-    return None if state is None else f"{state} (of 0 … {states - 1})" if states else str(state)
+    known = isinstance(state, int) and isinstance(states, int)
+    return f"{state} (of 0 … {states - 1})" if known else _text("state")(answer)
 
 
 def _phase(answer: dict) -> str:
-    paused = ["paused, `edge mission resume` goes on"] if answer.get("paused") else []
-    return "; ".join(filter(None, [*paused, answer.get("phase"), answer.get("reason")]))
+    paused = "paused, `edge mission resume` goes on" if answer.get("paused") else ""
+    return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
-def _plan(answer: dict) -> str:
-    return ", then ".join(step or "nothing for a step" for step in answer.get("plan") or ())
-
-
-_ROWS = {
-    "instruction": lambda answer: answer.get("instruction"),
-    "understood": lambda answer: answer.get("english"),
-    "formula": lambda answer: answer.get("formula"),
-    "warning": lambda answer: answer.get("warnings"),
+_ROWS: dict[str, Callable[[dict], str]] = {
+    "instruction": _text("instruction"),
+    "understood": _text("english"),
+    "formula": _text("formula"),
+    "warning": _text("warnings"),
     "state": _state,
     "phase": _phase,
-    "target": lambda answer: answer.get("target"),
-    "why": lambda answer: answer.get("why"),
-    "plan": _plan,
-    "seen": lambda answer: answer.get("detected"),
-    "reached": lambda answer: answer.get("reached"),
-    "failed": lambda answer: answer.get("failed"),
-    "forbidden": lambda answer: answer.get("forbidden"),
+    "target": _text("target"),
+    "why": _text("why"),
+    "plan": _text("plan", ", then "),
+    "seen": _text("detected"),
+    "reached": _text("reached"),
+    "failed": _text("failed"),
+    "forbidden": _text("forbidden"),
 }
 
 

@@ -15,6 +15,7 @@ from edge.mission.automaton import NOTHING
 from edge.mission.brief import Brief
 from edge.mission.planner import make_planner
 from edge.mission.planning.plan import Knowledge, Plan
+from edge.text import one_line
 from edge.types import MissionPhase, MissionStatus, Step, StepKind
 
 MAX_STEPS = 1000
@@ -61,6 +62,7 @@ class MissionRun:
         self.elapsed_s = 0.0
         self.path_m = 0.0
         self.reason = ""
+        self._instruction = one_line(brief.translation.instruction)
         self._config = config
         self._tell = tell
         self._planner = make_planner(config.planner, brief.automaton)
@@ -108,9 +110,8 @@ class MissionRun:
             phase = self._ended
         elif self.paused:
             phase = "paused"
-        instruction = self.brief.translation.instruction
         return MissionStatus(
-            self.target, phase, self.reason, self.elapsed_s, self.path_m, instruction
+            self.target, phase, self.reason, self.elapsed_s, self.path_m, self._instruction
         )
 
     # -- time, path and limits ----------------------------------------------------------------
@@ -122,7 +123,10 @@ class MissionRun:
             return
         brief = self.brief
         self._note(
-            now_ns, "start", "", f"mission: {brief.translation.english} [{brief.automaton.formula}]"
+            now_ns,
+            "start",
+            "",
+            f"mission: {brief.translation.understood} [{one_line(brief.automaton.formula)}]",
         )
         for warning in brief.warnings:
             self._note(now_ns, "warning", "", warning)

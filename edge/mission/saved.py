@@ -17,9 +17,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
+from edge.config.section import Name
 from edge.errors import UserError
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
+from edge.text import one_line
 from edge.types import Instance, InstanceState
 
 VERSION = 1
@@ -48,7 +50,7 @@ class SavedInstance:
     __pydantic_config__ = _STRICT
 
     id: Count
-    label: Word
+    label: Name
     center_m: Point
     points_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_POINTS)]
     score: Annotated[float, Field(ge=0, le=1)]
@@ -156,7 +158,7 @@ def _check(body: bytes) -> Saved:
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False)[0]
         where = ".".join(map(str, first["loc"])) or "mission"
-        raise ValueError(f"{where}: {first['msg']}") from None
+        raise ValueError(f"{where}: {one_line(first['msg'])}") from None
     letters = _letters(saved.formula)
     for name in ("word", "reached", "failed", "detected"):
         unknown = set(getattr(saved, name)) - letters - ({NOTHING} if name == "word" else set())

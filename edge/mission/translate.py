@@ -12,6 +12,9 @@ from edge.mission import ltl
 from edge.mission.language import grammar
 from edge.mission.language.english import describe
 from edge.mission.language.words import TranslationError
+from edge.text import one_line
+
+_UNDERSTOOD_CHARS = 1000  # English says in 300 characters what a formula says in 100
 
 __all__ = ["Translation", "TranslationError", "Translator", "make_translator"]
 
@@ -34,6 +37,11 @@ class Translation:
     backend: str
     seconds: float = 0.0
     attempts: int = 1
+
+    @property
+    def understood(self) -> str:
+        """`english` as it is shown: one line, of what is longer than any instruction the start."""
+        return one_line(self.english, _UNDERSTOOD_CHARS)
 
 
 class Translator(Protocol):
@@ -75,7 +83,7 @@ def validated(formula: ltl.Formula) -> ltl.Formula:
     except ltl.FormulaError as error:
         raise TranslationError(f"the formula cannot be written as text: {error}") from error
     if again != formula:
-        raise TranslationError(f"the formula's text means another formula: {formula}")
+        raise TranslationError(f"the formula's text means another formula: {one_line(formula)}")
     return formula
 
 

@@ -113,11 +113,9 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
     """
     try:
         head = names.head_phrase(prompt)
-    except ValueError:
-        head = ""
+    except names.NotANameError as error:
+        raise PromptError(f"prompt: {error}, such as 'chair'") from None
     words = head.replace(",", " ").split()
-    if not words:
-        raise PromptError("empty prompt: name a thing to look for, such as 'chair'")
     after = names.normalise(prompt)[len(head) :].strip()
     for start in range(len(words)):
         noun = " ".join(words[start:])
@@ -135,7 +133,11 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
 
 def _category(noun: str, vocabulary: Vocabulary) -> str | None:
     """The category that a noun names, itself or as a kind of it (dining table: table)."""
-    for name in names.head_nouns(names.canonical(noun)):
+    try:
+        thing = names.canonical(noun)
+    except names.NotANameError:  # a sign between the words
+        return None
+    for name in names.head_nouns(thing):
         if (category := names.canonical(name)) in vocabulary.categories:
             return category
         if not names.is_known(noun):

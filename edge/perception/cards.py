@@ -31,6 +31,7 @@ from edge.perception.card_types import (
 )
 from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
+from edge.text import one_line
 from edge.yaml_text import parse_yaml
 
 log = logging.getLogger(__name__)
@@ -59,7 +60,7 @@ def card_path(name: str) -> Path:
     paths = _card_paths()
     if name not in paths:
         choices = ", ".join(sorted(paths)) or "none"
-        raise ModelError(f"model {name!r}: no such card (choices: {choices})")
+        raise ModelError(f"model {name!r:.80}: no such card (choices: {choices})")
     return paths[name]
 
 
@@ -129,7 +130,7 @@ def read_card(path: Path) -> Card:
     try:
         data = parse_yaml(read_regular(path))
     except (OSError, ValueError) as error:
-        raise ModelError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+        raise ModelError(f"{path}: cannot be read: {one_line(error)}") from None
     if not isinstance(data, dict):
         raise ModelError(f"{path}: expected keys such as name, task, file")
     try:
@@ -146,13 +147,13 @@ def _explain(path: Path, fault: Any) -> str:
     kind, context = fault["type"], fault.get("ctx", {})
     task, *keys = fault["loc"] or ("",)
     tagged = [isinstance(before, int) or before == "tokenizer" for before in ("", *keys)]
-    key = ".".join(str(part) for part, tag in zip(keys, tagged, strict=False) if not tag)
+    key = one_line(".".join(str(part) for part, tag in zip(keys, tagged, strict=False) if not tag))
     if kind == "union_tag_not_found":
         return f"{path}: {'.'.join([key, 'kind']) if keys else 'task'}: missing"
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
         field = f"{key}.kind" if keys else "task"
-        return f"{path}: {field}: unknown {context['tag']!r} (choices: {choices})"
+        return f"{path}: {field}: unknown {context['tag']!r:.80} (choices: {choices})"
     if kind == "missing":
         return f"{path}: {key}: missing"
     if kind == "extra_forbidden":

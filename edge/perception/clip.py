@@ -22,6 +22,7 @@ from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
 from edge.perception.cards import ModelError, loading
 from edge.perception.model_file import fresh_sha256
 from edge.perception.text import PromptError
+from edge.text import one_line
 
 CPU = ("CPUExecutionProvider",)
 
@@ -84,8 +85,8 @@ class ClipTextEncoder:
         """The prompt itself, tidied; see `TextEncoder.resolve`."""
         try:
             return names.normalise(prompt)
-        except ValueError:
-            raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
+        except names.NotANameError as error:
+            raise PromptError(f"prompt: {error}, such as 'chair'") from None
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""
@@ -169,7 +170,7 @@ def _open_tokenizer(card: TextCard) -> Any:
     try:
         tokenizer = Tokenizer.from_file(str(path))
     except Exception as error:  # it raises Exception itself
-        raise ModelError(f"{path}: not a tokenizer: {' '.join(str(error).split())}") from None
+        raise ModelError(f"{path}: not a tokenizer: {one_line(error)}") from None
     tokenizer.no_padding()
     tokenizer.no_truncation()
     return tokenizer
@@ -179,7 +180,7 @@ def _run(session: Any, file: str, name: str, array: np.ndarray) -> np.ndarray:
     try:
         return session.run(["embeddings"], {name: array})[0]
     except Exception as error:  # onnxruntime raises many types of its own
-        raise ModelError(f"{file}: it fails: {' '.join(str(error).split())[:200]}") from None
+        raise ModelError(f"{file}: it fails: {one_line(error)}") from None
 
 
 def _unit_rows(rows: np.ndarray, shape: tuple[int, int], file: str) -> np.ndarray:

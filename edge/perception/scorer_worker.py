@@ -9,7 +9,8 @@ from time import perf_counter_ns
 from typing import Any, Generic, Protocol, TypeVar
 
 from edge.errors import UserError
-from edge.perception.worker import one_line
+from edge.perception.worker import LONGEST_ERROR
+from edge.text import one_line
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
@@ -230,7 +231,7 @@ def _count(stats: ScorerStats, outcome: Any, took_ns: int, kind: str) -> bool:
     stats.in_a_row += 1
     known = isinstance(outcome, UserError)
     text = str(outcome) if known else f"{type(outcome).__name__}: {outcome}"
-    stats.last_error = one_line(text)
+    stats.last_error = one_line(text, LONGEST_ERROR)
     if stats.in_a_row == 1:
         log.error("%s: %s (until it goes well again, this is only counted)",
                   kind, stats.last_error)  # fmt: skip

@@ -54,8 +54,8 @@ class SimDetector:
             raise PromptError("no prompt: name at least one thing to look for")
         try:
             nouns = tuple(_noun(prompt) for prompt in prompts)
-        except ValueError:
-            raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
+        except names.NotANameError as error:
+            raise PromptError(f"prompt: {error}, such as 'chair'") from None
         self._asked = (tuple(prompts), nouns)
 
     def detect(self, observation: Observation) -> Detections:

@@ -236,8 +236,8 @@ class TextEmbeddings:
         """The vocabulary word that stands for a prompt; see `embed`."""
         try:
             word = names.normalise(prompt)
-        except ValueError:
-            raise PromptError("empty prompt: name a thing to look for, such as 'chair'") from None
+        except names.NotANameError as error:
+            raise PromptError(f"prompt: {error}, such as 'chair'") from None
         if found := self._lookup(word):
             return found
         for noun in names.head_nouns(word):

@@ -9,16 +9,12 @@ from dataclasses import dataclass, field
 
 from edge.perception.detector import Detector
 from edge.perception.text import PromptError
+from edge.text import one_line
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
 
 LONGEST_ERROR = 500
-
-
-def one_line(error: str) -> str:
-    """What a model says when it fails, as one line of at most `LONGEST_ERROR` characters."""
-    return " ".join(error.split())[:LONGEST_ERROR]
 
 
 @dataclass(slots=True)
@@ -29,7 +25,7 @@ class WorkerStats:
         replaced: observations that a newer one displaced before their turn.
         unread: detections that a newer result displaced before they were polled.
         last_latency_ns: image to boxes of the newest result.
-        last_error: the newest failure in words (`one_line`), empty when there was none.
+        last_error: the newest failure in words, one line, empty when there was none.
         failures: type of failure → how many; replaced by another dict, never changed.
     """
 
@@ -46,7 +42,7 @@ class WorkerStats:
         """Count what a model raised; whether it is the first of its kind."""
         kind = type(error).__name__
         self.failed += 1
-        self.last_error = one_line(f"{kind}: {error}")
+        self.last_error = one_line(f"{kind}: {error}", LONGEST_ERROR)
         self.failures = {**self.failures, kind: self.failures.get(kind, 0) + 1}
         return self.failures[kind] == 1
 
@@ -217,5 +213,5 @@ class DetectorWorker(WorkerBase):
 
 def log_failure(detector: Detector, error: Exception) -> None:
     """Say once what kind of failure a detector has."""
-    log.error("detector %s: %s (more of these are only counted)",
-              detector.name, one_line(f"{type(error).__name__}: {error}"))  # fmt: skip
+    reason = one_line(f"{type(error).__name__}: {error}", LONGEST_ERROR)
+    log.error("detector %s: %s (more of these are only counted)", detector.name, reason)

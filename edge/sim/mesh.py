@@ -72,7 +72,7 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
     """The list of objects: name, category, yaw, aabb_min, aabb_max.
 
     Raises:
-        WorldError: missing, not JSON, or an entry lacks a field.
+        WorldError: missing, not JSON, an entry lacks a field, or its category is no name.
     """
     try:
         items = json.loads(read_regular(path))
@@ -80,6 +80,10 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
             for key in ("name", "category", "yaw", "aabb_min", "aabb_max"):
                 if key not in item:
                     raise WorldError(f"{path}: object {k}: no {key!r}")
+            try:
+                names.normalise(item["category"])
+            except names.NotANameError as error:
+                raise WorldError(f"{path}: object {k}: category: {error}") from None
     except OSError as error:
         raise WorldError(f"{path}: {error.strerror}") from None
     except (ValueError, TypeError) as error:

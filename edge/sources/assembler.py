@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edge import topics
+from edge import names, topics
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel, camera_mount, se3
 from edge.sources.odometry import OdometryRing
@@ -306,11 +306,16 @@ _CLOUD_DECODERS = {
 
 
 def _parse_labels(payload: bytes) -> tuple[str, ...]:
-    """The simulator's object labels: a JSON list of words; the one of id i at index i - 1."""
+    """The simulator's object labels: a JSON list of names; the one of id i at index i - 1."""
     try:
         labels = json.loads(payload)
     except (ValueError, RecursionError):
         raise DecodeError("not JSON") from None
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise DecodeError("not a JSON list of words")
+    try:
+        for label in labels:
+            names.normalise(label)
+    except names.NotANameError as error:
+        raise DecodeError(str(error)) from None
     return tuple(labels)

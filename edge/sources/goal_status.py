@@ -8,6 +8,7 @@ import logging
 import zenoh
 
 from edge import topics
+from edge.text import one_line
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.sources.goal_status")
@@ -41,7 +42,7 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
         raise ValueError(f"state: unknown {state!r:.40} (choices: {', '.join(STATES)})")
     if not isinstance(reason, str):
         raise ValueError(f"reason: expected text, got {reason!r:.40}")
-    return GoalStatus(stamp, state, reason, _place(data.get("blocked")))
+    return GoalStatus(stamp, state, one_line(reason), _place(data.get("blocked")))
 
 
 def _place(blocked: object) -> tuple[float, float] | None:

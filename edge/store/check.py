@@ -14,6 +14,7 @@ from edge.perception.card_types import DetectCard, FileCard, ImageCard
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.store.export import with_file
 from edge.store.pull import cards_of
+from edge.text import one_line
 
 _TEXTS = 2
 """Rows of text that a model is tried with."""
@@ -107,7 +108,7 @@ def _infer(path: Path, session: Any, feed: dict[str, np.ndarray]) -> list[np.nda
     try:
         return session.run(None, feed)
     except Exception as error:  # onnxruntime raises many types of its own
-        reason = " ".join(str(error).split())[:200]
+        reason = one_line(error)
         raise ModelError(f"{path}: does not run: {reason}: export it again") from None
 
 

@@ -67,8 +67,8 @@ def shown(url: str) -> str:
     try:
         split = urlsplit(url)
     except ValueError:
-        return url.rpartition("@")[2]
-    return urlunsplit(split._replace(netloc=_host(split)))
+        return one_line(url.rpartition("@")[2], 500)
+    return one_line(urlunsplit(split._replace(netloc=_host(split))), 500)
 
 
 def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:

@@ -6,6 +6,7 @@ import argparse
 import json
 
 from edge.perception.cards import Card, all_cards, made_parity
+from edge.text import one_line
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
@@ -43,7 +44,8 @@ def _row(card: Card) -> tuple[str, ...]:
     size = getattr(card, "input", None)
     shape = f"{size.height}x{size.width}" if size else "-"
     precision = getattr(card, "precision", "-")
-    return (card.name, card.task, shape, precision, card.license, _file(card), _parity(card))
+    cells = (card.name, card.task, shape, precision, card.license, _file(card), _parity(card))
+    return tuple(map(one_line, cells))
 
 
 def _file(card: Card) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 
 from edge import asking, topics
 from edge.asking import OrderError
+from edge.text import one_line
 
 _LOOK_S = 0.25
 _ANSWER_S = 5.0
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         state = ""
         for swap in follow(ask, args.name, args.force, lambda: time.monotonic() < until_s):
             state = swap["state"]
-            print(": ".join(filter(None, (state, swap["detail"]))), flush=True)
+            print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
     if state == "kept":
         print(
             f"until the service stops; for good: perception.detector.model: {args.name} "

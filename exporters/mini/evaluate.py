@@ -21,6 +21,7 @@ import numpy as np
 import onnxruntime
 
 from edge.config import Perception
+from edge.text import one_line
 from exporters.files import ExportError
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
@@ -108,7 +109,7 @@ def open_model(path: Path, threads: int = 2) -> onnxruntime.InferenceSession:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises many types of its own
-        raise ExportError(f"{path}: cannot be loaded: {str(error).splitlines()[0]}") from None
+        raise ExportError(f"{path}: cannot be loaded: {one_line(error)}") from None
 
 
 def measure(model: Path, text: Path, frames: Frames) -> Report:

@@ -58,7 +58,7 @@ def test_other_names_for_objects_are_mapped(tmp_path):
             },
             "more than 12 objects",
         ),
-        ({**GOOD, "formula": "F " + "x" * 10, "objects": ["", "x"]}, "line 1: not a name"),
+        ({**GOOD, "formula": "F " + "x" * 10, "objects": ["", "x"]}, "line 1: '' is no name"),
     ],
 )
 def test_bad_files(tmp_path, content, message):

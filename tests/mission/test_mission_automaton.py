@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -10,10 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_mission_ltl import formulas
 
+from edge.config import Mission
 from edge.errors import UserError
+from edge.mission import automaton as automaton_module
 from edge.mission.automaton import NOTHING, CompileError, compile_formula, steps_left
 from edge.mission.logic import compiler, minimise
-from edge.mission.logic.limits import Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
 from edge.mission.ltl import holds, parse
 
 CASE_1 = (
@@ -35,11 +41,11 @@ def targets(n: int) -> str:
     return " & ".join(f"F a{k}" for k in range(n))
 
 
-def in_parts(text_or_formula):
+def in_parts(formula, **limits):
     """The automaton by products of parts alone, as wide formulas get it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "_MAX_CLAUSES", 0)
-        return compile_formula(text_or_formula)
+        return compile_formula(formula, **limits)
 
 
 def same(a, b) -> bool:
@@ -201,7 +207,7 @@ def idle(automaton, states: set[int]) -> set[int]:
 def test_both_refinements_agree(n, k, random):
     delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)
     accepting = np.array([random.random() < 0.4 for _ in range(n)])
-    limits = Limits(100, 60.0)
+    limits = Limits()
     small = minimise._refine_small(delta, accepting, limits)
     large = minimise._refine(delta, accepting, limits)
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
@@ -214,8 +220,8 @@ def test_packing_of_many_columns_agrees():
     delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
     delta[20:] = delta[:20]
     accepting = np.tile(rng.random(20) < 0.5, 2)
-    large = minimise._refine(delta, accepting, Limits(100, 60.0))
-    small = minimise._refine_small(delta, accepting, Limits(100, 60.0))
+    large = minimise._refine(delta, accepting, Limits())
+    small = minimise._refine_small(delta, accepting, Limits())
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
     assert large.max() + 1 == 20
 
@@ -240,17 +246,78 @@ def test_limit_of_states():
     ],
     ids=["targets", "equivalences", "wide inside", "deep next", "memory"],
 )
-def test_limit_of_time(text):
-    """Checked on every way through the compiler: none of these could end by itself so soon."""
+def test_limit_of_steps(text):
+    """Counted on every way through the compiler: none of these could end by itself so soon."""
     formula = parse(text)
-    with pytest.raises(CompileError, match=r"no automaton within 0\.01 s|more than \d+ states"):
-        compile_formula(formula, limit_s=0.01)
-    with pytest.raises(CompileError, match="within 0 s"):
-        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Limits(1, 0.0))
+    with pytest.raises(CompileError, match=r"no automaton within 20000 steps; use fewer targets"):
+        compile_formula(formula, max_steps=20_000)
+    with pytest.raises(CompileError, match="within 0 steps"):
+        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Limits(1, 0))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["F a", CASE_2, targets(8), "(F a | F b) & (F c | F d) & (G !e | F b)", "X " * 40 + "a"],
+)
+@pytest.mark.parametrize("compiled", [compile_formula, in_parts])
+def test_steps_are_counted_the_same_every_time(text, compiled, monkeypatch):
+    """Exactly so many steps are enough, however late it gets meanwhile."""
+    needed = steps_of(compiled, text, monkeypatch)
+    late = itertools.count(0.0, 1e6)
+    for clock in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        monkeypatch.setattr(time, clock, lambda: next(late))
+        monkeypatch.setattr(time, f"{clock}_ns", lambda: int(next(late) * 1e9))
+    assert steps_of(compiled, text, monkeypatch) == needed
+    automaton = compiled(parse(text), max_steps=needed)
+    assert same(automaton, compile_formula(parse(text)))
+    with pytest.raises(CompileError, match=f"within {needed - 1} steps"):
+        compiled(parse(text), max_steps=needed - 1)
+
+
+def steps_of(compiled, text, monkeypatch) -> int:
+    """How many steps a compilation takes in all."""
+    made = []
+
+    class Noted(Limits):
+        def __init__(self, *args):
+            super().__init__(*args)
+            made.append(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(automaton_module, "Limits", Noted)
+        compiled(parse(text))
+    return made[-1].steps
+
+
+def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
+    formulas = ["F a", CASE_2_WEAK, targets(8), "(F a | F b) <-> (F c U (d | G e))"]
+    program = (
+        "import sys; from edge.mission.automaton import compile_formula\n"
+        "from edge.mission.logic import limits\n"
+        "from edge.mission.ltl import parse\n"
+        "def counted(self, n): limits.total = getattr(limits, 'total', 0) + n\n"
+        "limits.Limits.spend = counted\n"
+        "for text in sys.argv[1:]:\n"
+        "    a = compile_formula(parse(text))\n"
+        "    print(a.letters, a.delta.tolist(), a.accepting.tolist(), limits.total)"
+    )
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", program, *formulas], env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True, capture_output=True, text=True,
+        ).stdout
+        for seed in ("0", "1", "2")
+    }  # fmt: skip
+    assert len(outputs) == 1
+    assert outputs.pop().count("\n") == len(formulas)
+
+
+def test_the_configuration_has_the_same_limits():
+    assert (Mission().max_states, Mission().compile_limit_steps) == (MAX_STATES, MAX_STEPS)
 
 
 def test_limit_of_size():
-    """Seconds alone would let wide states fill the memory."""
+    """Steps alone would let wide states fill the memory."""
     with pytest.raises(CompileError, match="more than 10000 different subformulas"):
         compile_formula(parse("X " * 50_000 + "a"))
 
@@ -273,4 +340,4 @@ def test_limit_of_size():
     ids=lambda value: str(value)[:20],
 )
 def test_large_formulas_compile(text, states):
-    assert compile_formula(parse(text), limit_s=60.0).n_states == states
+    assert compile_formula(parse(text)).n_states == states

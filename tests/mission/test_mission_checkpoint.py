@@ -70,7 +70,7 @@ points = st.tuples(metres, metres, metres)
 counts = st.integers(0, 2**63 - 1)
 words = st.sampled_from(["chair", "tv stand"])
 instances = st.builds(
-    SavedInstance, id=counts, label=st.text(max_size=20), center_m=points,
+    SavedInstance, id=counts, label=words, center_m=points,
     points_m=st.lists(points, min_size=1, max_size=5).map(tuple), score=st.floats(0, 1),
     hits=counts, state=st.sampled_from(["seen", "confirmed", "refuted", "reached"]),
 )  # fmt: skip
@@ -134,6 +134,7 @@ def test_every_state_comes_back_as_it_was(state):
         ({"target": "sofa"}, "target: 'sofa' is not in the formula"),
         ({"instances": (replace(CHAIR, points_m=()),)}, r"instances\.0\.points_m"),
         ({"instances": (replace(CHAIR, center_m=(2e6, 0.0, 0.0)),)}, r"instances\.0\.center_m"),
+        ({"instances": (replace(CHAIR, label="-"),)}, r"instances\.0\.label: .*'-' is no name"),
         ({"instances": (replace(CHAIR, score=1.5),)}, r"instances\.0\.score"),
         ({"instances": (CHAIR,) * (MAX_INSTANCES + 1)}, "instances"),
         ({"instruction": "x" * saved.MAX_BYTES}, "at most"),

@@ -328,9 +328,11 @@ def test_nonsense_is_answered_with_one_line(session, open_desk, payload, text):
     assert asking.answer == {}
 
 
-def test_a_very_long_error_is_cut(session, open_desk):
+def test_a_very_long_error_is_cut_and_drives_no_terminal(session, open_desk):
     desk, asking = open_desk(), Asking(session, do="status")
-    taken(desk).refuse("long " * 10_000)
+    taken(desk).refuse("long\n\x1b[2J\u202e " * 10_000)
+    assert asking.refusal.startswith("mission: refused: long [2J long")
+    assert asking.refusal.isprintable()
     assert len(asking.refusal) < 1100
     assert desk.poll() is None
 

@@ -91,5 +91,5 @@ def test_limits_hold():
     assert diagnose(automaton).contradiction == (parse("F a0"), parse("G !a0"))
     with pytest.raises(CompileError, match="states"):
         diagnose(automaton, max_states=100)
-    with pytest.raises(CompileError, match="within 0 s"):
-        diagnose(automaton, limit_s=0)
+    with pytest.raises(CompileError, match="within 0 steps"):
+        diagnose(automaton, max_steps=0)

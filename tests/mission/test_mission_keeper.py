@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,11 +11,13 @@ from closed_loop import ClosedLoop
 
 from edge.config import Config, parse
 from edge.mission.brief import prepare
-from edge.mission.checkpoint import load
+from edge.mission.checkpoint import load, save
 from edge.mission.keeper import Keeper
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
 from edge.service import Service
+from edge.status import mission_of
+from edge.text import MAX_CHARS
 
 
 def config(formula: str) -> Config:
@@ -70,6 +74,34 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     second.close()
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.distance_m("television") <= 1.0
+
+
+def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
+    """A checkpoint is a file: whoever may write it must not write the log."""
+    said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
+    loop = ClosedLoop(config("F bed"))
+    first = restart(loop, path)
+    loop.step()
+    first.close()
+    forged = replace(
+        load(path).saved, instruction=said, english=said, backend=said[:900], reason=said
+    )
+    save(path, forged)
+    with caplog.at_level(logging.INFO):
+        second = restart(loop, path)
+        second.resume(loop.service)
+        Keeper(loop.config, path, "another").close()
+    loop.step()
+    second.close()
+    told = [record.getMessage() for record in caplog.records if "go on" in record.getMessage()]
+    assert len(told) >= 2
+    assert load(path).saved.instruction == said  # which is how it is known again
+    service = loop.service
+    shown = [service.status.instruction, *mission_of(service.mission).values(), *loop.notes.events]
+    for text in map(str, [*told, *shown]):
+        assert text.isprintable()
+        assert len(text) < 1500
+    assert len(service.status.instruction) == MAX_CHARS
 
 
 def test_a_restart_that_saw_nothing_loses_no_place(path):

@@ -64,7 +64,7 @@ def test_answers_that_are_understood(answer):
         ("I can't do that.", "formula, column 3: "),
         ("F (couch & F lamp)", "the instruction names no 'table lamp'; it names couch, tv, bed"),
         ('F "the"', "'the'"),
-        ('F "..."', "'...' is no name of an object"),
+        ('F "..."', "formula, column 3: '...' is no name"),
         ("true", "the formula speaks of no object"),
         ("X " * 3000 + "tv", "it must be one short formula"),
     ],

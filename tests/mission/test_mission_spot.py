@@ -98,7 +98,7 @@ def test_same_automaton_of_any_formula(f):
 def test_limits():
     with pytest.raises(CompileError, match="states"):
         compile_with("spot", parse(targets(6)), max_states=30)
-    with pytest.raises(CompileError, match="within 0 s"):
-        compile_with("spot", parse("F a"), limit_s=0)
+    with pytest.raises(CompileError, match="within 0 steps"):
+        compile_with("spot", parse("F a"), max_steps=0)
     with pytest.raises(CompileError, match="nested deeper than 1000"):
         compile_with("spot", parse("!" * 1001 + "a"))

@@ -27,7 +27,7 @@ WORDS = Vocabulary(
 )
 
 
-@pytest.mark.parametrize("prompt", ["", "  ", "the ", "?!", "the , near a chair"])
+@pytest.mark.parametrize("prompt", ["", "  ", "the ", "?!", "€ near a chair"])
 def test_an_empty_prompt_is_an_error(prompt):
     with pytest.raises(PromptError, match="prompt"):
         parse(prompt, WORDS)

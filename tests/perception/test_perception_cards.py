@@ -395,7 +395,7 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
     ("target", "detector", "message"),
     [
         ("chair", "{kind: onnx, model: no-such-model}", "no-such-model"),
-        (" ", "{kind: sim}", "prompt"),
+        (" ", "{kind: sim}", "mission.target: '' is no name"),
     ],
 )
 def test_edge_run_says_in_one_line_why_it_cannot_detect(

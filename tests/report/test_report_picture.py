@@ -90,7 +90,7 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
     assert 800 < image.shape[1] < 1500
 
 
-@pytest.mark.parametrize("text", ["$x^", "a $b$ c", "Stühle für 2", "x" * 500, "\\frac", "a_{b"])
+@pytest.mark.parametrize("text", ["$x^", "a $b$ c", "Stühle für 2", "x" * 200, "\\frac", "a_{b"])
 def test_any_text_can_be_a_title_or_a_label(run, text):
     named = replace(run.instances[0], label=text)
     mission = replace(run.mission, phase="failed", reason=text)

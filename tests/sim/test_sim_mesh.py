@@ -202,7 +202,15 @@ def test_bad_files_give_one_clear_line(tmp_path: Path, mesh, objects, message):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("{", "not a list of objects"), ('[{"name": "a"}]', "object 0: no 'category'"), ("3", "not")],
+    [
+        ("{", "not a list of objects"),
+        ("3", "not"),
+        ('[{"name": "a"}]', "object 0: no 'category'"),
+        (
+            '[{"name": "a", "category": "-", "yaw": 0, "aabb_min": [], "aabb_max": []}]',
+            "object 0: category: '-' is no name: it needs a letter or a digit",
+        ),
+    ],
 )
 def test_bad_object_lists_give_one_clear_line(tmp_path: Path, text: str, message: str):
     from edge.sim.mesh import read_objects

@@ -334,10 +334,12 @@ def test_labels_are_remembered():
     robot = Robot({"perception": {"detector": {"kind": "sim"}}}).info().odom(1000)
     robot.send(topics.OBJECT_LABELS, json.dumps(["chair", "bed"]).encode())
     robot.send(topics.OBJECT_LABELS, b'["a", 3]').send(topics.OBJECT_LABELS, b"{}")
+    for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201):
+        robot.send(topics.OBJECT_LABELS, json.dumps(["tv", no_name]).encode())
     ids = messages.encode_image(1000, "camera", np.ones((3, 4), np.uint16))
     observation = robot.frame(1000).send(topics.OBJECT_IDS, ids).poll()
     assert observation.object_labels == ("chair", "bed")
-    assert robot.drops == {"malformed": 2}
+    assert robot.drops == {"malformed": 6}
 
 
 def test_a_pose_too_far_for_the_map_is_dropped():

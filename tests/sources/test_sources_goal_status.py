@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.sources.goal_status import parse_goal_status
+from edge.text import MAX_CHARS
 from edge.types import GoalStatus
 
 
@@ -39,6 +40,13 @@ def test_no_place_to_be_held_up_at(blocked):
     payload = f'{{"stamp": 1, "state": "accepted", "blocked": {blocked}}}'.encode()
     with pytest.raises(ValueError, match=r"blocked: expected \[x, y\] in metres"):
         parse_goal_status(payload)
+
+
+def test_a_reason_is_one_short_line_whatever_was_sent():
+    said = "stuck\n12:00 info mission:\x1b[31m reached\u202e\0" + "!" * 3000
+    answer = parse_goal_status(json.dumps({"stamp": 1, "state": "failed", "reason": said}).encode())
+    assert answer.reason.startswith("stuck 12:00 info mission: [31m reached !!!")
+    assert len(answer.reason) == MAX_CHARS
 
 
 @pytest.mark.parametrize(
@@ -72,4 +80,5 @@ def test_any_json_is_an_answer_or_a_value_error(data):
     except ValueError:
         return
     assert isinstance(answer.stamp_ns, int)
+    assert answer.reason.isprintable()
     assert answer.state in ("accepted", "reached", "failed")

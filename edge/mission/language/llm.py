@@ -21,6 +21,7 @@ from edge.mission.language.formula_grammar import gbnf
 from edge.mission.language.grounding import objects_in
 from edge.mission.ltl import Formula, FormulaError, parse, postorder, propositions
 from edge.mission.translate import Translation, TranslationError, validated
+from edge.text import one_line
 
 log = logging.getLogger("edge.mission")
 
@@ -80,7 +81,7 @@ class LlmTranslator:
         begin_s, url = time.monotonic(), self._client.url
         objects = objects_in(instruction)
         if not objects:
-            raise TranslationError(f"no object to reach is named in {instruction[:100]!r}")
+            raise TranslationError(f"no object to reach is named in {one_line(instruction, 100)!r}")
         messages = conversation(instruction)
         options = {"temperature": 0, **constraint(self._config.constrain, objects)}
         for attempts in (1, 2):
@@ -99,8 +100,9 @@ class LlmTranslator:
                     instruction, formula, describe(formula), "llm", seconds, attempts
                 )
             messages += repair(answer, fault)
+        shown = one_line(bare(answer), SHOWN_TO_USER)
         raise TranslationError(
-            f"no translation: {url} answered {bare(answer)[:SHOWN_TO_USER]!r}: {fault}; "
+            f"no translation: {url} answered {shown!r}: {one_line(fault)}; "
             "say it in other words, or use a larger model"
         )
 
@@ -208,8 +210,8 @@ def renamed(formula: Formula) -> Formula:
 def _canonical(name: str) -> str:
     try:
         return names.canonical(name)
-    except ValueError:
-        raise _UnusableError(f"{name!r} is no name of an object") from None
+    except names.NotANameError as error:
+        raise _UnusableError(str(error)) from None
 
 
 def _report_left_out(formula: Formula, objects: tuple[str, ...]) -> None:

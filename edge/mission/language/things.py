@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from edge import names
 from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.words import Reader, Token
+from edge.text import one_line
 
 _ELEMENT = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen")
@@ -254,13 +255,13 @@ def _check(reader: Reader, words: list[Token]) -> None:
     for end in range(len(texts) - 1, 0, -1):
         for begin in range(max(0, end - 3), end):
             if names.is_known(" ".join(texts[begin:end])):
-                whole = " ".join(texts)
-                hint = f'unknown after {texts[end - 1]!r}; if it is one thing, write "{whole}"'
+                whole, last = one_line(" ".join(texts), 60), one_line(texts[end - 1], 60)
+                hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
                 reader.refuse(f"{hint} in double quotes", words[end])
 
 
 def _canonical(reader: Reader, text: str, token: Token) -> str:
     try:
         return names.canonical(text)
-    except ValueError:
-        reader.refuse("a name needs at least one letter", token)
+    except names.NotANameError as error:
+        reader.refuse(str(error), token)

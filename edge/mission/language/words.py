@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from edge.errors import UserError
 from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
+from edge.text import one_line
 
 MAX_CHARS = 10_000
 MAX_WORDS = 1_000
@@ -44,9 +45,8 @@ class TranslationError(UserError):
 
 def not_understood(part: str, position: int, hint: str) -> TranslationError:
     """The error that names a part of an instruction, shortened, and its place."""
-    shown = " ".join(part.split())
-    shown = shown if len(shown) <= _SHOWN else shown[: _SHOWN - 1] + "…"
-    what = f"did not understand {shown!r}" if shown else "it ends too early"
+    shown = one_line(part, _SHOWN)
+    what = f"did not understand {shown!r}" if part.strip() else "it ends too early"
     return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
 
 

@@ -43,7 +43,8 @@ def language(
     try:
         return _progressed(formula, letters, limits, _MAX_CLAUSES)
     except CompileError:
-        limits.check_time()
+        if limits.spent:
+            raise
     automata = [language(part, letters, limits, cuts - 1) for part in parts]
     automata.sort(key=lambda a: len(a[0]), reverse=True)
     result = automata.pop()
@@ -86,8 +87,8 @@ def _product(
     index = {0: 0}  # pair i * width + j -> state
     rows, pairs = [], [np.zeros(1, np.int64)]
     while len(pairs[-1]):
-        limits.check_time()
         i, j = np.divmod(pairs[-1], width)
+        limits.spend_cells(len(i) * delta_a.shape[1])
         targets = delta_a[i].astype(np.int64) * width + delta_b[j]
         distinct, place = np.unique(targets, return_inverse=True)
         known = len(index)

@@ -9,7 +9,7 @@ import numpy as np
 from edge.mission.automaton import Automaton
 from edge.mission.logic.compiler import language
 from edge.mission.logic.formula import Formula, conj, propositions
-from edge.mission.logic.limits import Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,14 @@ class Diagnosis:
     unused: tuple[str, ...]
 
 
-def diagnose(automaton: Automaton, max_states: int = 20000, limit_s: float = 5.0) -> Diagnosis:
+def diagnose(
+    automaton: Automaton, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
+) -> Diagnosis:
     """Look for what makes a formula pointless.
 
     Args:
-        max_states, limit_s: limits of finding the conflict in a contradiction, all of its
-            compilations together within `limit_s`.
+        max_states, max_steps: limits of finding the conflict in a contradiction, all of its
+            compilations together within `max_steps`.
 
     Raises:
         CompileError: a limit was passed.
@@ -47,7 +49,7 @@ def diagnose(automaton: Automaton, max_states: int = 20000, limit_s: float = 5.0
     )
     conflict: tuple[Formula, ...] = ()
     if not automaton.accepting.any():
-        conflict = _conflict(automaton.formula, Limits(max_states, limit_s))
+        conflict = _conflict(automaton.formula, Limits(max_states, max_steps))
     return Diagnosis(conflict, bool(automaton.accepting.all()), unused)
 
 

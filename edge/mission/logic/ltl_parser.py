@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from edge import names
 from edge.errors import UserError
 from edge.mission.logic.formula import FALSE, STRENGTH, TRUE, UNARY, WORD, Formula, ap, conj, disj
+from edge.text import one_line
 
 MAX_CHARS = 200_000
 _SPELLINGS = {
@@ -50,7 +52,7 @@ class _Token(NamedTuple):
     def shown(self) -> str:
         if self.kind == "end":
             return "the end"
-        return repr(self.text if len(self.text) <= 40 else self.text[:40] + "…")
+        return f"'{one_line(self.text, 40)}'"
 
 
 def parse(text: str) -> Formula:
@@ -58,10 +60,12 @@ def parse(text: str) -> Formula:
 
     From tightest to loosest: `! X WX F G`; `U W R M`; `&`; `|`; `->`; `<->`; binary operators
     other than & and | associate to the right. Propositions are words, or anything in double
-    quotes (`\\"` and `\\\\` inside). `&& || => <=> <> []` and ◇ □ ○ ¬ ∧ ∨ → ↔ are read too.
+    quotes (`\\"` and `\\\\` inside), that `edge.names` takes for a name. `&& || => <=> <> []` and
+    ◇ □ ○ ¬ ∧ ∨ → ↔ are read too.
 
     Raises:
-        FormulaError: the text is no formula, or longer than `MAX_CHARS`.
+        FormulaError: the text is no formula, a proposition is no name, or the text is longer than
+            `MAX_CHARS`.
     """
     values: list[Formula] = []
     ops: list[_Token] = []
@@ -192,17 +196,26 @@ def _tokens(text: str, spellings: dict[str, str]) -> Iterator[_Token]:
         kind, found, column = match.lastgroup, match[0], at + 1
         at = match.end()
         if kind == "quoted":
-            name = re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL)
-            if not name.strip():
-                raise FormulaError(column, "a proposition needs a name between its quotes")
-            yield _Token("name", name, column)
+            yield _name(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
         elif kind == "paren":
             yield _Token(found, found, column)
         elif kind != "space":
             op = spellings.get(found, found)
-            known = "op" if op in STRENGTH else "constant" if op in _CONSTANTS else "name"
-            yield _Token(known, op, column)
+            if op in STRENGTH:
+                yield _Token("op", op, column)
+            elif op in _CONSTANTS:
+                yield _Token("constant", op, column)
+            else:
+                yield _name(op, column)
     yield _Token("end", "", len(text) + 1)
+
+
+def _name(text: str, column: int) -> _Token:
+    try:
+        names.normalise(text)
+    except names.NotANameError as error:
+        raise FormulaError(column, str(error)) from None
+    return _Token("name", text, column)
 
 
 def _unreadable(char: str) -> str:

@@ -8,6 +8,8 @@ from edge.mission.logic.limits import Limits
 
 # Below this many transitions plain Python is faster than NumPy.
 _SMALL = 256
+# As many cells take as long as calling NumPy for one column does.
+_CALL = 500
 
 
 def minimal(
@@ -34,7 +36,7 @@ def _refine(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndar
     n = len(delta)
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
-        limits.check_time()
+        limits.spend_cells((n + _CALL) * delta.shape[1])
         # As many columns as fit are packed into one int64, which sorts fast.
         key, size = block, count
         for column in delta.T:
@@ -57,7 +59,7 @@ def _refine_small(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> n
     """What `_refine` does, for few states."""
     rows, block, count = delta.tolist(), accepting.tolist(), 0
     while count < len(rows):
-        limits.check_time()
+        limits.spend(delta.size)
         ids: dict[tuple, int] = {}
         block = [
             ids.setdefault((own, *[block[t] for t in row]), len(ids))

@@ -13,7 +13,7 @@ from functools import reduce
 from operator import and_, or_
 
 from edge.mission.logic.formula import Formula
-from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.limits import PER_NODE, CompileError, Limits
 
 _DUAL = {
     "true": "false", "false": "true", "&": "|", "|": "&", "X": "WX", "WX": "X", "F": "G",
@@ -29,7 +29,7 @@ class Nodes:
     """The nodes of one formula.
 
     Raises:
-        CompileError: there are more than `MAX_NODES`, or the time was up.
+        CompileError: there are more than `MAX_NODES`, or a limit was passed.
 
     Attributes:
         root: the node of the formula itself.
@@ -68,13 +68,10 @@ class Nodes:
         # Formulas are told apart by identity: they all live as long as the root does.
         done: dict[tuple[int, bool], int] = {}
         stack = [(formula, True)]
-        steps = 0
         while stack:
-            steps += 1
-            if steps % 256 == 0:
-                limits.check_time()
             f, wanted = stack[-1]
             inner = _operands(f, wanted)
+            limits.spend(PER_NODE * (1 + len(inner)))
             missing = [(g, w) for g, w in inner if (id(g), w) not in done]
             if missing:
                 stack.extend(missing)

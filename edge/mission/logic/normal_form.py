@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import reduce
 from operator import or_
 
-from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.limits import PER_NODE, CompileError, Limits
 from edge.mission.logic.nnf import RELATED_NODES, Nodes
 
 # Prime implicants in ascending order, each an int with a bit per atom's node number.
@@ -33,6 +33,7 @@ class Rewriter:
         nodes: what is rewritten.
         nothing: the number of the letter NOTHING, one more than the last proposition's.
         max_clauses: the most prime implicants a function may have, if there is a limit.
+        per_implicant: steps of making one, besides comparing it with others.
     """
 
     def __init__(self, nodes: Nodes, nothing: int, limits: Limits, max_clauses: int | None) -> None:
@@ -40,6 +41,8 @@ class Rewriter:
         self.nothing = nothing
         self.max_clauses = max_clauses
         self._limits = limits
+        # Implicants are as wide as there are nodes, and wide ones take longer to move about.
+        self.per_implicant = 8 + len(nodes.kind) // 128
         self._now: dict[int, Dnf] = {}
         self._after: dict[tuple[int, int], Dnf] = {}
         self._entailed: dict[int, int] = {}
@@ -52,6 +55,7 @@ class Rewriter:
             node = stack[-1]
             kind = self.nodes.kind[node]
             inner = self.nodes.args[node] if kind in ("&", "|") else ()
+            self._limits.spend(PER_NODE * (1 + len(inner)))
             missing = [a for a in inner if a not in done]
             if missing:
                 stack.extend(missing)
@@ -73,7 +77,9 @@ class Rewriter:
         while stack:
             node, letter = key = stack[-1]
             depth, inner = len(stack), []
-            for a in operands[node] if kinds[node] in ("&", "|", "U", "R") else ():
+            of = operands[node] if kinds[node] in ("&", "|", "U", "R") else ()
+            self._limits.spend(PER_NODE * (1 + len(of)))
+            for a in of:
                 part = (a, letter if support[a] >> letter & 1 else nothing)
                 value = done.get(part)
                 if value is None and kinds[a] == "lit":
@@ -114,10 +120,10 @@ class Rewriter:
         kept: list[int] = []
         for size in sorted(by_size):  # of one size, none can contain another
             smaller = kept.copy()
-            for n, c in enumerate(by_size[size]):
-                if n % 64 == 63:
-                    self._limits.check_time()
-                if not any(k & c == k for k in smaller):
+            for c in by_size[size]:
+                compared = next((n for n, k in enumerate(smaller, 1) if k & c == k), 0)
+                self._limits.spend(self.per_implicant + (compared or len(smaller)))
+                if not compared:
                     kept.append(c)
             self._check_width(kept)
         return kept
@@ -125,8 +131,8 @@ class Rewriter:
     def _weakest(self, implicants: Collection[int]) -> list[int]:
         kept: dict[int, int] = {}
         for n, c in enumerate(sorted(implicants)):
+            self._limits.spend(self.per_implicant + 2 * len(kept))
             if n % 64 == 63:
-                self._limits.check_time()
                 self._check_width(kept)
             least, closed = self._reduced.get(c) or self._reduce(c)
             if any(k & closed == k for k in kept):
@@ -144,7 +150,7 @@ class Rewriter:
     def _both(self, a: Dnf, b: Dnf) -> Dnf:
         products: set[int] = set()
         for x in a:
-            self._limits.check_time()
+            self._limits.spend(self.per_implicant * len(b))
             products.update([x | y for y in b])
         return self.primes(products)
 
@@ -177,7 +183,7 @@ class Rewriter:
         if entailed is None:
             entailed, todo = 0, 1 << atom
             while todo:
-                self._limits.check_time()
+                self._limits.spend(todo.bit_count())
                 entailed |= todo
                 found = [self.nodes.implied[a] for a in bits(todo) if a < RELATED_NODES]
                 todo = reduce(or_, found, 0) & ~entailed
@@ -188,6 +194,7 @@ class Rewriter:
         """An implicant without atoms that its others imply; and all that it implies."""
         found = self._reduced.get(implicant)
         if found is None:
+            self._limits.spend(implicant.bit_count())
             least, closed = implicant, 0
             for atom in bits(implicant):
                 if least >> atom & 1:

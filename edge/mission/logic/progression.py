@@ -27,7 +27,7 @@ def explore(
     """
     nodes = Nodes(formula, letters, limits)
     rewriter = Rewriter(nodes, len(letters), limits, max_clauses)
-    steps = _Steps(rewriter)
+    steps = _Steps(rewriter, limits)
     # State 0 is the formula itself, which as a function of atoms may be far wider than what it
     # progresses to; a twin of it is merged later.
     states: list[Dnf] = [FALSE]
@@ -45,8 +45,8 @@ def explore(
     rows.append([number(rewriter.after(nodes.root, k)) for k in range(len(letters) + 1)])
     n = 1
     while n < len(states):
-        limits.check_time()
         state = states[n]
+        limits.spend(len(state) * (len(letters) + 1))
         union = 0
         for clause in state:
             union |= clause
@@ -71,11 +71,12 @@ class _Steps:
         changed: per letter, the atoms that it changes, as bits.
     """
 
-    def __init__(self, rewriter: Rewriter) -> None:
+    def __init__(self, rewriter: Rewriter, limits: Limits) -> None:
         self.open_ended = 0
         self.changed = [0] * (rewriter.nothing + 1)
         self._known = 0
         self._rewriter = rewriter
+        self._limits = limits
         self._products: list[dict[int, Dnf]] = [{} for _ in self.changed]
 
     def learn(self, atoms: int) -> None:
@@ -109,6 +110,7 @@ class _Steps:
                 each = [products[1 << atom] for atom in bits(hit)]
                 product = products[hit] = self._rewriter.join("&", each)
             base = clause ^ hit
+            self._limits.spend(self._rewriter.per_implicant * len(product))
             for p in product:
                 parts.add(base | p)
         return TRUE if 0 in parts else self._rewriter.primes(parts)

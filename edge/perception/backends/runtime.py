@@ -21,6 +21,7 @@ from edge.perception.backends.building import Building
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.detector import Progress, log_progress
 from edge.perception.model_file import ModelError, remembered_sha256
+from edge.text import one_line
 
 TENSORRT = "tensorrt"
 ORT_TENSORRT = "TensorrtExecutionProvider"
@@ -170,7 +171,7 @@ def failing_as(what: str) -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:  # onnxruntime raises many types of its own, CUDA RuntimeError
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = one_line(error) or type(error).__name__
         raise ModelError(f"{what}: {reason}") from None
 
 
@@ -180,7 +181,7 @@ def _reason(error: Exception) -> str:
     text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
     text = re.sub(r"^.* failed: ?", "", text)
     text = re.sub(r"/onnxruntime_src/\S+:\d+ .*?\) ", "", text)
-    return text.rpartition(", Error ")[2][:200]
+    return one_line(text.rpartition(", Error ")[2])
 
 
 def provider_options(

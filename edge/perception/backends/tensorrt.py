@@ -22,6 +22,7 @@ from edge.perception.backends.cuda import Device
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.backends.tensorrt_report import make_logger, make_monitor
 from edge.perception.model_file import ModelError, remembered_sha256
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.perception.backends.runtime import EngineOptions
@@ -99,7 +100,7 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
     parser = trt.OnnxParser(network, logger)
     if not parser.parse_from_file(str(path)):
         faults = [parser.get_error(i).desc() for i in range(parser.num_errors)]
-        reason = " ".join((faults[0] if faults else logger.last).split())[:200]
+        reason = one_line(faults[0] if faults else logger.last)
         raise ModelError(f"{path}: TensorRT cannot read it: {reason}")
     config = builder.create_builder_config()
     config.set_memory_pool_limit(trt.MemoryPoolType.WORKSPACE, _WORKSPACE_BYTES)

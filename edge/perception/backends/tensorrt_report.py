@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from edge.text import one_line
+
 log = logging.getLogger(__name__)
 
 
@@ -28,9 +30,9 @@ def make_logger(trt: Any) -> Any:
 
         def log(self, level: Any, message: str) -> None:
             if levels[level] == logging.ERROR:
-                self.last = " ".join(message.split())[:200]
+                self.last = one_line(message)
             if level != severity.VERBOSE:
-                log.log(levels[level], "%s", message)
+                log.log(levels[level], "%s", one_line(message, 1000))
 
     return Logger()
 

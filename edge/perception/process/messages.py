@@ -15,6 +15,7 @@ import numpy as np
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, Health
 from edge.perception.text import PromptError
+from edge.text import one_line
 from edge.types import Detections
 
 MAX_BYTES = 1 << 20
@@ -178,4 +179,4 @@ def raise_error(header: dict[str, Any], name: str) -> None:
         raise ModelError(text)
     if kind == "PromptError":
         raise PromptError(text)
-    raise ModelProcessError(f"model {name}, in its process: {kind}: {' '.join(text.split()):.300}")
+    raise ModelProcessError(f"model {name}, in its process: {kind}: {one_line(text, 300)}")

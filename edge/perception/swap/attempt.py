@@ -14,7 +14,8 @@ from edge.errors import UserError
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.swap.trial import Unfit, failure, judge, median_ms, not_finite, sample
-from edge.perception.worker import WorkerBase
+from edge.perception.worker import LONGEST_ERROR, WorkerBase
+from edge.text import one_line
 from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.swap")
@@ -97,7 +98,7 @@ class Attempt:
         try:
             self._take(detector, observation, outcome)
         except Exception as error:  # no memory for a copy: none for the model either
-            why = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            why = f"{type(error).__name__}: {one_line(error, 300)}"
             self.fault = self.fault or f"it cannot be watched: {why}"
 
     def _take(
@@ -182,7 +183,7 @@ class Attempt:
         try:
             yield
         except (Unfit, UserError) as error:
-            self.fault = " ".join(str(error).split())
+            self.fault = one_line(error, LONGEST_ERROR)
         except Exception as error:  # whatever loading a model may raise
             log.debug("model %s", self.model, exc_info=True)
             self.fault = failure(error)

@@ -11,6 +11,7 @@ import numpy as np
 from edge.config import Perception
 from edge.errors import UserError
 from edge.perception.detector import Detector
+from edge.text import one_line
 from edge.types import Detections, Observation
 
 MATCH_IOU = 0.5
@@ -102,7 +103,7 @@ def run(detector: Detector, observation: Observation) -> Detections:
 
 def failure(error: Exception) -> str:
     """What a model failed with, as a reason in one line."""
-    return f"it fails: {type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    return f"it fails: {type(error).__name__}: {one_line(error, 300)}"
 
 
 def not_finite(detector: Detector, before: int, found: Detections) -> str:

@@ -19,10 +19,10 @@ from edge.logs import setup
 from edge.perception.backends.runtime import gpu_name
 from edge.perception.detector import Health, make_detector
 from edge.perception.warmup import warmup
+from edge.text import one_line
 from edge.types import Detections, Observation
 
 WARM_FRAMES = 5
-_REASON = 200
 
 
 def main(argv: list[str]) -> int:
@@ -32,10 +32,10 @@ def main(argv: list[str]) -> int:
     try:
         np.savez(job["out"], **measure(job))
     except UserError as error:
-        print(error)
+        print(one_line(error, 1000))
         return 1
     except Exception as error:  # of the runtime: one row of the table
-        print(" ".join(f"{type(error).__name__}: {error}".split())[:_REASON])
+        print(one_line(f"{type(error).__name__}: {error}"))
         return 1
     return 0
 

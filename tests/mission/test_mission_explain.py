@@ -1,0 +1,157 @@
+"""Whatever text is given as a mission, it is understood or refused in one safe, short line."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from edge.config import Mission, TranslatorLtl
+from edge.errors import UserError
+from edge.mission import explain
+from edge.mission.brief import prepare
+from edge.mission.logic import limits
+from edge.text import MAX_CHARS
+
+LONGEST = 1200  # of a refusal: the parts of a contradiction, and what to do
+
+ODD = ["\0", "\x1b[2J", "\x9b", "\u202e", "\ud800", "\n", "\u2028", "\u00a0", "_", "€", "椅子", '"']
+ODD += ["a" * 201, "\\", "(", ")", "…", "²"]
+FORMULA = ["F", "G", "X", "WX", "U", "W", "R", "M", "!", "&", "|", "->", "<->", "true", "false"]
+FORMULA += ["_", "tv", "bed", "F tv", '"arm chair"', '"..."', '"-"', '"€ near tv"', '"€ 1s"']
+WORDS = [
+    "go", "to", "the", "a", "tv", "bed", "chairs", "kitchen", "near", "it", "them", "then", "and",
+    "or", ",", ".", ";", "not", "don't", "avoid", "visit", "twice", "3", "times", "one", "of",
+    "either", "before", "after", "until", "any", "order", "exactly", "once", "&", "first", "only",
+    "everything", "both",
+]  # fmt: skip
+WORDS += ['"..."', '"-"', '"the €"', '"€ near tv"', '"tv\0"']
+
+
+def rows_of(*choices: list[str]) -> st.SearchStrategy[str]:
+    """Texts made of words of these lists."""
+    words = st.sampled_from([word for choice in choices for word in choice])
+    return st.lists(words, max_size=14).map(" ".join)
+
+
+texts = st.one_of(
+    st.text(max_size=60), rows_of(FORMULA), rows_of(FORMULA, ODD), rows_of(WORDS),
+    rows_of(WORDS, ODD),
+)  # fmt: skip
+
+
+def explained(text: str, formula: bool) -> list[str]:
+    """What `edge mission explain` prints."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        args = argparse.Namespace(text=text, formula=formula, config="demo", draw=None)
+        assert explain.run(args) == 0
+    return out.getvalue().removesuffix("\n").split("\n")
+
+
+def assert_safe(error: UserError) -> None:
+    assert str(error).isprintable()
+    assert len(str(error)) <= LONGEST
+
+
+@given(texts, st.booleans())
+def test_any_text_is_explained_or_refused_in_one_line(text, formula):
+    try:
+        lines = explained(text, formula)
+    except UserError as error:
+        assert_safe(error)
+    else:
+        assert [line.partition(":")[0] for line in lines[:4]] == [
+            "understood", "formula", "by", "targets",
+        ]  # fmt: skip
+        assert all(map(str.isprintable, lines))
+
+
+@given(texts)
+def test_any_text_is_a_target_or_refused_by_the_configuration(text):
+    try:
+        mission = Mission(target=text)
+    except ValidationError as error:
+        (fault,) = error.errors()
+        assert fault["loc"] == ("target",)
+    else:
+        try:
+            assert prepare(mission).targets == (text,)
+        except UserError as error:  # its singular may be no name
+            assert_safe(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "column 1: expected a proposition"),
+        ('F "..."', "formula, column 3: '...' is no name: it needs a letter or a digit"),
+        ("F _", "formula, column 3: '_' is no name"),
+        ('F "-"', "formula, column 3: '-' is no name"),
+        ('F "tv\0"', "formula, column 3: 'tv' is no name: character 3 (U+0000) does not print"),
+        ('F "\x1b[31mtv"', "'[31mtv' is no name: character 1 (U+001B) does not print"),
+        ('F "tv\u202e"', "'tv' is no name: character 3 (U+202E) does not print"),
+        ('F "tv\ud800"', "'tv' is no name: character 3 (U+D800) does not print"),
+        ('F "' + "b" * 150_000 + '"', "is no name: it has more than 200 characters"),
+        ('F "' + "b" * 150_000, "this quote is never closed"),
+        ("(" * 190_000, "found the end"),
+        ("F a" + " " * 200_000, "at most 200000 are read"),
+        ("F (a & " * 12_000 + "b" + ")" * 12_000, "more than 10000 different subformulas"),
+        (" & ".join(f"F n{i}" for i in range(4000)), "4000 targets, at most 16"),
+        ("G !(" + " | ".join(f"{'b' * 190}{i}" for i in range(16)) + ")", "doing nothing"),
+        ("F a & G !a & " + " & ".join(f"G !{'b' * 190}{i}" for i in range(9)), "contradiction"),
+    ],
+    ids=lambda value: value[:20],
+)
+def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
+    with pytest.raises(UserError) as caught:
+        explained(text, formula=True)
+    assert_safe(caught.value)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("go to the \x1b[31mtv", "character 7: did not understand 'the [31mtv'"),
+        ("\0" * 100, "character 1: did not understand ''"),
+        ('go to "tv\u202e"', "'tv' is no name: character 3 (U+202E) does not print"),
+        ('go to "..."', "'...' is no name: it needs a letter or a digit"),
+        ("go to the " + "blah " * 900, "more than 200 characters"),
+        ("x" * 9999, "more than 200 characters"),
+        ("(" * 9000, "more than 1000 words"),
+        ("go to the tv " * 1000, "at most 10000 characters"),
+    ],
+    ids=lambda value: value[:20],
+)
+def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
+    with pytest.raises(UserError) as caught:
+        explained(text, formula=False)
+    assert_safe(caught.value)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["!" * 20_000 + "F a", "F a & " * 5_000 + "F a", "(" * 90_000 + "F a" + ")" * 90_000],
+    ids=lambda value: value[:20],
+)
+def test_of_a_formula_however_long_a_line_is_shown(text):
+    lines = explained(text, formula=True)
+    shown = lines[1].removeprefix("formula:     ")
+    assert len(shown) <= MAX_CHARS
+    assert all(len(line) <= LONGEST for line in lines)
+
+
+def test_what_is_asked_too_much_of_says_which_key_to_raise():
+    mission = Mission(translator=TranslatorLtl(), instruction="F a & F b", compile_limit_steps=10)
+    with pytest.raises(limits.CompileError, match=r"within 10 steps.*mission\.compile_limit_steps"):
+        prepare(mission)
+    few = Mission(translator=TranslatorLtl(), instruction="F a & F b", max_states=2)
+    with pytest.raises(limits.CompileError, match=r"more than 2 states.*mission\.max_states"):
+        prepare(few)
