@@ -92,7 +92,7 @@ def test_a_configuration_that_is_not_there(command, capsys):
 )
 def test_a_configuration_that_is_wrong(data, expected, tmp_path, capsys):
     path = tmp_path / "mine.yaml"
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps({"perception": {"detector": {"kind": "sim"}}, **data}))
     error = fails(capsys, "config", str(path))
     assert "mine.yaml" in error
     assert expected in error
@@ -206,7 +206,8 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     monkeypatch.setattr("edge.commands.open_service", open_service)
     monkeypatch.setattr("edge.commands.children", lambda *_: nullcontext())
     path = tmp_path / "mine.yaml"
-    path.write_text(json.dumps({"mission": {"target": "chair"}}))
+    detector = {"detector": {"kind": "sim"}}
+    path.write_text(json.dumps({"mission": {"target": "chair"}, "perception": detector}))
     assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
     assert opened == [expected]
 

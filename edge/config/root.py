@@ -32,7 +32,7 @@ class Config(Section):
     source: Source = Source()
     loop: Loop = Loop()
     mapping: Mapping = Mapping()
-    perception: Perception = Perception()
+    perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
     motion: Motion = Motion()
@@ -69,7 +69,8 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
 def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
     """Validate a mapping; see `load`."""
     try:
-        return Config.model_validate({**data, "path": path})
+        # An empty section, so that its fault is the key that it lacks.
+        return Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
         raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 
 import pytest
+from simulated import simulated
 
-from edge.config import parse
 from edge.errors import Stopped, UserError
 from edge.eval import episodes
 from edge.eval.episodes import Episode
 
-HOUSE = parse({})
+HOUSE = simulated()
 
 
 def test_no_targets_give_no_episodes():

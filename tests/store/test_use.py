@@ -6,10 +6,10 @@ import json
 from types import SimpleNamespace
 
 import pytest
+from simulated import simulated
 
 from edge.asking import OrderError
 from edge.cli import main
-from edge.config import parse
 from edge.models_desk import ModelOrder, handle, parse_order
 from edge.perception.sim_detector import SimDetector
 from edge.perception.swap.swapper import Swapper
@@ -127,7 +127,7 @@ def test_no_order(payload, text):
 
 
 def test_orders_are_answered_with_how_the_swap_stands():
-    perception = parse({}).perception
+    perception = simulated().perception
     worker = WorkerBase(SimDetector(perception.detector, ["chair"]))
     swapper = Swapper(perception, worker, lambda text, now_ns: None)
     said: list = []
