@@ -24,6 +24,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from edge.config import TranslatorLlm
 from edge.errors import UserError
+from edge.text import without_secrets
 
 READ_BYTES = 65536
 SHOWN_CHARACTERS = 200
@@ -302,12 +303,14 @@ def _split(url: str) -> SplitResult:
         parts = urlsplit(url)
         parts.port  # noqa: B018 - raises when it is no number
     except ValueError:
-        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}") from None
+        raise ChatError(
+            f"not the URL of a chat server: {_line(without_secrets(url))!r}; {wanted}"
+        ) from None
     if parts.username is not None or parts.password is not None:
         raise ChatError(f"the URL of a chat server must not hold a password; {wanted}")
     usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
     if not usable or " " in url or not url.isascii():
-        raise ChatError(f"not the URL of a chat server: {_line(url)!r}; {wanted}")
+        raise ChatError(f"not the URL of a chat server: {_line(without_secrets(url))!r}; {wanted}")
     return parts
 
 

@@ -16,6 +16,7 @@ import threading
 from edge.errors import Stopped, UserError
 from edge.logs import setup
 from edge.parsers import make_parser
+from edge.text import without_secrets
 
 _PARENT_LOOK_S = 1.0
 
@@ -139,7 +140,8 @@ def _config(args: argparse.Namespace) -> int:
     if args.schema:
         print(json.dumps(Config.model_json_schema(), indent=2))
     else:
-        print(load_config(args).model_dump_json(indent=2))
+        shown = without_secrets(load_config(args).model_dump(mode="json"))
+        print(json.dumps(shown, indent=2, ensure_ascii=False))
     return 0
 
 

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from edge.children import python_module
 from edge.config import Config
@@ -139,8 +139,8 @@ def children(
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
     """`edge COMMAND` processes with this configuration; they end with the block.
 
-    A child gets the whole configuration in a file of its own, since the environment's overrides
-    and `--target` are already in it.
+    A child gets the whole configuration in a file, since the environment's overrides and `--target`
+    are already in it.
 
     Args:
         stop: set when a child ends before the block does: there is nothing to go on with.
@@ -148,21 +148,20 @@ def children(
     Raises:
         UserError: a child could not be started, or ended by itself.
     """
-    import tempfile
-
-    with tempfile.TemporaryDirectory(prefix="edge-") as folder:
-        path = Path(folder) / "config.yaml"
-        path.write_text(config.model_dump_json(exclude={"path"}), encoding="utf-8")
-        environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
-        started: list[subprocess.Popen[bytes]] = []
+    environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+    started: list[subprocess.Popen[bytes]] = []
+    with _in_memory(config) as file:
+        path = f"/proc/self/fd/{file.fileno()}"
         try:
             for command, *options in commands:
                 arguments = [*python_module("edge.cli"), "--log-level", "warning"]
-                arguments += [command, str(path), "--with-parent", str(os.getpid()), *options]
+                arguments += [command, path, "--with-parent", str(os.getpid()), *options]
                 try:
                     # A session of its own keeps the terminal's Ctrl-C for the parent, which
                     # stops its children in order.
-                    child = subprocess.Popen(arguments, env=environ, start_new_session=True)
+                    child = subprocess.Popen(
+                        arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
+                    )
                 except OSError as error:
                     raise UserError(f"cannot start edge {command}: {error.strerror}") from None
                 started.append(child)
@@ -171,6 +170,15 @@ def children(
             _check([command for command, *_ in commands], started)
         finally:
             _stop(started)
+
+
+def _in_memory(config: Config) -> BinaryIO:
+    """A file with the configuration and no name: nothing is left of it however this process ends,
+    and none but children can read what secrets it holds."""
+    file = open(os.memfd_create("edge-config"), "wb")  # noqa: SIM115
+    file.write(config.model_dump_json(exclude={"path"}).encode())
+    file.flush()
+    return file
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from urllib.parse import urlsplit
 from edge import machine, resources
 from edge.config import Config, load
 from edge.errors import UserError
+from edge.text import without_secrets
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -394,7 +395,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     choice = config.perception.choice
     if choice.kind != "none" and not _listens(choice.url):
         todo = "start the server or correct perception.choice.url; the service goes without it"
-        yield Finding("warn", f"nothing listens at {choice.url}", todo)
+        yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
 
 
 def _listens(url: str) -> bool:

@@ -170,6 +170,16 @@ def test_the_configuration_is_printed_with_the_environment_in_it(capsys, monkeyp
     assert "properties" in json.loads(capsys.readouterr().out)
 
 
+def test_a_key_in_a_url_is_printed_nowhere(capsys, monkeypatch):
+    monkeypatch.setenv("EDGE__MISSION__TRANSLATOR", "{kind: llm, url: 'https://h/v1?key=s3cret'}")
+    assert main(["config", "demo"]) == 0
+    out = capsys.readouterr().out
+    assert json.loads(out)["mission"]["translator"]["url"] == "https://h/v1?***"
+    for value in ("['https://h/v1?key=s3cret']", "{url: 'https://h/v1?key=s3cret'"):
+        monkeypatch.setenv("EDGE__MISSION__TRANSLATOR__URL", value)
+        assert "s3cret" not in fails(capsys, "config", "demo")
+
+
 def test_the_target_of_the_command_line_wins(monkeypatch):
     monkeypatch.setenv("EDGE__MISSION__TARGET", '"bed"')
     args = cli.make_parser("", {}).parse_args(["run", "demo", "--target", "sofa: red"])

@@ -7,6 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from edge.text import without_secrets
+
 
 def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     """One line for one fault of pydantic's list.
@@ -19,7 +21,8 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     *sections, leaf = fault["loc"] or ("",)
     shown, models = _walk(sections, root)
     key = ".".join([*shown, str(leaf)])
-    kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
+    kind, context = fault["type"], fault.get("ctx", {})
+    given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
         return f"{path}: {key}.kind: unknown {context['tag']!r} (choices: {choices})"

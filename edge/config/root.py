@@ -17,6 +17,7 @@ from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import ConfigError, Section
 from edge.config.sim import Sim
+from edge.text import without_secrets
 from edge.yaml_text import parse_yaml
 
 ENV_PREFIX = "EDGE__"
@@ -89,5 +90,5 @@ def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) 
             node[leaf] = parse_yaml(environ[key])
         except ValueError:
             raise ConfigError(
-                f"environment {key}: not a YAML value: {environ[key]!r:.80}"
+                f"environment {key}: not a YAML value: {without_secrets(environ[key])!r:.80}"
             ) from None

@@ -16,6 +16,7 @@ from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 from edge import __version__
 from edge.store.meter import Meter
 from edge.store.part import MAX_BYTES, FetchError, Interrupted, Part
+from edge.text import without_secrets
 
 _BLOCK = 1 << 16
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
@@ -84,12 +85,8 @@ def read_page(url: str, accept: str, limits: Limits = LIMITS) -> tuple[str, str,
 
 
 def shown(url: str) -> str:
-    """An address as messages may show it: without user and password."""
-    try:
-        split = urlsplit(url)
-    except ValueError:
-        return url.rpartition("@")[2]
-    return urlunsplit(split._replace(netloc=_host(split)))
+    """An address as messages may show it."""
+    return without_secrets(url)
 
 
 def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:

@@ -236,3 +236,9 @@ def test_known_area():
 )
 def test_a_detector_is_called_what_it_is(detector, words):
     assert words in detector_name(simulated({"perception": {"detector": detector}}))
+
+
+def test_the_record_knows_the_configuration_but_no_secret():
+    translator = {"kind": "llm", "url": "https://me:s3cret@host/v1?key=s3cret"}
+    record = finish(Recorder(simulated({"mission": {"translator": translator}})))
+    assert record.config["mission"]["translator"]["url"] == "https://host/v1?***"
