@@ -23,7 +23,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from edge.config import TranslatorLlm
-from edge.errors import UserError
+from edge.errors import UnavailableError
 from edge.text import without_secrets
 
 READ_BYTES = 65536
@@ -33,7 +33,7 @@ ROUNDING = 1e-3  # how far above 0 a log-probability may be
 LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
 
 
-class ChatError(UserError):
+class ChatError(UnavailableError):
     """A chat server that gave no usable answer: which one, what happened, what to do."""
 
 

@@ -14,11 +14,14 @@ import sys
 import threading
 
 from edge.errors import Stopped, UserError
+from edge.interruptible import ABANDONED
+from edge.kernel_cache import kernel_cache
 from edge.logs import setup
 from edge.parsers import make_parser
+from edge.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
 from edge.text import without_secrets
 
-_PARENT_LOOK_S = 1.0
+log = logging.getLogger("edge")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -26,69 +29,45 @@ def main(argv: list[str] | None = None) -> int:
     handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
+    show_stacks_on_signals()
+    break_off_on_signals()
     return _leave(_outcome(args))
 
 
 def _outcome(args: argparse.Namespace) -> int:
-    """The exit code of a command, its errors told."""
+    """The exit code of a command, its errors told; see `edge.errors.EXIT_CODES`."""
     try:
-        return int(args.handler(args))
-    except KeyboardInterrupt:
-        return 130
-    except Stopped:
-        return 0
+        with kernel_cache():
+            return int(args.handler(args))
+    except KeyboardInterrupt as broken_off:
+        return 128 + (broken_off.args or (signal.SIGINT,))[0]
     except BrokenPipeError:  # whoever read the output has had enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
+        return 128 + signal.SIGPIPE
     except UserError as error:
-        print(error, file=sys.stderr)
-        return 2
+        if not isinstance(error, Stopped):
+            print(error, file=sys.stderr)
+        return error.exit_code
+    except OSError:
+        log.exception("a file or disk failed")
+        return os.EX_IOERR
+    except Exception:
+        log.exception("a fault of edge itself")
+        return os.EX_SOFTWARE
 
 
 def _leave(code: int) -> int:
-    """The exit code; where a model is still being loaded, the process ends with it here and now.
+    """The exit code; where a model is being loaded or a kernel compiled, the process ends here.
 
-    Its runtime would not survive the interpreter's end under its thread, and loading may take
-    minutes (see `edge.perception.swap`).
+    Runtime and compiler would not survive the interpreter's end under their thread, and may take
+    minutes (see `edge.perception.swap` and `edge.interruptible`).
     """
-    if any(thread.name == "swap" for thread in threading.enumerate()):
+    if any(thread.name in ("swap", ABANDONED) for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     return code
-
-
-def stop_on_signals(parent: int | None = None) -> threading.Event:
-    """An event that SIGINT and SIGTERM set.
-
-    A second signal breaks off what is being done, children included; a third ends the process.
-
-    Args:
-        parent: set it too when this process is no longer the parent; one that was killed could
-            not stop its children.
-    """
-    stop = threading.Event()
-
-    def handle(signum: int, _frame: object) -> None:
-        if stop.is_set():
-            signal.signal(signum, signal.SIG_DFL)
-            raise KeyboardInterrupt
-        logging.getLogger("edge").info("%s: stopping", signal.Signals(signum).name)
-        stop.set()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
-    if parent is not None:
-        threading.Thread(target=_watch_parent, args=(parent, stop), daemon=True).start()
-    return stop
-
-
-def _watch_parent(parent: int, stop: threading.Event) -> None:
-    while not stop.wait(_PARENT_LOOK_S):
-        if os.getppid() != parent:
-            logging.getLogger("edge").info("parent process is gone: stopping")
-            stop.set()
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
@@ -108,30 +87,33 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _run(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()  # first of all: it takes seconds to import what follows
     from edge.commands import run_service
 
-    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    config, asked = load_config(args), args.target or args.mission
     return run_service(config, stop, args.once, args.report, asked, args.formula)
 
 
 def _demo(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()
     from edge.commands import run_demo
 
-    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    config, asked = load_config(args), args.target or args.mission
     return run_demo(config, stop, args.report, asked, args.formula)
 
 
 def _sim(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
     from edge.commands import run_simulator
 
-    stop = stop_on_signals(args.with_parent)
     return run_simulator(load_config(args), stop, motion=not args.no_motion)
 
 
 def _motion(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
     from edge.motion.process import main as run_motion
 
-    return run_motion(load_config(args), stop_on_signals(args.with_parent))
+    return run_motion(load_config(args), stop)
 
 
 def _config(args: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from typing import BinaryIO, NamedTuple
 
 from edge.children import python_module
 from edge.config import Config
-from edge.errors import Stopped, UserError
+from edge.errors import FAILED, Stopped, UserError
 from edge.latency import LatencyReport
 from edge.ports import free_port
 from edge.runner import loop, open_service
@@ -44,7 +44,7 @@ def run_service(
     asked: str | None = None,
     formula: str | None = None,
 ) -> int:
-    """Run the service; 0 when it ended well or was stopped, 1 when the mission failed.
+    """Run the service; the exit code, see `edge.errors`.
 
     Args:
         asked, formula: the mission as given on the command line; see `open_service`.
@@ -85,7 +85,7 @@ def _conclude(outcome: Outcome, report: str | None) -> int:
 
         for path in write_report(outcome.record, Path(report)):
             print(path)
-    return 1 if outcome.status.phase == "failed" else 0
+    return FAILED if outcome.status.phase == "failed" else os.EX_OK
 
 
 def summary(status: MissionStatus) -> str:
@@ -207,7 +207,9 @@ def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
         code = child.poll()
         if code is not None:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            raise UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error = UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error.exit_code = code if code > 0 else os.EX_SOFTWARE
+            raise error
 
 
 def _stop(started: list[subprocess.Popen[bytes]]) -> None:

@@ -331,7 +331,7 @@ def check_mission(config: Config) -> Iterator[Finding]:
     try:
         brief = prepare(config.mission)
         if config.mission.checkpoint is not None:
-            CheckpointWriter(Path(config.mission.checkpoint).expanduser()).close()
+            CheckpointWriter(resources.expand(config.mission.checkpoint)).close()
     except UserError as error:
         what, todo = _split(error)
         yield Finding("fail", what, todo or "see `edge mission explain`")

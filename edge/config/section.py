@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,6 +16,8 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 class ConfigError(UserError):
     """A configuration that cannot be used; the message names file, key and choices."""
+
+    exit_code = os.EX_CONFIG
 
 
 class Section(BaseModel):

@@ -26,7 +26,9 @@ from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
 
 if TYPE_CHECKING:
-    from edge.sim.base import World, WorldObject
+    from edge.signals import stop_on_signals
+from edge.signals import stop_on_signals
+from edge.sim.base import World, WorldObject
 
 REACHED_M = 1.0
 _EPISODE_TIMEOUT_S = 1800.0
@@ -194,7 +196,6 @@ class Truth:
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge eval episodes`."""
-    from edge.cli import stop_on_signals
     from edge.report.page import prepare
 
     config = load(args.config)

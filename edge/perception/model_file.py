@@ -8,11 +8,11 @@ import json
 from pathlib import Path
 
 from edge import resources
-from edge.errors import UserError
+from edge.errors import UnavailableError
 from edge.files import write_atomically
 
 
-class ModelError(UserError):
+class ModelError(UnavailableError):
     """A model that cannot be used: one line that says what, where and what to do."""
 
 

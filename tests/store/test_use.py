@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from types import SimpleNamespace
 
 import pytest
@@ -74,10 +75,10 @@ def test_patience_has_an_end():
 
 def test_no_service_is_one_line_and_a_failure(tmp_path, capsys):
     path = tmp_path / "c.yaml"
-    path.write_text(json.dumps({"zenoh": {"endpoint": "tcp/127.0.0.1:1"}}))
-    assert (
-        main(["--log-level", "warning", "models", "use", "x", str(path), "--timeout", "0.1"]) == 2
-    )
+    data = {"zenoh": {"endpoint": "tcp/127.0.0.1:1"}, "perception": {"detector": {"kind": "sim"}}}
+    path.write_text(json.dumps(data))
+    words = ["--log-level", "warning", "models", "use", "x", str(path), "--timeout", "0.1"]
+    assert main(words) == os.EX_UNAVAILABLE
     assert capsys.readouterr().err == (
         "models: no service at tcp/127.0.0.1:1; start one with `edge run`\n"
     )
