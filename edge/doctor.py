@@ -70,11 +70,13 @@ def examine(config: Config) -> list[Finding]:
     for check in CHECKS:
         try:
             findings += check(config)
+        except UserError as error:
+            findings.append(Finding("fail", *_split(error)))
         except Exception as error:
             name = check.__name__.removeprefix("check_").replace("_", " ")
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
-    return findings
+    return list(dict.fromkeys(findings))  # one lack may stand in the way of several checks
 
 
 def as_text(findings: list[Finding]) -> str:

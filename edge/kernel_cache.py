@@ -68,7 +68,7 @@ def _writable(folder: Path) -> bool:
     """Whether it can be written, or made."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK, effective_ids=True)
 
 
 def _set(value: str | None) -> None:
