@@ -6,10 +6,11 @@ Light to import, so that the command line can take its error from here.
 from __future__ import annotations
 
 import json
+import os
 import threading
 from typing import TYPE_CHECKING
 
-from edge.errors import Stopped, UserError
+from edge.errors import Stopped, UnavailableError
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -22,8 +23,14 @@ _REASON_CHARS = 1000  # what a desk sends at most, see `edge.desk`
 _ZENOH_TIMEOUT = b"Timeout"  # what Zenoh itself puts in the place of an answer
 
 
-class OrderError(UserError):
-    """The order was refused, or nobody took it; one line."""
+class OrderError(UnavailableError):
+    """Nobody took the order; one line."""
+
+
+class RefusedError(OrderError):
+    """The service refused it, in its own words."""
+
+    exit_code = os.EX_DATAERR
 
 
 def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
@@ -55,7 +62,8 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
     """Give an order to the desk at `key`; its answer.
 
     Raises:
-        OrderError: it refused (its own words), or none answered within `timeout_s`.
+        RefusedError: it refused (its own words).
+        OrderError: none answered within `timeout_s`.
     """
     import zenoh
 
@@ -70,7 +78,7 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
         if content == _ZENOH_TIMEOUT:
             raise OrderError(f"{what}: {key}: no answer within {timeout_s:g} s")
         reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
-        raise OrderError(f"{what}: refused: {reason}")
+        raise RefusedError(f"{what}: refused: {reason}")
     raise OrderError(f"{what}: no service answers at {key}; start one with `edge run`")
 
 

@@ -20,6 +20,7 @@ from subprocess import Popen
 from edge import resources, stages
 from edge.config import Config, load
 from edge.errors import Stopped, UserError
+from edge.signals import stop_on_signals
 from edge.topics import Topic
 
 log = logging.getLogger("edge.bench")
@@ -34,7 +35,6 @@ Message = tuple[Topic, int, bytes]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge bench`."""
-    from edge.cli import stop_on_signals
 
     started_s = process_age_s()
     config = load(args.config)

@@ -18,7 +18,7 @@ from typing import Literal
 import zenoh
 
 from edge import config
-from edge.errors import Stopped, UserError
+from edge.errors import Stopped, UnavailableError
 from edge.topics import Qos, Topic
 
 log = logging.getLogger("edge.bus")
@@ -56,7 +56,7 @@ _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_befo
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 
 
-class BusError(UserError):
+class BusError(UnavailableError):
     """No session: one line that says which endpoint, why, and what to do."""
 
 

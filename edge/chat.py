@@ -23,8 +23,8 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from edge.config import TranslatorLlm
-from edge.errors import UserError
-from edge.text import one_line
+from edge.errors import UnavailableError
+from edge.text import one_line, without_secrets
 
 READ_BYTES = 65536
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
@@ -32,7 +32,7 @@ ROUNDING = 1e-3  # how far above 0 a log-probability may be
 LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
 
 
-class ChatError(UserError):
+class ChatError(UnavailableError):
     """A chat server that gave no usable answer: which one, what happened, what to do."""
 
 
@@ -302,12 +302,14 @@ def _split(url: str) -> SplitResult:
         parts = urlsplit(url)
         parts.port  # noqa: B018 - raises when it is no number
     except ValueError:
-        raise ChatError(f"not the URL of a chat server: {one_line(url)!r}; {wanted}") from None
+        shown = one_line(without_secrets(url))
+        raise ChatError(f"not the URL of a chat server: {shown!r}; {wanted}") from None
     if parts.username is not None or parts.password is not None:
         raise ChatError(f"the URL of a chat server must not hold a password; {wanted}")
     usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
     if not usable or " " in url or not url.isascii():
-        raise ChatError(f"not the URL of a chat server: {one_line(url)!r}; {wanted}")
+        shown = one_line(without_secrets(url))
+        raise ChatError(f"not the URL of a chat server: {shown!r}; {wanted}")
     return parts
 
 

@@ -14,11 +14,14 @@ import sys
 import threading
 
 from edge.errors import Stopped, UserError
+from edge.interruptible import ABANDONED
+from edge.kernel_cache import kernel_cache
 from edge.logs import setup
 from edge.parsers import make_parser
-from edge.text import printable_lines
+from edge.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
+from edge.text import printable_lines, without_secrets
 
-_PARENT_LOOK_S = 1.0
+log = logging.getLogger("edge")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -30,70 +33,46 @@ def main(argv: list[str] | None = None) -> int:
         from edge.perception.model_file import TRUST_CACHE
 
         os.environ[TRUST_CACHE] = "1"
+    show_stacks_on_signals()
+    break_off_on_signals()
     return _leave(_outcome(args))
 
 
 def _outcome(args: argparse.Namespace) -> int:
-    """The exit code of a command, its errors told."""
+    """The exit code of a command, its errors told; see `edge.errors.EXIT_CODES`."""
     try:
-        return int(args.handler(args))
-    except KeyboardInterrupt:
-        return 130
-    except Stopped:
-        return 0
+        with kernel_cache():
+            return int(args.handler(args))
+    except KeyboardInterrupt as broken_off:
+        return 128 + (broken_off.args or (signal.SIGINT,))[0]
     except BrokenPipeError:  # whoever read the output has had enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
+        return 128 + signal.SIGPIPE
     except UserError as error:
-        print(printable_lines(error), file=sys.stderr)
-        return 2
+        if not isinstance(error, Stopped):
+            print(printable_lines(error), file=sys.stderr)
+        return error.exit_code
+    except OSError:
+        log.exception("a file or disk failed")
+        return os.EX_IOERR
+    except Exception:
+        log.exception("a fault of edge itself")
+        return os.EX_SOFTWARE
 
 
 def _leave(code: int) -> int:
     """The exit code; where a thread must not be waited for, the process ends with it here and now.
 
-    Such a thread loads a model, which may take minutes (see `edge.perception.swap`), or closes a
-    session with a stopped peer (see `edge.bus`). Neither's library would survive the interpreter's
-    end under its thread.
+    Such a thread loads a model or compiles a kernel, which may take minutes (see
+    `edge.perception.swap` and `edge.interruptible`), or closes a session with a stopped peer (see
+    `edge.bus`). None of their libraries would survive the interpreter's end under its thread.
     """
-    if any(thread.name in ("swap", "zenoh-close") for thread in threading.enumerate()):
+    if any(thread.name in ("swap", "zenoh-close", ABANDONED) for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     return code
-
-
-def stop_on_signals(parent: int | None = None) -> threading.Event:
-    """An event that SIGINT and SIGTERM set.
-
-    A second signal breaks off what is being done, children included; a third ends the process.
-
-    Args:
-        parent: set it too when this process is no longer the parent; one that was killed could
-            not stop its children.
-    """
-    stop = threading.Event()
-
-    def handle(signum: int, _frame: object) -> None:
-        if stop.is_set():
-            signal.signal(signum, signal.SIG_DFL)
-            raise KeyboardInterrupt
-        logging.getLogger("edge").info("%s: stopping", signal.Signals(signum).name)
-        stop.set()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
-    if parent is not None:
-        threading.Thread(target=_watch_parent, args=(parent, stop), daemon=True).start()
-    return stop
-
-
-def _watch_parent(parent: int, stop: threading.Event) -> None:
-    while not stop.wait(_PARENT_LOOK_S):
-        if os.getppid() != parent:
-            logging.getLogger("edge").info("parent process is gone: stopping")
-            stop.set()
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
@@ -113,30 +92,33 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _run(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()  # first of all: it takes seconds to import what follows
     from edge.commands import run_service
 
-    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    config, asked = load_config(args), args.target or args.mission
     return run_service(config, stop, args.once, args.report, asked, args.formula)
 
 
 def _demo(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()
     from edge.commands import run_demo
 
-    config, stop, asked = load_config(args), stop_on_signals(), args.target or args.mission
+    config, asked = load_config(args), args.target or args.mission
     return run_demo(config, stop, args.report, asked, args.formula)
 
 
 def _sim(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
     from edge.commands import run_simulator
 
-    stop = stop_on_signals(args.with_parent)
     return run_simulator(load_config(args), stop, motion=not args.no_motion)
 
 
 def _motion(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
     from edge.motion.process import main as run_motion
 
-    return run_motion(load_config(args), stop_on_signals(args.with_parent))
+    return run_motion(load_config(args), stop)
 
 
 def _config(args: argparse.Namespace) -> int:
@@ -145,7 +127,8 @@ def _config(args: argparse.Namespace) -> int:
     if args.schema:
         print(json.dumps(Config.model_json_schema(), indent=2))
     else:
-        print(load_config(args).model_dump_json(indent=2))
+        shown = without_secrets(load_config(args).model_dump(mode="json"))
+        print(json.dumps(shown, indent=2, ensure_ascii=False))
     return 0
 
 

@@ -10,11 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from edge.children import python_module
 from edge.config import Config
-from edge.errors import Stopped, UserError
+from edge.errors import FAILED, Stopped, UserError
 from edge.latency import LatencyReport
 from edge.ports import free_port
 from edge.runner import loop, open_service
@@ -45,7 +45,7 @@ def run_service(
     asked: str | None = None,
     formula: str | None = None,
 ) -> int:
-    """Run the service; 0 when it ended well or was stopped, 1 when the mission failed.
+    """Run the service; the exit code, see `edge.errors`.
 
     Args:
         asked, formula: the mission as given on the command line; see `open_service`.
@@ -86,7 +86,7 @@ def _conclude(outcome: Outcome, report: str | None) -> int:
 
         for path in write_report(outcome.record, Path(report)):
             print(path)
-    return 1 if outcome.status.phase == "failed" else 0
+    return FAILED if outcome.status.phase == "failed" else os.EX_OK
 
 
 def summary(status: MissionStatus) -> str:
@@ -140,8 +140,8 @@ def children(
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
     """`edge COMMAND` processes with this configuration; they end with the block.
 
-    A child gets the whole configuration in a file of its own, since the environment's overrides
-    and `--target` are already in it.
+    A child gets the whole configuration in a file, since the environment's overrides and `--target`
+    are already in it.
 
     Args:
         stop: set when a child ends before the block does: there is nothing to go on with.
@@ -149,21 +149,20 @@ def children(
     Raises:
         UserError: a child could not be started, or ended by itself.
     """
-    import tempfile
-
-    with tempfile.TemporaryDirectory(prefix="edge-") as folder:
-        path = Path(folder) / "config.yaml"
-        path.write_text(config.model_dump_json(exclude={"path"}), encoding="utf-8")
-        environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
-        started: list[subprocess.Popen[bytes]] = []
+    environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+    started: list[subprocess.Popen[bytes]] = []
+    with _in_memory(config) as file:
+        path = f"/proc/self/fd/{file.fileno()}"
         try:
             for command, *options in commands:
                 arguments = [*python_module("edge.cli"), "--log-level", "warning"]
-                arguments += [command, str(path), "--with-parent", str(os.getpid()), *options]
+                arguments += [command, path, "--with-parent", str(os.getpid()), *options]
                 try:
                     # A session of its own keeps the terminal's Ctrl-C for the parent, which
                     # stops its children in order.
-                    child = subprocess.Popen(arguments, env=environ, start_new_session=True)
+                    child = subprocess.Popen(
+                        arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
+                    )
                 except OSError as error:
                     raise UserError(f"cannot start edge {command}: {error.strerror}") from None
                 started.append(child)
@@ -172,6 +171,15 @@ def children(
             _check([command for command, *_ in commands], started)
         finally:
             _stop(started)
+
+
+def _in_memory(config: Config) -> BinaryIO:
+    """A file with the configuration and no name: nothing is left of it however this process ends,
+    and none but children can read what secrets it holds."""
+    file = open(os.memfd_create("edge-config"), "wb")  # noqa: SIM115
+    file.write(config.model_dump_json(exclude={"path"}).encode())
+    file.flush()
+    return file
 
 
 @contextmanager
@@ -200,7 +208,9 @@ def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
         code = child.poll()
         if code is not None:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            raise UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error = UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error.exit_code = code if code > 0 else os.EX_SOFTWARE
+            raise error
 
 
 def _stop(started: list[subprocess.Popen[bytes]]) -> None:

@@ -25,7 +25,7 @@ from urllib.parse import urlsplit
 from edge import machine, resources
 from edge.config import Config, load
 from edge.errors import UserError
-from edge.text import one_line
+from edge.text import one_line, without_secrets
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -74,11 +74,13 @@ def examine(config: Config) -> list[Finding]:
     for check in CHECKS:
         try:
             findings += check(config)
+        except UserError as error:
+            findings.append(Finding("fail", *_split(error)))
         except Exception as error:
             name = check.__name__.removeprefix("check_").replace("_", " ")
             reason = one_line(f"{type(error).__name__}: {error}")
             findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
-    return findings
+    return list(dict.fromkeys(findings))  # one lack may stand in the way of several checks
 
 
 def as_text(findings: list[Finding]) -> str:
@@ -351,7 +353,7 @@ def check_mission(config: Config) -> Iterator[Finding]:
     try:
         brief = prepare(config.mission)
         if config.mission.checkpoint is not None:
-            CheckpointWriter(Path(config.mission.checkpoint).expanduser()).close()
+            CheckpointWriter(resources.expand(config.mission.checkpoint)).close()
     except UserError as error:
         what, todo = _split(error)
         yield Finding("fail", what, todo or "see `edge mission explain`")
@@ -416,7 +418,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     choice = config.perception.choice
     if choice.kind != "none" and not _listens(choice.url):
         todo = "start the server or correct perception.choice.url; the service goes without it"
-        yield Finding("warn", f"nothing listens at {choice.url}", todo)
+        yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
 
 
 def _listens(url: str) -> bool:

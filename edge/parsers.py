@@ -7,11 +7,14 @@ command's module is imported when the command runs.
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import NoReturn
 
 from edge import __version__
+from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
 from edge.mission import order
 
@@ -27,7 +30,10 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     Args:
         handlers: by command, for the commands that have no module of their own.
     """
-    parser = argparse.ArgumentParser(prog="edge", description=description)
+    parser = _Parser(
+        prog="edge", description=description, epilog=_exit_codes(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"edge {__version__}")
     add_arguments(parser)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -36,6 +42,18 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     for add in (_mission, _models, _record, _bench, _eval, _doctor):
         add(commands)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Ends as `edge.errors.EXIT_CODES` says; so do the parsers of its commands."""
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        super().exit(os.EX_USAGE if status else os.EX_OK, message)
+
+
+def _exit_codes() -> str:
+    lines = [f"  {code:<4}{meaning}" for code, meaning in EXIT_CODES.items()]
+    return "\n".join(["exit codes:", *lines, "  128+N broken off by signal N"])
 
 
 def lazy(module: str, function: str) -> Handler:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -28,8 +27,9 @@ from edge import topics
 from edge.bus import declare_publisher, open_session
 from edge.children import python_module
 from edge.config import Config, Zenoh, load
-from edge.errors import UserError
+from edge.errors import FileError, UnavailableError, UserError
 from edge.files import open_regular
+from edge.signals import stop_on_signals
 from edge.text import one_line
 from edge.topics import Topic
 from edge.wire import DecodeError, schemas
@@ -43,7 +43,7 @@ _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
 _ANY_OBJECT = b'{"type": "object"}'
 
 
-class RecordingError(UserError):
+class RecordingError(FileError):
     """A recording that cannot be written or played; one line."""
 
 
@@ -295,17 +295,10 @@ def player(
 # -- commands -----------------------------------------------------------------------------------
 
 
-def _stop_on_signals() -> threading.Event:
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    return stop
-
-
 def run(args: argparse.Namespace) -> int:
     """Handle `edge record`; 1 when nothing was heard."""
     config = load(args.config)
-    stop = _stop_on_signals()
+    stop = stop_on_signals()
     with open_session(config.zenoh, "connect", stop) as session:
         n = record(session, config, args.out, args.seconds, stop)
     print(f"{args.out}: {n} messages")
@@ -316,10 +309,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _play_command(args: argparse.Namespace) -> int:
     settings = Zenoh.model_validate_json(args.zenoh)
-    stop = _stop_on_signals()
+    stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings.prefix, args.wait, stop):
-            raise RecordingError(f"{settings.endpoint}: no service came within {args.wait:g} s")
+            raise UnavailableError(f"{settings.endpoint}: no service came within {args.wait:g} s")
         played = play(session, settings.prefix, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0
@@ -341,7 +334,7 @@ def main(argv: list[str] | None = None) -> int:
         return args.handler(args)
     except UserError as error:
         print(error, file=sys.stderr)
-        return 2
+        return error.exit_code
 
 
 if __name__ == "__main__":

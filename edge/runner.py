@@ -11,16 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from time import perf_counter_ns
 
 import zenoh
 
-from edge import bus, models_desk, requests
+from edge import bus, models_desk, requests, resources
 from edge.advice import make_advisers
 from edge.config import Config
 from edge.desk import Desk, Request
-from edge.errors import Stopped
+from edge.interruptible import go_on, unless_stopped
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
 from edge.mission.keeper import Keeper
@@ -72,15 +71,18 @@ def open_service(
     formula: str | None = None,
     stop: threading.Event | None = None,
 ) -> Iterator[Running]:
-    """Prepare the mission, load the detector, compile kernels, open Zenoh; all closed at exit.
+    """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
+
+    Zenoh comes before what takes long: where another service has the endpoint, that is known at
+    once. Who connects early finds nobody to take orders until all is ready.
 
     Args:
         sinks: take the results besides the Zenoh sink.
         asked: the configuration's mission, where the command line named it.
         formula: the mission, in place of the configuration's. With neither, a checkpoint's
             unfinished mission goes on, whatever the configuration says.
-        stop: once set, the start is broken off: at once where a model's process is waited for,
-            else when the step at hand is done.
+        stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
+            (`edge.interruptible`).
 
     Raises:
         Stopped: `stop` was set before the service was ready.
@@ -95,12 +97,15 @@ def open_service(
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
             named = asked if formula is None else formula
-            keeper = Keeper(config, Path(mission.checkpoint).expanduser(), named)
+            keeper = Keeper(config, resources.expand(mission.checkpoint), named)
             stack.callback(keeper.close)
             brief = keeper.brief()
         if brief is None:
             brief = prepare(mission, formula=formula)
-        _go_on(stop)
+        go_on(stop)
+        session = stack.enter_context(
+            bus.session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
+        )
         detector = _load(config, brief.targets, stop)
         worker = (
             InlineWorker(detector, config.loop.detect_every)
@@ -108,16 +113,11 @@ def open_service(
             else DetectorWorker(detector)
         )
         stack.callback(worker.close)
-        _go_on(stop)
-        advisers = make_advisers(config, brief.targets)
+        go_on(stop)
+        advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
         if advisers is not None:
             stack.callback(advisers.close)
-        _go_on(stop)
-        warm_up(config)
-        _go_on(stop)
-        session = stack.enter_context(
-            bus.session(config.zenoh, "listen", exact=config.loop.lockstep)
-        )
+        unless_stopped(partial(warm_up, config), stop)
         source = ZenohSource(session, config)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]
@@ -141,19 +141,15 @@ def open_service(
         yield Running(config, session, service, worker, source, inbox, desk, models, every)
 
 
-def _go_on(stop: threading.Event) -> None:
-    """Raises Stopped once `stop` is set."""
-    if stop.is_set():
-        log.info("stopped before it was ready")
-        raise Stopped
-
-
 def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
-    """See `make_detector`; raises Stopped where that fails since `stop` was set."""
+    """See `make_detector`; raises Stopped once `stop` is set."""
+    make = partial(make_detector, config.perception, targets, cancelled=stop)
+    if config.perception.isolation == "thread":
+        return unless_stopped(make, stop)
     try:
-        return make_detector(config.perception, targets, cancelled=stop)
+        return make()
     except ModelError:
-        _go_on(stop)
+        go_on(stop)
         raise
 
 

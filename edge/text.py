@@ -1,8 +1,15 @@
-"""Text from outside, made safe to log, print and send on."""
+"""Text from outside, and what holds a secret, made safe to log, print and send on."""
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 MAX_CHARS = 200
+
+# Scheme, user and password, host and path, query and fragment. No scheme is longer than that, and a
+# limit keeps a long word from being looked at from each of its letters.
+_URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?:[?#]\S*)?")
 
 
 def one_line(text: object, limit: int = MAX_CHARS) -> str:
@@ -31,3 +38,27 @@ def printable_lines(text: object) -> str:
 
 def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
+
+
+def without_secrets(data: Any) -> Any:
+    """The same without what a URL may hide: user and password, and what comes after its path.
+
+    Args:
+        data: text, or JSON types with texts in them. Keys of objects stay as they are.
+
+    >>> without_secrets({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
+    {'url': 'https://host/v1?***', 'n': [1, 'a://b']}
+    """
+    if isinstance(data, str):
+        return _URL.sub(_plain, data)
+    if isinstance(data, dict):
+        return {key: without_secrets(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [without_secrets(value) for value in data]
+    return data
+
+
+def _plain(url: re.Match[str]) -> str:
+    scheme, place = url.groups()
+    rest = url[0][url.end(2) - url.start() :]
+    return f"{scheme}{place}{'?***' if rest else ''}"

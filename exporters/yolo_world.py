@@ -14,9 +14,10 @@ import tempfile
 import warnings
 from pathlib import Path
 
-# Ultralytics pip-installs what it misses and writes settings to the home folder unless told
-# otherwise; an export must not change the host.
+# Ultralytics pip-installs what it misses, tells its makers what is run, and writes settings to the
+# home folder unless told otherwise; an export must not change the host, nor speak of it.
 os.environ.setdefault("YOLO_AUTOINSTALL", "false")
+os.environ.setdefault("YOLO_OFFLINE", "true")
 os.environ.setdefault("YOLO_CONFIG_DIR", tempfile.gettempdir())
 
 import numpy as np

@@ -117,7 +117,7 @@ def test_lift(benchmark, way):
     """Twenty boxes of a 640 × 480 image."""
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
     seen = observe()
-    lifter = Lifter(config.Perception(lift=way))
+    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
     out = benchmark(lifter.lift, boxes_in(seen, 20))
     assert out.valid.any()
 
@@ -125,7 +125,7 @@ def test_lift(benchmark, way):
 def test_track(benchmark):
     """Eight boxes into a tracker that knows some thirty things, with a look at all of them."""
     benchmark.extra_info["budget"] = "instances_update_8"
-    perception = config.Perception()
+    perception = config.Perception(detector=config.DetectorSim())
     tracker, lifter = InstanceTracker(perception), Lifter(perception)
     for seed in range(20):
         tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed)), seed)

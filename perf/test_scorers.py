@@ -45,6 +45,6 @@ def test_ask_choice_200(benchmark):
         T_base_camera=T_BASE_CAMERA,
     )  # fmt: skip
     advisers = Advisers(None, Idle(), inline=True)
-    tracker = InstanceTracker(config.Perception())
+    tracker = InstanceTracker(config.Perception(detector=config.DetectorSim()))
     benchmark(advisers.ask, seen, ("chair",), "chair", pool, tracker)
     assert advisers.status()["choice"]["failed"] == 0

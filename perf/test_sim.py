@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import Config, Lidar, parse
+from edge.config import Lidar, parse
 from edge.geometry import CameraModel, camera_mount, se3
 from edge.sim.base import Fan, World, free_poses
 from edge.sim.worlds import load_world
+
+SIM = {"perception": {"detector": {"kind": "sim"}}}
 
 CAMERA = CameraModel.from_hfov(320, 256, math.radians(75.0))
 AWS = Path(__file__).resolve().parents[2] / "shared" / "worlds" / "aws_small_house"
@@ -43,7 +45,7 @@ class Views:
 
 @pytest.fixture(scope="module")
 def house() -> World:
-    return load_world(Config())
+    return load_world(parse(SIM))
 
 
 def measure(benchmark, work, budget: str) -> None:
@@ -72,5 +74,5 @@ def test_render_mesh(benchmark):
         "mesh": str(AWS / "small_house_zup.glb"),
         "objects": str(AWS / "small_house.objects.json"),
     }
-    world = load_world(parse({"sim": {"world": section}}))
+    world = load_world(parse({**SIM, "sim": {"world": section}}))
     measure(benchmark, Views(world).render, "sim_render_mesh_320x256")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.config import Config
+from edge.config import parse
 from edge.geometry import SE2
 from edge.motion.controller import Controller
 from edge.trajectory import astar, smoothing
@@ -71,7 +71,7 @@ def test_smoothing(benchmark):
 
 def test_controller_step(benchmark):
     """A step that follows its path; the one that plans again costs an `astar_house_400` more."""
-    controller = Controller(Config())
+    controller = Controller(parse({"perception": {"detector": {"kind": "sim"}}}))
     controller.on_map(house(400), (0.0, 0.0), 0.05)
     controller.on_goal(1, SE2(18.0, 14.0, 0.0))
     step = (SE2(2.0, 2.0, 0.0), 0.0, 0.0, 0)

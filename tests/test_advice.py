@@ -11,9 +11,10 @@ import pytest
 from chat_server import likeliest, send, serving
 from closed_loop import START_NS, ClosedLoop
 from patience import PATIENCE_S, eventually
+from simulated import simulated
 
 from edge.advice import SIGHTED_NS, Advisers, make_advisers, sightings
-from edge.config import Config, parse
+from edge.config import Config
 from edge.geometry import SE2
 from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
@@ -32,7 +33,7 @@ def model():
 
 def settings(url: str, lockstep: bool = False, target: str = "surfboard") -> Config:
     choice = {"kind": "text", "url": url, "model": "m", "time_limit_s": PATIENCE_S}
-    return parse(
+    return simulated(
         {
             "loop": {"lockstep": lockstep},
             "sim": {"lockstep": True},
@@ -52,7 +53,7 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
 
 
 def test_without_scorers_nothing_runs():
-    loop = ClosedLoop(parse({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
+    loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
     loop.step()
     assert loop.service.advice is None
     assert loop.service.status_dict()["scorers"] == {}
@@ -142,7 +143,7 @@ class FakeSimilarity:
 
 
 def test_similarity_is_for_every_target(monkeypatch):
-    loop = ClosedLoop(parse({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     advisers = Advisers(FakeSimilarity(), None, inline=True)
     seen = loop.observe()
     advisers.ask(seen, ("bed", "chair"), "bed", loop.service.pool, loop.service.tracker)
@@ -162,7 +163,7 @@ def test_similarity_is_for_every_target(monkeypatch):
 def test_the_running_detectors_scores_are_taken_from_its_detections():
     name = "running-detector-similarity"
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
-    config = parse({**lockstep, "perception": {"similarity": name}})
+    config = simulated({**lockstep, "perception": {"similarity": name}})
     loop = ClosedLoop(config).run(3)
     similarity = loop.service.advice.similarity
     assert similarity.targets == ("chair",)
@@ -174,7 +175,7 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
 
 
 def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
-    tracker = InstanceTracker(parse({}).perception)
+    tracker = InstanceTracker(simulated().perception)
     seen_ns = 5 * SIGHTED_NS
     things = [("bed", "seen", 3, 0.0), ("tv", "confirmed", 3, 1.0), ("sofa", "refuted", 3, 1.0)]
     things += [("lamp", "seen", 1, 1.0), ("desk", "seen", 3, -1e-9)]
@@ -197,8 +198,8 @@ def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
 )
 def test_bad_cards_are_one_line_at_the_start(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
-        make_advisers(parse({"perception": perception}), ("chair",))
+        make_advisers(simulated({"perception": perception}), ("chair",))
 
 
 def test_nothing_configured_makes_nothing():
-    assert make_advisers(parse({}), ("chair",)) is None
+    assert make_advisers(simulated(), ("chair",)) is None

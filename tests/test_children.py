@@ -4,10 +4,10 @@ import subprocess
 import threading
 
 import pytest
+from simulated import simulated
 
 from edge import children, commands
 from edge.children import python_module
-from edge.config import parse
 from edge.errors import UserError
 from edge.perception.process import link
 from edge.store.bench import runs
@@ -36,7 +36,7 @@ def test_every_child_is_started_so(monkeypatch):
         raise OSError(2, "No such file")
 
     monkeypatch.setattr(commands.subprocess, "Popen", start)
-    settings = parse({"mission": {"target": "chair"}})
+    settings = simulated({"mission": {"target": "chair"}})
     with (
         pytest.raises(UserError, match="cannot start edge motion: No such file"),
         commands.children(settings, threading.Event(), ("motion",)),

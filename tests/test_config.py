@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from pydantic import ValidationError
+from simulated import simulated
 
 from edge import config, resources
 from edge.config import Config, ConfigError, load, parse
@@ -24,10 +25,23 @@ def write(tmp_path: Path):
     return _write
 
 
-@pytest.mark.parametrize("content", ["", "# nothing\n", "{}", "---\n"])
-def test_an_empty_file_is_the_defaults(write, content):
+@pytest.mark.parametrize("content", ["", "# nothing\n", "{}", "---\n", "perception: {}"])
+def test_an_empty_file_lacks_nothing_but_its_detector(write, content):
+    """Which one it takes is not to be guessed: with the simulator's, a robot sees nothing."""
     path = write(content)
-    assert load(path, {}) == Config(path=path)
+    with pytest.raises(ConfigError) as error:
+        load(path, {})
+    assert str(error.value) == (
+        f"{path}: perception.detector.kind: missing (choices: onnx, sim): a robot's camera wants "
+        "onnx, sim sees nothing but the simulator's objects"
+    )
+    assert load(path, {"EDGE__PERCEPTION__DETECTOR__KIND": "sim"}) == simulated(path=path)
+
+
+def test_the_schema_requires_the_detector():
+    schema = Config.model_json_schema()
+    assert schema["required"] == ["perception"]
+    assert schema["$defs"]["Perception"]["required"] == ["detector"]
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
@@ -39,6 +53,7 @@ def test_there_are_ready_configurations():
     assert "demo" in [path.stem for path in READY]
 
 
+SIM = {"perception": {"detector": {"kind": "sim"}}}
 FAULTS = [
     ({"mision": {}}, "f.yaml: mision: unknown key (did you mean 'mission'?)"),
     ({"robot": {"radius": 1}}, "f.yaml: robot.radius: unknown key (did you mean 'radius_m'?)"),
@@ -97,13 +112,13 @@ FAULTS = [
 
 @pytest.mark.parametrize("mapping", [{"extent_m": 204}, {"extent_m": 500, "resolution_m": 0.123}])
 def test_the_largest_map_that_an_error_offers_is_taken(mapping):
-    assert parse({"mapping": mapping}).mapping.extent_m == mapping["extent_m"]
+    assert simulated({"mapping": mapping}).mapping.extent_m == mapping["extent_m"]
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])
 def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
     with pytest.raises(ConfigError) as error:
-        parse(data, "f.yaml")
+        parse({**SIM, **data}, "f.yaml")
     text = str(error.value)
     assert text.startswith(line)
     assert "\n" not in text
@@ -111,7 +126,7 @@ def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
 
 def test_every_fault_has_its_line():
     with pytest.raises(ConfigError) as error:
-        parse({"robot": {"radius": 1}, "mision": {}, "zenoh": {"mode": "x"}}, "f.yaml")
+        parse({**SIM, "robot": {"radius": 1}, "mision": {}, "zenoh": {"mode": "x"}}, "f.yaml")
     lines = str(error.value).splitlines()
     assert len(lines) == 3
     assert all(line.startswith("f.yaml: ") for line in lines)
@@ -175,7 +190,8 @@ OVERRIDES = [
 
 @pytest.mark.parametrize(("environ", "read", "value"), OVERRIDES)
 def test_environment_overrides(write, environ, read, value):
-    assert read(load(write("mission: {target: sofa}"), environ)) == value
+    given = yaml.safe_dump({**SIM, "mission": {"target": "sofa"}})
+    assert read(load(write(given), environ)) == value
 
 
 @pytest.mark.parametrize(
@@ -194,12 +210,12 @@ def test_a_wrong_override_is_an_error(write, environ, says):
 
 def test_the_process_environment_is_the_default(write, monkeypatch):
     monkeypatch.setenv("EDGE__MISSION__TARGET", "lamp")
-    assert load(write("")).mission.target == "lamp"
+    assert load(write(yaml.safe_dump(SIM))).mission.target == "lamp"
 
 
 def test_objects_are_frozen():
     with pytest.raises(ValidationError):
-        Config().robot.radius_m = 1.0
+        simulated().robot.radius_m = 1.0
 
 
 def test_a_dumped_configuration_loads_as_itself(write):

@@ -9,14 +9,14 @@ import socket
 import numpy as np
 import pytest
 from patience import PATIENCE_S
+from simulated import simulated
 
 from edge import bus, config, doctor, resources
-from edge.config import parse
 from edge.parsers import make_parser
 from edge.ports import free_port
 
-SIM = parse({})
-ONNX = parse({"perception": {"detector": {"kind": "onnx", "model": "made-up"}}})
+SIM = simulated()
+ONNX = simulated({"perception": {"detector": {"kind": "onnx", "model": "made-up"}}})
 
 
 @pytest.fixture(autouse=True)
@@ -160,7 +160,7 @@ def test_no_message_over_zenoh(monkeypatch):
 
 
 def test_an_endpoint_that_is_taken():
-    settings = parse({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}})
+    settings = simulated({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}})
     assert levels(doctor.check_endpoint, settings) == ["ok"]
     with bus.open_session(settings.zenoh, "listen"):
         assert levels(doctor.check_endpoint, settings) == ["warn"]
@@ -210,10 +210,10 @@ def test_vocabulary(monkeypatch, tmp_path):
     monkeypatch.setenv("EDGE_VOCABULARY", str(path))
     detector = {"kind": "onnx", "model": "yolo-world-s-256x320-int8-cpu"}
     for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
-        settings = parse({"perception": {"detector": detector}, "mission": {"target": target}})
+        settings = simulated({"perception": {"detector": detector}, "mission": {"target": target}})
         assert levels(doctor.check_vocabulary, settings) == [level]
     detector["background"] = ["zebra", "chair", "heron"]
-    settings = parse({"perception": {"detector": detector}, "mission": {"target": "chair"}})
+    settings = simulated({"perception": {"detector": detector}, "mission": {"target": "chair"}})
     ok, unknown = doctor.check_vocabulary(settings)
     assert (ok.level, unknown.level) == ("ok", "warn")
     assert "does not know 2 of the 3 words of perception.detector.background" in unknown.what
@@ -230,7 +230,7 @@ def test_vocabulary(monkeypatch, tmp_path):
     ],
 )
 def test_scorers(perception, expected, words):
-    findings = list(doctor.check_scorers(parse({"perception": perception})))
+    findings = list(doctor.check_scorers(simulated({"perception": perception})))
     assert [finding.level for finding in findings] == expected
     assert all(words in finding.what and finding.what.isprintable() for finding in findings)
 
@@ -238,7 +238,9 @@ def test_scorers(perception, expected, words):
 def test_a_choice_scorers_server_is_looked_for():
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
-        settings = parse({"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}})
+        settings = simulated(
+            {"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}}
+        )
         assert levels(doctor.check_scorers, settings) == ["ok"]
     found = list(doctor.check_scorers(settings))
     assert [finding.level for finding in found] == ["ok", "warn"]
@@ -246,7 +248,7 @@ def test_a_choice_scorers_server_is_looked_for():
 
 
 def test_worlds(monkeypatch):
-    mesh = parse({"sim": {"world": {"kind": "mesh", "mesh": "a.glb", "objects": "a.json"}}})
+    mesh = simulated({"sim": {"world": {"kind": "mesh", "mesh": "a.glb", "objects": "a.json"}}})
     found = doctor.util.find_spec
     monkeypatch.setattr(
         doctor.util, "find_spec", lambda name: None if name == "embreex" else found("json")
@@ -275,7 +277,7 @@ def test_worlds(monkeypatch):
     ],
 )
 def test_the_mission_is_checked(mission, level, words):
-    settings = config.parse({"mission": mission})
+    settings = simulated({"mission": mission})
     (finding,) = doctor.check_mission(settings)
     assert finding.level == level
     assert words in finding.what

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 from closed_loop import ClosedLoop, blank_observation
+from simulated import simulated
 
 from edge import runner
-from edge.config import parse
 from edge.geometry import SE2
 from edge.runner import Running, loop
 from edge.stages import STAGES
@@ -45,7 +45,7 @@ class Source:
 
 
 def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> Running:
-    config = parse(
+    config = simulated(
         {"loop": {"lockstep": lockstep, "hz": 200.0}, "mission": {"target": "bed", **mission}}
     )
     closed = ClosedLoop(config)

@@ -12,9 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from simulated import simulated
 
 from edge import runner
-from edge.config import Config, parse
+from edge.config import Config
 from edge.errors import Stopped
 from edge.mission.checkpoint import save
 from edge.mission.order import ask
@@ -32,7 +33,7 @@ COMPILED_IN_THE_LOOP = """
 import json, sys
 from numba.core.registry import CPUDispatcher
 from closed_loop import ClosedLoop
-from edge.config import parse
+from simulated import simulated
 from edge.warmup import warm_up
 
 SERVICE = ("edge.mapping", "edge.perception", "edge.policies", "edge.wire", "edge.geometry")
@@ -45,8 +46,8 @@ def signatures():
         if isinstance(d, CPUDispatcher) and d.py_func.__module__.startswith(SERVICE)
     }
 
-config = parse({"mission": {"target": "television"}, "loop": {"lockstep": True},
-                "sim": {"lockstep": True}})
+config = simulated({"mission": {"target": "television"}, "loop": {"lockstep": True},
+                    "sim": {"lockstep": True}})
 warm_up(config)
 before = signatures()
 loop = ClosedLoop(config).run(60)
@@ -81,7 +82,7 @@ def as_before():
 
 
 def config(**mission: object) -> Config:
-    return parse({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}, "mission": mission})
+    return simulated({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}, "mission": mission})
 
 
 @pytest.mark.parametrize(

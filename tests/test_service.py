@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import pytest
 from closed_loop import START_NS, ClosedLoop, blank_observation
+from simulated import simulated
 
 from edge.bus import open_session
-from edge.config import Config, parse
+from edge.config import Config
 from edge.geometry import SE2
 from edge.perception.inline import InlineWorker
 from edge.ports import free_port
@@ -23,7 +24,7 @@ TICK_NS = 100_000_000
 
 def config(**sections: dict) -> Config:
     base = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": {}}
-    return parse({**base, **sections})
+    return simulated({**base, **sections})
 
 
 def test_a_first_frame_with_nothing_in_it_is_no_trouble():

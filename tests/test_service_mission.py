@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 from closed_loop import START_NS, ClosedLoop
+from simulated import simulated
 
-from edge.config import Config, parse
+from edge.config import Config
 from edge.mission.brief import prepare
 from edge.perception.text import PromptError
 from edge.requests import handle
@@ -16,7 +17,7 @@ CHOICE = "F ((chair | sofa) & F television) & !bed W television"
 def config(formula: str, **sections: dict) -> Config:
     mission = {"instruction": formula, "translator": {"kind": "ltl"}, **sections.pop("mission", {})}
     base = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission}
-    return parse({**base, **sections})
+    return simulated({**base, **sections})
 
 
 def taken(loop: ClosedLoop, kind: str) -> list[str]:

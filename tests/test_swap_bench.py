@@ -6,9 +6,9 @@ from collections import Counter
 from types import SimpleNamespace
 
 import pytest
+from simulated import simulated
 
 from edge import swap_bench
-from edge.config import parse
 from edge.errors import UserError
 from edge.latency import LatencyRing
 
@@ -29,7 +29,7 @@ def bench(monkeypatch):
         "state": swapper.state, "model": "new", "previous": "old", "detail": "fine",
     }  # fmt: skip
     running = SimpleNamespace(
-        config=parse({"loop": {"hz": 100.0}}),
+        config=simulated({"loop": {"hz": 100.0}}),
         source=SimpleNamespace(counters=Counter(observations=0, superseded=0)),
         worker=SimpleNamespace(stats=SimpleNamespace(done=0)),
         service=SimpleNamespace(swapper=swapper, latency=LatencyRing(64)),

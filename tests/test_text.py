@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.text import MAX_CHARS, one_line
+from edge.text import MAX_CHARS, one_line, without_secrets
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,32 @@ def test_it_is_printable_short_and_says_no_more_the_second_time(text, limit):
 def test_a_novel_is_cut_before_it_is_looked_through():
     assert one_line("\n" * 10_000_000 + "end") == ""
     assert len(one_line("word " * 10_000_000)) == MAX_CHARS
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("", ""),
+        ("no address? at all@home", "no address? at all@home"),
+        ("http://127.0.0.1:8080/v1", "http://127.0.0.1:8080/v1"),
+        ("https://host/v1?key=s3cret", "https://host/v1?***"),
+        ("https://host?s3cret", "https://host?***"),
+        ("https://host/v1#s3cret", "https://host/v1?***"),
+        ("https://me:s3cret@host:8/v1", "https://host:8/v1"),
+        ("https://me:s3@cret@host/p@th", "https://host/p@th"),
+        ("get HTTP://s3cret@host/a?b=s3cret, then", "get HTTP://host/a?*** then"),
+        ("http://a?s3cret http://s3cret@b", "http://a?*** http://b"),
+        ("http://[host?s3cret", "http://[host?***"),
+        ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
+        (None, None),
+        ([1, True, {"a": ("http://x?y", 2.5)}], [1, True, {"a": ["http://x?***", 2.5]}]),
+    ],
+)
+def test_what_a_url_hides_is_not_shown(said, shown):
+    assert without_secrets(said) == shown
+    assert without_secrets(shown) == shown
+
+
+def test_a_long_word_is_searched_for_urls_once():
+    word = "a" * 1_000_000
+    assert without_secrets(word) == word

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from edge.text import one_line
+from edge.text import one_line, without_secrets
 
 
 def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
@@ -21,17 +21,15 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     *sections, leaf = fault["loc"] or ("",)
     shown, models = _walk(sections, root)
     key = one_line(".".join([*shown, str(leaf)]))
-    kind, given, context = fault["type"], fault.get("input"), fault.get("ctx", {})
+    kind, context = fault["type"], fault.get("ctx", {})
+    given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
         return f"{path}: {key}.kind: unknown {context['tag']!r:.80} (choices: {choices})"
-    if kind == "union_tag_not_found":
-        kinds = [m.model_fields["kind"].default for m in _walk(list(fault["loc"]), root)[1]]
-        return f"{path}: {key}.kind: missing (choices: {', '.join(kinds)})"
+    if kind in ("missing", "union_tag_not_found"):
+        return f"{path}: {key}{_missing(fault['loc'], models, root)}"
     if kind in ("model_type", "model_attributes_type"):
         return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
-    if kind == "missing":
-        return f"{path}: {key}: missing"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
         return f"{path}: {key}: unknown {given!r:.80} (choices: {choices})"
@@ -43,6 +41,23 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     message = fault["msg"].removeprefix("Value error, ")
     got = "" if isinstance(given, dict) else f", got {given!r:.80}"
     return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
+
+
+def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:
+    """What is said of a key that is not there: of a union, which kinds there are and which to take.
+
+    Args:
+        models: that have the key.
+    """
+    kinds = [m.model_fields["kind"].default for m in _walk(list(loc), root)[1] if _is_kind(m)]
+    if not kinds:
+        return ": missing"
+    advice = models[0].model_fields[str(loc[-1])].description
+    return f".kind: missing (choices: {', '.join(kinds)}){': ' + advice if advice else ''}"
+
+
+def _is_kind(model: type[BaseModel]) -> bool:
+    return "kind" in model.model_fields
 
 
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:

@@ -117,9 +117,13 @@ class Perception(Section):
     choice: Annotated[Union[ChoiceNone, ChoiceOpenai, ChoiceText], Field(discriminator="kind")] = (
         ChoiceNone()
     )
-    detector: Annotated[Union[DetectorOnnx, DetectorSim], Field(discriminator="kind")] = (
-        DetectorSim()
-    )
+    detector: Annotated[
+        Union[DetectorOnnx, DetectorSim],
+        Field(
+            discriminator="kind",
+            description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
+        ),
+    ]
     tau_det: Fraction = 0.3
     lift: Literal["depth", "cloud"] = "depth"
     lift_min_points: Annotated[int, Field(ge=1)] = 8

@@ -18,6 +18,7 @@ from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import ConfigError, Section
 from edge.config.sim import Sim
 from edge.files import read_regular
+from edge.text import without_secrets
 from edge.yaml_text import parse_yaml
 
 ENV_PREFIX = "EDGE__"
@@ -33,7 +34,7 @@ class Config(Section):
     source: Source = Source()
     loop: Loop = Loop()
     mapping: Mapping = Mapping()
-    perception: Perception = Perception()
+    perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
     motion: Motion = Motion()
@@ -69,7 +70,8 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
 def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
     """Validate a mapping; see `load`."""
     try:
-        return Config.model_validate({**data, "path": path})
+        # An empty section, so that its fault is the key that it lacks.
+        return Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
         raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
 
@@ -88,5 +90,5 @@ def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) 
             node[leaf] = parse_yaml(environ[key])
         except ValueError:
             raise ConfigError(
-                f"environment {key}: not a YAML value: {environ[key]!r:.80}"
+                f"environment {key}: not a YAML value: {without_secrets(environ[key])!r:.80}"
             ) from None

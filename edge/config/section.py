@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -24,6 +25,8 @@ Name = Annotated[str, AfterValidator(_named)]
 
 class ConfigError(UserError):
     """A configuration that cannot be used; the message names file, key and choices."""
+
+    exit_code = os.EX_CONFIG
 
 
 class Section(BaseModel):

@@ -27,7 +27,9 @@ from edge.eval.metrics import spl, success_rate
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.sim.base import World, WorldObject
+    from edge.signals import stop_on_signals
+from edge.signals import stop_on_signals
+from edge.sim.base import World, WorldObject
 
 REACHED_M = 1.0
 _EPISODE_TIMEOUT_S = 1800.0
@@ -197,7 +199,6 @@ class Truth:
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge eval episodes`."""
-    from edge.cli import stop_on_signals
     from edge.report.page import prepare
 
     config = load(args.config)

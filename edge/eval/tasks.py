@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 
 if TYPE_CHECKING:
     from edge.eval.task_runs import Results, Settings
@@ -99,7 +99,7 @@ def _report(
         write_atomically(out / JSON_NAME, content)
         paths = [out / JSON_NAME, *write_plots(rows, out)]
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; name another directory") from None
+        raise FileError(f"--out {out}: {error.strerror}; name another directory") from None
     print("\n".join(map(str, paths)))
     print(f"{seconds:.0f} s")
 
@@ -119,7 +119,7 @@ def _writable(directory: Path) -> Path:
         probe.unlink()
     except OSError as error:
         reason = error.strerror
-        raise UserError(f"--out {directory}: {reason}; name another directory") from None
+        raise FileError(f"--out {directory}: {reason}; name another directory") from None
     return directory
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.config import TranslatorGrammar, TranslatorLlm
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.progress_bar import ProgressBar
 from edge.eval.task_templates import generate
@@ -254,4 +254,4 @@ def _write(path: Path | None, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from error

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from edge.errors import UserError
+from edge.errors import FileError
 from edge.mission.saved import MAX_BYTES, Saved, decode, encode
 from edge.sinks.mailbox import Mailbox
 
@@ -24,7 +24,7 @@ _HASTE = 1.5  # robots are faster than they say
 _DRIVES_ON_S = 10.0
 
 
-class CheckpointError(UserError):
+class CheckpointError(FileError):
     """No checkpoint can be kept there: which path, why, what to do."""
 
 

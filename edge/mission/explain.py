@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from edge.errors import UserError
+from edge import resources
+from edge.errors import FileError, UserError
 from edge.text import one_line
 
 _DRAWINGS = (".svg", ".png", ".dot")
@@ -23,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from edge.mission.planner import make_planner
     from edge.mission.planning.plan import Knowledge
 
-    drawing = Path(args.draw).expanduser() if args.draw else None
+    drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: unknown ending (choices: {', '.join(_DRAWINGS)})")
     mission = load(args.config).mission
@@ -58,4 +59,4 @@ def _draw(path: Path, automaton, steps: tuple[str, ...]) -> None:  # type: ignor
     try:
         write_atomically(path, content)
     except OSError as error:
-        raise UserError(f"--draw: {path}: {error.strerror}") from None
+        raise FileError(f"--draw: {path}: {error.strerror}") from None

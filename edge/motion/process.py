@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from edge import topics
 from edge.bus import declare_publisher, session
 from edge.config import Config
 from edge.geometry import SE2, se2_of
+from edge.interruptible import unless_stopped
 from edge.motion.controller import Controller
 from edge.motion.pursuit import STOP, Command
 from edge.topics import Topic
@@ -39,7 +41,7 @@ _MAX_JSON = 4096
 
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; returns the exit status."""
-    warm_up(config)
+    unless_stopped(partial(warm_up, config), stop)
     with session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as opened:
         bus = Bus(opened, config)
         controller = Controller(config)

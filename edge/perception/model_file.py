@@ -15,14 +15,14 @@ import os
 from pathlib import Path
 
 from edge import resources
-from edge.errors import UserError
+from edge.errors import UnavailableError
 from edge.files import open_regular, read_regular, write_atomically
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
 """Variable of the environment; not empty, remembered hashes are not computed again."""
 
 
-class ModelError(UserError):
+class ModelError(UnavailableError):
     """A model that cannot be used: one line that says what, where and what to do."""
 
 

@@ -6,12 +6,11 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from edge import config, names
+from edge import config, names, resources
 from edge.perception import kernels
 from edge.perception.backends.binding import Bound, bind
 from edge.perception.backends.runtime import (
@@ -42,7 +41,7 @@ def engine_options(
     if isinstance(card, DetectCard):
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
         shapes["txt_feats"] = (few, usual, many)
-    cache = None if detector.engine_cache is None else Path(detector.engine_cache).expanduser()
+    cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
     return EngineOptions(card.name, card.precision, shapes, cache, progress)
 
 

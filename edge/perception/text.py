@@ -158,7 +158,7 @@ def find_vocabulary(configured: str | None) -> Path:
         PromptError: it is not there.
     """
     told = configured or os.environ.get("EDGE_VOCABULARY")
-    path = Path(told).expanduser() if told else resources.models_dir() / VOCABULARY_FILE
+    path = resources.expand(told) if told else resources.models_dir() / VOCABULARY_FILE
     if path.is_file():
         return path
     raise PromptError(

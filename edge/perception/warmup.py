@@ -52,7 +52,7 @@ def _lift() -> None:
         prompts=("chair",),
     )
     for way in ("depth", "cloud"):
-        perception = config.Perception(lift=way)
+        perception = config.Perception(lift=way, detector=config.DetectorSim())
         lifted = Lifter(perception).lift(detections)
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)

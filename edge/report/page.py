@@ -13,7 +13,8 @@ import cv2
 import yaml
 
 import edge
-from edge.errors import UserError
+from edge import resources
+from edge.errors import FileError
 from edge.files import write_atomically
 from edge.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, story
@@ -28,7 +29,7 @@ MAX_SEEN = 4  # targets named under a frame
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-class ReportError(UserError):
+class ReportError(FileError):
     """A report that cannot be written; the message is one line."""
 
 
@@ -43,7 +44,7 @@ def prepare(directory: Path | str) -> Path:
     Raises:
         ReportError: the directory cannot be made or written to.
     """
-    directory = Path(directory).expanduser()
+    directory = resources.expand(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         probe = directory / ".report"

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from edge import names
+from edge import names, resources
 from edge.config import Config, Section, WorldHouse
 from edge.config.section import Positive
 from edge.files import read_regular
@@ -122,7 +122,7 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
         WorldError: no such house, or a fault in its file.
     """
     built_in = HOUSES / f"{section.house}.json"
-    path = built_in if built_in.is_file() else Path(section.house).expanduser()
+    path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in HOUSES.glob("*.json")))
         raise WorldError(f"{config.path}: sim.world.house: no {path} (built-in: {choices})")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from edge import names
+from edge import names, resources
 from edge.config import Config, WorldMesh
 from edge.files import read_regular
 from edge.geometry import SE2, CameraModel
@@ -57,7 +57,7 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
             f"{config.path}: sim.world.kind: mesh needs {error.name}: "
             "pip install 'edge-vln[worlds]' (x86_64), or choose house or procthor"
         ) from None
-    path = Path(section.mesh).expanduser()
+    path = resources.expand(section.mesh)
     if not path.is_file():
         raise WorldError(f"{config.path}: sim.world.mesh: no such file: {path}")
     try:
@@ -65,7 +65,7 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         faces = read_faces(scene)
     except (ValueError, KeyError, IndexError, OSError) as error:
         raise WorldError(f"{path}: not a mesh that can be read: {error}") from None
-    return MeshWorld(path.stem, faces, read_objects(Path(section.objects).expanduser()), config)
+    return MeshWorld(path.stem, faces, read_objects(resources.expand(section.objects)), config)
 
 
 def read_objects(path: Path) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from edge import names
+from edge import names, resources
 from edge.config import Config, WorldProcthor
 from edge.files import open_regular
 from edge.geometry import SE2
@@ -54,7 +54,7 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
     Raises:
         WorldError: no such file or house, or a house that lacks a field.
     """
-    path, first, count = Path(section.file).expanduser(), "", 0
+    path, first, count = resources.expand(section.file), "", 0
     for house in read_houses(path):
         if house.get("name") == section.name:
             try:

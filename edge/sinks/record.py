@@ -115,7 +115,7 @@ class RunRecord:
         trajectory_t_s: (n,) float64.
         frontiers_m: (n, 2) float32 cells or centroids in `map`, as they are at the end.
         events: (t_s, text) in order of time.
-        config: the whole configuration, as JSON types.
+        config: the whole configuration, as JSON types, without the secrets of its URLs.
     """
 
     title: str

@@ -16,6 +16,7 @@ from edge.geometry import SE2
 from edge.latency import LatencyReport
 from edge.sinks.album import Album
 from edge.sinks.record import MapSnapshot, RunRecord, Story
+from edge.text import without_secrets
 from edge.types import Detections, Goal, Instance, MissionStatus
 
 STEP_M = 0.05
@@ -169,7 +170,7 @@ class Recorder:
             frames=self._album.frames(),
             events=tuple(sorted(events, key=lambda event: event[0])),
             counters={**more, **(counters or {})},
-            config=self._config.model_dump(mode="json"),
+            config=without_secrets(self._config.model_dump(mode="json")),
             machine=machine(),
             story=story,
         )

@@ -14,7 +14,7 @@ from edge import __version__
 from edge.store.meter import Meter
 from edge.store.pace import LIMITS, Limits, Pace, connecting
 from edge.store.part import MAX_BYTES, FetchError, Interrupted, Part
-from edge.text import one_line
+from edge.text import one_line, without_secrets
 
 _BLOCK = 1 << 16
 _PASSING = {408, 425, 429, 500, 502, 503, 504}
@@ -63,12 +63,8 @@ def read_page(url: str, accept: str, limits: Limits = LIMITS) -> tuple[str, str,
 
 
 def shown(url: str) -> str:
-    """An address as messages may show it: without user and password."""
-    try:
-        split = urlsplit(url)
-    except ValueError:
-        return one_line(url.rpartition("@")[2], 500)
-    return one_line(urlunsplit(split._replace(netloc=_host(split))), 500)
+    """An address as messages may show it."""
+    return one_line(without_secrets(url), 500)
 
 
 def _stream(url: str, part: Part, limits: Limits, meter: Meter) -> None:

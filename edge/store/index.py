@@ -15,6 +15,7 @@ from typing import NamedTuple
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import url2pathname
 
+from edge import resources
 from edge.files import read_regular
 from edge.store.download import read_page, shown
 from edge.store.pace import LIMITS, Limits
@@ -111,7 +112,7 @@ def local_path(url_or_path: str) -> Path:
     """The file of a `file:` address, or of a path."""
     if url_or_path.startswith("file:"):
         return Path(url2pathname(urlsplit(url_or_path).path))
-    return Path(url_or_path).expanduser()
+    return resources.expand(url_or_path)
 
 
 def _normal(name: str) -> str:

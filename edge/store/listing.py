@@ -6,7 +6,7 @@ import argparse
 import json
 
 from edge.perception.cards import Card, all_cards, made_parity
-from edge.text import one_line
+from edge.text import one_line, without_secrets
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
@@ -23,7 +23,7 @@ def as_json() -> str:
     for card in all_cards():
         path = _path(card)
         rows.append({**card.model_dump(), "path": None if path is None else str(path)})
-    return json.dumps(rows, indent=2)
+    return json.dumps(without_secrets(rows), indent=2)
 
 
 def as_table() -> str:

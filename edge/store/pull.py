@@ -177,7 +177,7 @@ def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> N
             name = source_file_name(file.sources[0])
             _download(attempt + name if attempt.endswith("/") else attempt, part, where)
     elif attempt.kind == "path":
-        copy_from(Path(attempt.path).expanduser(), part, file.sources)
+        copy_from(resources.expand(attempt.path), part, file.sources)
     elif attempt.kind == "url":
         _download(attempt.url, part, where)
     else:

@@ -32,7 +32,7 @@ PER_HOUSE = 6
 MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
 IOU = 0.5
 MIN_SCORE = 0.01
-DEPLOYED = Perception().tau_det
+DEPLOYED: float = Perception.model_fields["tau_det"].default
 """The score from which on the service, unless it is told otherwise, takes a detection."""
 TOLD_APART = ("color", "size")
 """Kinds of questions that a model is judged by; the size of what is cut off is a guess."""

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.config import Config
+from edge.config import parse
 from edge.geometry import SE2, CameraModel, camera_mount
 from edge.perception import kernels as perception
 from edge.sim import assemblies, kernels
@@ -155,7 +155,7 @@ def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.nd
 def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
     """Fill `out_rgb` (count, 256, 320, 3) with views of one house; returns their objects."""
     house, appearances = random_house(seed)
-    world = build_house(house, Config())
+    world = build_house(house, parse({"perception": {"detector": {"kind": "sim"}}}))
     rng = np.random.default_rng([8, seed])
     depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)

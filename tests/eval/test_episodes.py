@@ -6,13 +6,13 @@ import json
 import threading
 
 import pytest
+from simulated import simulated
 
-from edge.config import parse
 from edge.errors import Stopped, UserError
 from edge.eval import episodes
 from edge.eval.episodes import Episode
 
-HOUSE = parse({})
+HOUSE = simulated()
 
 
 def test_no_targets_give_no_episodes():
@@ -44,7 +44,7 @@ def blocked(tmp_path, **sim):
     path = tmp_path / "blocked.json"
     path.write_text(json.dumps(house))
     world = {"kind": "house", "house": str(path)}
-    return parse({"sim": {"world": world, **sim}, "perception": {"detector": {"kind": "sim"}}})
+    return simulated(sim={"world": world, **sim})
 
 
 def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):

@@ -112,7 +112,7 @@ def test_the_summary_says_of_how_many_questions_its_shares_are():
 
 
 def test_phrases_are_judged_at_the_services_threshold():
-    assert config.Perception().tau_det == DEPLOYED
+    assert config.load("demo").perception.tau_det == DEPLOYED
     summary = report(phrases=np.array([[0.9, 0.1], [0.29, 0.2], [0.31, 0.3]])).summary()
     assert summary["right_above_0.3"] == pytest.approx(0.667)
     assert summary["wrong_below_0.3"] == 1.0

@@ -13,9 +13,10 @@ import pytest
 from closed_loop import ClosedLoop
 from llm_process import PATIENCE_S, serving_llm
 from patience import eventually
+from simulated import simulated
 
 from edge.chat import ChatError
-from edge.config import ChoiceOpenai, ChoiceText, parse
+from edge.config import ChoiceOpenai, ChoiceText
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice
 from edge.types import Observation
@@ -95,7 +96,7 @@ def test_the_robot_goes_on_when_the_server_is_killed():
     with serving_llm() as (url, server):
         choice = {"kind": "text", "url": url, "model": "default", "time_limit_s": PATIENCE_S}
         loop = ClosedLoop(
-            parse(
+            simulated(
                 {
                     "loop": {"lockstep": False},
                     "sim": {"lockstep": True},

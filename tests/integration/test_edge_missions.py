@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
 
@@ -68,7 +69,7 @@ def test_orders_by_command(edge, endpoint, tmp_path):
         return command.wait(), command.output
 
     code, said = order("status", config, timeout_s=1)
-    assert code == 2
+    assert code == os.EX_UNAVAILABLE
     assert "no service" in said or "cannot connect" in said, said
     run = edge("run", config).says("ready:")  # sees nothing, so that its mission does not end
     code, said = order("status", config, "--json")
@@ -85,7 +86,7 @@ def test_orders_by_command(edge, endpoint, tmp_path):
         (("new", config, "F (a", "--formula"), "column"),
     ]:
         code, said = order(*bad)
-        assert code == 2, said
+        assert code == os.EX_DATAERR, said
         assert part in said
     assert json.loads(order("status", config, "--json")[1])["formula"] == "F toilet"
     code, said = order("new", config, "go to the sofa or the tv")
@@ -93,7 +94,7 @@ def test_orders_by_command(edge, endpoint, tmp_path):
     edge("sim", config)
     run.says("reached: confirmed")
     code, said = order("pause", config)
-    assert code == 2
+    assert code == os.EX_DATAERR
     assert "no mission is under way" in said
 
 
@@ -121,7 +122,7 @@ def test_its_automaton_is_drawn(tmp_path, suffix):
 def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_path):
     config = write_config(tmp_path, zenoh={"endpoint": endpoint})
     run = edge("run", config, "--mission", "go to the chair and never go to the chair")
-    assert run.wait() == 2
+    assert run.wait() == os.EX_DATAERR
     assert "contradiction" in run.lines[-1]
 
 
@@ -140,7 +141,7 @@ def test_a_language_model_that_is_down_or_silent_costs_only_its_mission(
         edge("sim", config)
         edge("run", config).says("target: toilet")
         command = edge("mission", "new", config, "go to the sofa")
-        assert command.wait() == 2, command.output
+        assert command.wait() == os.EX_DATAERR, command.output
         assert url.removesuffix("/v1") in command.lines[-1]
         status = edge("mission", "status", config, "--json", "--timeout", 60)
         assert status.wait() == 0

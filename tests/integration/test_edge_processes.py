@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import threading
@@ -86,19 +87,22 @@ def test_a_demo_ends_when_its_simulator_does(edge):
     demo = edge("demo").says("ready:")
     victim = next(child for child in demo.children() if "sim" in child.cmdline())
     victim.kill()
-    assert demo.wait() == 2
+    assert demo.wait() == os.EX_SOFTWARE
     assert "edge sim ended before its time (signal 9)" in demo.lines[-1]
     assert not demo.orphans()
 
 
-def test_a_killed_demo_takes_its_children_along(edge):
-    demo = edge("demo").says("ready:")
+def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, tmp_path):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    demo = edge("demo", TMPDIR=str(temporary)).says("ready:")
     children = demo.children()
     assert len(children) >= 2
     demo.process.kill()
     gone, alive = psutil.wait_procs(children, timeout=STOP_S)
     assert not alive
     assert len(gone) == len(children)
+    assert list(temporary.iterdir()) == []
 
 
 def test_the_mission_outlives_simulator_and_controller(edge, config, endpoint):

@@ -154,7 +154,7 @@ def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live
 
 
 def test_a_stop_is_obeyed_while_the_model_loads(live, caplog):
-    caplog.set_level(logging.INFO, "edge.runner")
+    caplog.set_level(logging.INFO, "edge")
     stop = threading.Event()
 
     def stop_when_it_loads() -> None:
@@ -167,7 +167,7 @@ def test_a_stop_is_obeyed_while_the_model_loads(live, caplog):
         raise AssertionError
     stopper.join()
     assert not [c for c in psutil.Process().children() if fake in c.cmdline()]
-    assert [r.getMessage() for r in caplog.records if r.name == "edge.runner"] == [
+    assert [r.getMessage() for r in caplog.records if r.name == "edge"] == [
         "stopped before it was ready"
     ]
 

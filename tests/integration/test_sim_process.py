@@ -33,6 +33,7 @@ sys.exit(main(parse(json.loads(sys.argv[1])), stop))
 def settings(**sim: object) -> dict:
     camera = {"width_px": 64, "height_px": 48}
     return {
+        "perception": {"detector": {"kind": "sim"}},
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "prefix": "test/sim"},
         "sensors": {"camera": camera, "lidar": {"rings": 4, "columns": 90}},
         "sim": {"step_s": 0.1, **sim},

@@ -26,6 +26,7 @@ from edge import resources
 from edge.asking import OrderError
 from edge.config import load
 from edge.geometry import CameraModel
+from edge.interruptible import ABANDONED
 from edge.runner import loop, open_service
 from edge.store import use
 from edge.types import Observation
@@ -225,7 +226,7 @@ def test_no_service_is_one_line(config):
     assert line.endswith("start one with `edge run`")
 
 
-ABANDONED = """
+LEFT_BEHIND = """
 import atexit, threading, types
 from edge import cli
 
@@ -240,11 +241,13 @@ raise SystemExit(cli.main([]))
 """
 
 
-@pytest.mark.parametrize(("thread", "output"), [("swap", ""), ("other", "cleared up\n")])
-def test_a_model_that_is_still_being_loaded_does_not_spoil_the_exit(thread, output):
+@pytest.mark.parametrize(
+    ("thread", "output"), [("swap", ""), (ABANDONED, ""), ("other", "cleared up\n")]
+)
+def test_what_is_still_being_loaded_or_compiled_does_not_spoil_the_exit(thread, output):
     """onnxruntime aborts the process when the interpreter goes while it loads."""
     done = subprocess.run(
-        [sys.executable, "-c", ABANDONED.replace("NAME", thread)],
+        [sys.executable, "-c", LEFT_BEHIND.replace("NAME", thread)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (3, output)

@@ -14,10 +14,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from patience import PATIENCE_S, eventually
+from simulated import simulated
 
 from edge import recording, topics
 from edge.bus import open_session
-from edge.config import Config, parse
+from edge.config import Config
 from edge.geometry import SE2, CameraModel
 from edge.ports import free_port
 from edge.sinks.zenoh import ZenohSink
@@ -33,7 +34,7 @@ CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
 
 @pytest.fixture
 def config() -> Config:
-    return parse(
+    return simulated(
         {
             "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
             "perception": {"detector": {"kind": "onnx"}},

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import simulated
 
-from edge.config import Config, Motion
 from edge.geometry import SE2, wrap_angle
 from edge.motion.controller import REPLACED, SNAP_M, Controller
 from edge.motion.pursuit import length_m
@@ -19,7 +19,7 @@ from edge.types import GoalStatus
 
 RES_M = 0.05
 STEP_NS = 50_000_000
-CONFIG = Config()
+CONFIG = simulated()
 
 
 def room(width_m: float, height_m: float) -> np.ndarray:
@@ -511,7 +511,7 @@ def test_a_map_without_resolution_is_refused(resolution):
 
 
 def test_clearance_keeps_off_a_map_that_is_not_inflated():
-    config = Config(motion=Motion(clearance_m=0.25))
+    config = simulated({"motion": {"clearance_m": 0.25}})
     walk = Walk(SE2(1.0, 0.6, 0.0), Controller(config))
     walk.map(DOORWAY)
     walk.goal(1, SE2(7.0, 3.3, 1.5))

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 import zenoh
 from patience import PATIENCE_S
+from simulated import simulated
 
 from edge import topics
 from edge.bus import open_session
-from edge.config import Config, Motion, Sim, Zenoh
+from edge.config import Config
 from edge.geometry import SE2
 from edge.motion import process
 from edge.ports import free_port
@@ -95,11 +96,11 @@ class Robot:
 
 
 def _config(lockstep: bool) -> Config:
-    return Config(
-        zenoh=Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}", shared_memory=False),
-        sim=Sim(lockstep=lockstep),
-        motion=Motion(rate_hz=50.0),
-    )
+    return simulated({
+        "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
+        "sim": {"lockstep": lockstep},
+        "motion": {"rate_hz": 50.0},
+    })  # fmt: skip
 
 
 @pytest.fixture
@@ -272,7 +273,7 @@ def test_answers_are_what_the_service_reads():
 
 def test_malformed_messages_are_counted_and_logged_once(caplog):
     good = messages.encode_odometry(5, np.eye(4), 0.1, 0.2)
-    bus = process.Bus(_Rings([b"", b"junk", good, good[:50], good]), Config())
+    bus = process.Bus(_Rings([b"", b"junk", good, good[:50], good]), simulated())
     read = bus.read(topics.ODOMETRY, messages.decode_odometry)
     assert [o.stamp_ns for o in read] == [5, 5]
     assert bus.malformed == {"odom": 3}

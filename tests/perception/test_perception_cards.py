@@ -392,14 +392,14 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("target", "detector", "message"),
+    ("target", "detector", "message", "code"),
     [
-        ("chair", "{kind: onnx, model: no-such-model}", "no-such-model"),
-        (" ", "{kind: sim}", "mission.target: '' is no name"),
+        ("chair", "{kind: onnx, model: no-such-model}", "no-such-model", os.EX_UNAVAILABLE),
+        (" ", "{kind: sim}", "mission.target: '' is no name", os.EX_CONFIG),
     ],
 )
 def test_edge_run_says_in_one_line_why_it_cannot_detect(
-    tmp_path, capsys, monkeypatch, target, detector, message
+    tmp_path, capsys, monkeypatch, target, detector, message, code
 ):
     from edge import cli
 
@@ -407,6 +407,6 @@ def test_edge_run_says_in_one_line_why_it_cannot_detect(
     path.write_text(f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n")
     monkeypatch.setattr(cli, "setup", lambda *_: None)
     monkeypatch.setattr(cli, "stop_on_signals", lambda: None)
-    assert cli.main(["run", str(path)]) == 2
+    assert cli.main(["run", str(path)]) == code
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert message in line

@@ -15,7 +15,7 @@ class Scene:
     """Feeds a tracker with things at known places, one frame after the other."""
 
     def __init__(self, make_observation, **settings):
-        self.tracker = InstanceTracker(config.Perception(**settings))
+        self.tracker = InstanceTracker(config.Perception(detector=config.DetectorSim(), **settings))
         self.make, self.seq = make_observation, 0
 
     def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, rival=0.0):

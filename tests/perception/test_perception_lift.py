@@ -25,7 +25,9 @@ def detect(observation, *boxes, score=0.9):
 
 
 def lift(observation, *boxes, **settings):
-    return Lifter(config.Perception(**settings)).lift(detect(observation, *boxes))
+    return Lifter(config.Perception(detector=config.DetectorSim(), **settings)).lift(
+        detect(observation, *boxes)
+    )
 
 
 def wall_with_thing(thing_m=2.0, wall_m=4.0):
@@ -140,7 +142,7 @@ def test_cloud_and_depth_agree(make_observation):
 def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way, message, caplog):
     """A LiDAR or depth camera that falls silent must not end the loop."""
     seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
-    lifter = Lifter(config.Perception(lift=way))
+    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
     for _ in range(2):
         lifted = lifter.lift(detect(seen, BOX))
         assert len(lifted) == 1
@@ -203,7 +205,8 @@ def test_things_of_a_real_lidar_scan(shared_dir):
     folder = shared_dir / "logs" / "semantic_kitti_05"
     if not folder.is_dir():
         pytest.skip(f"not there: {folder.name}")
-    lifter = Lifter(config.Perception(lift="cloud", lift_max_range_m=60.0, lift_min_points=4))
+    settings = {"lift": "cloud", "lift_max_range_m": 60.0, "lift_min_points": 4}
+    lifter = Lifter(config.Perception(detector=config.DetectorSim(), **settings))
     gaps = {TRUCK: [], TRUNK: [], POLE: []}
     for frame in (0, 2, 4, 6, 8):
         seen, semantic = kitti(folder, frame)

@@ -511,4 +511,4 @@ def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_ob
 
 def test_a_detector_that_needs_more_than_an_image_cannot_be_isolated():
     with pytest.raises(ValueError, match=r"only for perception\.detector\.kind: onnx"):
-        config.Perception(isolation="process")
+        config.Perception(isolation="process", detector=config.DetectorSim())

@@ -8,12 +8,16 @@ test_gpu_runtime.py.
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from edge import resources
 from edge.perception.backends import binding, runtime
 from edge.perception.backends.runtime import (
     ORT_TENSORRT,
@@ -309,3 +313,16 @@ def test_on_cuda_only_what_is_live_is_uploaded_again(monkeypatch, provider):
     assert {value.where for value in session.bound.values()} == {("cuda", 1)}
     assert session.bound["fixed"].uploads == 1
     assert session.bound["fresh"].uploads == 4
+
+
+@pytest.mark.parametrize("package", ["edge", "exporters"])
+def test_a_model_that_ran_leaves_nothing_in_the_home_folder(package, tmp_path):
+    model = resources.data_dir("models") / "mini-house-256x320-int8-cpu.onnx"
+    code = (
+        f"import {package}, onnxruntime\n"
+        f"onnxruntime.InferenceSession({str(model)!r}, providers=['CPUExecutionProvider'])"
+    )
+    # No more of the environment: what says that this is a CI keeps onnxruntime quiet, too.
+    environ = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
+    subprocess.run([sys.executable, "-c", code], env=environ, check=True)
+    assert [str(path) for path in tmp_path.rglob("*")] == []

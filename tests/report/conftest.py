@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from report_runs import flat_run, mission_run
+from simulated import simulated
 
-from edge.config import parse
 from edge.latency import LatencyRing
 from edge.sinks.record import RunRecord
 from edge.sinks.recorder import Recorder
@@ -25,4 +25,4 @@ def run() -> RunRecord:
 @pytest.fixture(scope="session")
 def empty_run() -> RunRecord:
     """A run that ended before anything arrived."""
-    return Recorder(parse({})).finish(MissionStatus("chair", "searching"), LatencyRing().report())
+    return Recorder(simulated()).finish(MissionStatus("chair", "searching"), LatencyRing().report())

@@ -8,8 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from simulated import simulated
 
-from edge.config import parse
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mission.automaton import compile_formula
@@ -118,7 +118,7 @@ def latency() -> LatencyRing:
 
 def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
     rng = np.random.default_rng(0)
-    recorder = Recorder(parse({"robot": {"name": "demo"}, "mission": {"target": "chair"}}))
+    recorder = Recorder(simulated({"robot": {"name": "demo"}, "mission": {"target": "chair"}}))
     end_ns = drive(recorder)
     for i, (x, y) in enumerate(WAY[1:-1]):
         pose = SE2(x, y, 0.5)

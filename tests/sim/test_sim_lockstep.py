@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 
-from edge.config import parse
+from simulated import simulated
+
 from edge.sim import process
 
 
@@ -29,5 +30,5 @@ def test_in_lockstep_a_robot_that_nobody_answers_stands(monkeypatch):
     monkeypatch.setattr(process, "CameraRig", rig)
     monkeypatch.setattr(process, "_ask", lambda *_: next(answers))
     drive = Drive(stop, 3)
-    process.run_lockstep(parse({}), None, drive, None, stop)
+    process.run_lockstep(simulated(), None, drive, None, stop)
     assert drive.told == [(0.5, 0.1), (0.0, 0.0), (0.4, 0.0)]

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from simulated import simulated
 
-from edge.config import Lidar, parse
+from edge.config import Lidar
 from edge.geometry import SE2, CameraModel, camera_mount, se3
 from edge.sim import mesh_kernels
 from edge.sim.base import Fan, WorldError, collides
@@ -26,7 +27,9 @@ pytestmark = pytest.mark.weights
 
 
 def world_config(mesh: Path, objects: Path):
-    return parse({"sim": {"world": {"kind": "mesh", "mesh": str(mesh), "objects": str(objects)}}})
+    return simulated(
+        {"sim": {"world": {"kind": "mesh", "mesh": str(mesh), "objects": str(objects)}}}
+    )
 
 
 def look(world, pose: SE2, width: int = 160, height: int = 128):

@@ -7,8 +7,9 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import simulated
 
-from edge.config import Config, Robot, Sim
+from edge.config import Robot, Sim
 from edge.geometry import SE2
 from edge.sim.base import WorldError, collides
 from edge.sim.house import House, build_house
@@ -27,7 +28,7 @@ def arena():
         House.model_validate(
             {"name": "arena", "start": [0, 0, 0], "walls": walls, "objects": [pillar]}
         ),
-        Config(),
+        simulated(),
     )
 
 

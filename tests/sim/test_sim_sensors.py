@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 import pytest
+from simulated import simulated
 
 from edge import topics
-from edge.config import parse
 from edge.geometry import SE2
 from edge.sim.process import next_frame
 from edge.sim.robot import DriveTrain
@@ -23,7 +23,7 @@ POSE = SE2(3.0, 2.0, 0.3)
 def config(rings: int = 4, **sim: float):
     camera = {"width_px": 64, "height_px": 48}
     lidar = {"rings": rings, "columns": 120, "noise_m": 0.0}
-    return parse({"sensors": {"camera": camera, "lidar": lidar}, "sim": sim})
+    return simulated({"sensors": {"camera": camera, "lidar": lidar}, "sim": sim})
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import simulated
 
 from edge import names
-from edge.config import Config, Lidar, WorldHouse, parse
+from edge.config import Lidar, WorldHouse
 from edge.geometry import SE2, CameraModel, camera_mount, se3
 from edge.sim import assemblies
 from edge.sim.base import Fan, WorldError, WorldObject, collides, free_poses
@@ -39,7 +40,7 @@ EMPTY_ROOM = {
 
 
 def house_with(*things: dict) -> BoxWorld:
-    return build_house(House.model_validate({**EMPTY_ROOM, "objects": things}), Config())
+    return build_house(House.model_validate({**EMPTY_ROOM, "objects": things}), simulated())
 
 
 def look(world, pose: SE2, width: int = 96, height: int = 64, pitch_rad: float = 0.0):
@@ -52,7 +53,7 @@ def look(world, pose: SE2, width: int = 96, height: int = 64, pitch_rad: float =
 
 @pytest.fixture(scope="module")
 def demo() -> BoxWorld:
-    return load_house(WorldHouse(), Config())
+    return load_house(WorldHouse(), simulated())
 
 
 def test_lidar_measures_an_empty_room():
@@ -76,7 +77,7 @@ def test_depth_is_along_the_optical_axis_and_nan_out_of_range():
     _, depth, ids = look(world, SE2(0.0, 0.0, 0.0))
     assert depth[32, 10:86] == pytest.approx(2.95, abs=1e-3)  # the wall ahead, everywhere
     assert (ids == 0).all()
-    short = parse({"sensors": {"camera": {"depth_max_m": 2.0}}})
+    short = simulated({"sensors": {"camera": {"depth_max_m": 2.0}}})
     _, depth, _ = look(build_house(House.model_validate(EMPTY_ROOM), short), SE2(0, 0, 0))
     assert np.isnan(depth[32]).all()
 
@@ -171,7 +172,7 @@ def test_free_poses_are_free_reachable_and_repeatable(demo: BoxWorld):
 
 
 def test_free_poses_refuse_a_start_that_is_not_free():
-    world = build_house(House.model_validate({**EMPTY_ROOM, "start": [3, 0, 0]}), Config())
+    world = build_house(House.model_validate({**EMPTY_ROOM, "start": [3, 0, 0]}), simulated())
     with pytest.raises(WorldError, match="no free space"):
         free_poses(world, 1, 0, 0.2)
 
@@ -216,12 +217,12 @@ def test_a_malformed_house_gives_one_clear_line(tmp_path: Path, text: str, messa
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(WorldError, match=message) as caught:
-        load_house(WorldHouse(house=str(path)), Config())
+        load_house(WorldHouse(house=str(path)), simulated())
     assert "\n" not in str(caught.value)
 
 
 def test_an_unknown_house_lists_the_built_in_ones():
-    config = parse({"sim": {"world": {"kind": "house", "house": "nowhere"}}})
+    config = simulated({"sim": {"world": {"kind": "house", "house": "nowhere"}}})
     with pytest.raises(WorldError, match=r"nowhere.*built-in:.*demo"):
         load_world(config)
 
@@ -239,7 +240,7 @@ def test_procthor_houses_start_free_and_have_reachable_rooms(shared_dir: Path):
     houses = {house["name"]: house for house in read_houses(path)}
     assert len(houses) == 75
     for name in ("procthor-val-0", "procthor-val-7", "procthor-val-31", "procthor-val-74"):
-        world = build_procthor(houses[name], Config())
+        world = build_procthor(houses[name], simulated())
         assert not collides(world, world.start.x_m, world.start.y_m, 0.2), name
         area = world.plan.reachable(world.start.x_m, world.start.y_m, 0.2).sum() * CELL_M**2
         assert area > 10.0, name
@@ -255,10 +256,10 @@ def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
     path = tmp_path / "houses.jsonl"
     path.write_text(json.dumps(json.loads(house)) + "\n")
     sim = yaml.safe_load(config)["sim"]
-    world = load_world(parse({"sim": sim}))
+    world = load_world(simulated(sim=sim))
     assert (world.name, world.start) == ("demo", SE2(2.0, 1.0, 0.0))
     section = {"kind": "procthor", "file": str(path), "name": "my-house-0"}
-    world = load_world(parse({"sim": {"world": section}}))
+    world = load_world(simulated(sim={"world": section}))
     assert [thing.label for thing in world.objects] == ["refrigerator"]
     assert not collides(world, world.start.x_m, world.start.y_m, 0.2)
     (tmp_path / "things.json").write_text(things)
@@ -269,7 +270,7 @@ def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
 def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Path):
     def load(file: Path, name: str):
         world = {"kind": "procthor", "file": str(file), "name": name}
-        return load_world(parse({"sim": {"world": world}}))
+        return load_world(simulated({"sim": {"world": world}}))
 
     path = shared_dir / "worlds" / "procthor_val.jsonl.gz"
     assert load(path, "procthor-val-1").name == "procthor-val-1"

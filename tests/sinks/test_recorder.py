@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import simulated
 
-from edge.config import parse
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mission.automaton import compile_formula
@@ -22,7 +22,7 @@ MS = 1_000_000
 
 
 def make(frames: int = 8, target: str = "chair") -> Recorder:
-    return Recorder(parse({"report": {"frames": frames}, "mission": {"target": target}}))
+    return Recorder(simulated({"report": {"frames": frames}, "mission": {"target": target}}))
 
 
 def finish(recorder: Recorder, **more: object) -> RunRecord:
@@ -175,7 +175,7 @@ def test_another_word_for_the_target_is_the_target():
 
 def test_each_target_has_its_best_view():
     """One target is seen well in many images; another only once, and badly."""
-    recorder = Recorder(parse({"report": {"frames": 4}}), ("chair", "sofa"))
+    recorder = Recorder(simulated({"report": {"frames": 4}}), ("chair", "sofa"))
     for k in range(12):
         recorder.frame(
             seen(k * S, {"chair": 0.9 - 0.01 * k, "sofa": 0.3} if k == 5 else {"chair": 0.8})
@@ -235,4 +235,10 @@ def test_known_area():
     ],
 )
 def test_a_detector_is_called_what_it_is(detector, words):
-    assert words in detector_name(parse({"perception": {"detector": detector}}))
+    assert words in detector_name(simulated({"perception": {"detector": detector}}))
+
+
+def test_the_record_knows_the_configuration_but_no_secret():
+    translator = {"kind": "llm", "url": "https://me:s3cret@host/v1?key=s3cret"}
+    record = finish(Recorder(simulated({"mission": {"translator": translator}})))
+    assert record.config["mission"]["translator"]["url"] == "https://host/v1?***"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from simulated import simulated
 
-from edge.config import parse
 from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
 from edge.sinks.console import _ahead, story_of
@@ -13,7 +13,7 @@ S = 1_000_000_000
 
 
 def mission(formula: str) -> MissionRun:
-    config = parse({}).mission
+    config = simulated().mission
     run = MissionRun(prepare(config, formula=formula), config)
     run.start(0)
     return run

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import zenoh
 from patience import eventually
+from simulated import simulated
 
 from edge import topics
 from edge.bus import open_session
-from edge.config import Config, parse
+from edge.config import Zenoh
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.ports import free_port
@@ -87,9 +88,7 @@ def clock(monkeypatch) -> Clock:
 @pytest.fixture
 def session():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with open_session(
-        Config.model_validate({"zenoh": {"endpoint": endpoint}}).zenoh, "listen"
-    ) as s:
+    with open_session(Zenoh(endpoint=endpoint), "listen") as s:
         yield s
 
 
@@ -100,7 +99,7 @@ def ears(session):
 
 @pytest.fixture
 def sink(session, ears):
-    sink = ZenohSink(session, Config())
+    sink = ZenohSink(session, simulated())
     yield sink
     sink.close()
 
@@ -132,7 +131,7 @@ def test_a_first_tick_says_everything_once(sink, ears):
 
 def test_rates_follow_the_clock_of_the_loop(session, ears):
     # In lockstep nothing is replaced, so what leaves can be counted.
-    sink, service = ZenohSink(session, parse({"loop": {"lockstep": True}})), Fake()
+    sink, service = ZenohSink(session, simulated({"loop": {"lockstep": True}})), Fake()
     for k in range(100):  # 10 s at 10 Hz on the loop's clock, in no time
         sink.tick(service, None, k * 10**8)
     settle(sink, ears)
@@ -201,7 +200,7 @@ def test_the_mission_reaches_those_who_come_late(sink, session, ears):
 
 
 def test_the_last_word_leaves_before_it_closes(session, ears):
-    sink, service = ZenohSink(session, Config()), Fake()
+    sink, service = ZenohSink(session, simulated()), Fake()
     service.status = MissionStatus("chair", "failed", "time limit")
     sink.tick(service, None, 0)
     sink.close()
@@ -210,7 +209,7 @@ def test_the_last_word_leaves_before_it_closes(session, ears):
 
 def test_lockstep_sends_everything_in_order(clock, session):
     order = session.declare_subscriber("edge/**", zenoh.handlers.FifoChannel(1000))
-    sink, service = ZenohSink(session, parse({"loop": {"lockstep": True}})), Fake()
+    sink, service = ZenohSink(session, simulated({"loop": {"lockstep": True}})), Fake()
     for k in range(3):
         sink.goal(goal(k))
         sink.tick(service, observation(k), k * 10**10)
@@ -224,7 +223,7 @@ def test_lockstep_sends_everything_in_order(clock, session):
 
 
 def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
-    sink = ZenohSink(session, parse({"loop": {"lockstep": True}}))
+    sink = ZenohSink(session, simulated({"loop": {"lockstep": True}}))
     sink.tick(Fake(), observation(77), 77)
     ears.hear("tick")
     late = Ears(session, "edge")

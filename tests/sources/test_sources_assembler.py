@@ -6,9 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from simulated import simulated
 
 from edge import topics
-from edge.config import Config, ConfigError, parse
+from edge.config import Config, ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources.assembler import PATIENCE_NS, Assembler
 from edge.wire import messages
@@ -29,7 +30,7 @@ class Robot:
 
     def __init__(self, data: dict | None = None) -> None:
         self.now_ns = 0
-        self.assembler = Assembler(parse(data or ONNX), clock=lambda: self.now_ns)
+        self.assembler = Assembler(simulated(data or ONNX), clock=lambda: self.now_ns)
 
     def send(self, topic, payload: bytes) -> Robot:
         self.assembler.offer(topic, payload)

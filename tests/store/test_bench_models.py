@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sys
 
 import cv2
@@ -318,14 +319,14 @@ def bench(*words):
 def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
     simulated = tmp_path / "simulated.yaml"
     simulated.write_text("perception: {detector: {kind: sim}}")
-    assert bench("tiny") == 2
+    assert bench("tiny") == os.EX_DATAERR
     assert "'tiny' (choices: none)" in capsys.readouterr().err
     place("tiny-fp32", None)
-    assert bench("other", "--config", "demo") == 2
+    assert bench("other", "--config", "demo") == os.EX_DATAERR
     assert "'other' (choices: tiny)" in capsys.readouterr().err
-    assert bench("--config", str(simulated)) == 2  # its detector is no model
+    assert bench("--config", str(simulated)) == os.EX_DATAERR  # its detector is no model
     assert "name a family (choices: tiny)" in capsys.readouterr().err
-    assert bench("tiny", "--providers", "cpu,tpu") == 2
+    assert bench("tiny", "--providers", "cpu,tpu") == os.EX_DATAERR
     assert "'tpu' is not here (choices: cpu" in capsys.readouterr().err
 
 

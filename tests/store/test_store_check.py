@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 
 import pytest
 
@@ -106,7 +107,7 @@ def test_a_scorer_is_checked_by_its_parts(put, store, capsys):
     store(scorer | {"image_encoder": "image", "text_encoder": "text"})
     code, out, _ = check(capsys, "clip")
     assert (code, len(out)) == (0, 2)
-    assert main(["models", "check", "clip", "--file", "x.onnx"]) == 2
+    assert main(["models", "check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
     assert "has no file of its own, it uses image and text" in capsys.readouterr().err
 
 
@@ -161,4 +162,4 @@ def test_a_file_held_against_a_card(put, tmp_path, capsys):
     assert "must have inputs" in check(capsys, "text", "--file", put("image"))[2][0]
     assert "no such file" in check(capsys, "text", "--file", tmp_path / "none.onnx")[2][0]
     code, _, (error,) = check(capsys, "--file", other)
-    assert (code, "--file needs the NAME" in error) == (2, True)
+    assert (code, "--file needs the NAME" in error) == (os.EX_UNAVAILABLE, True)

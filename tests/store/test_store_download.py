@@ -163,7 +163,7 @@ def test_a_redirect_is_followed_without_the_password(server, tmp_path):
     assert "authorization" in first.asked[0]
     assert "authorization" not in second.asked[0]
     assert (tmp_path / "w.pt").read_bytes() == CONTENT
-    assert shown("https://me:secret@host:8/x?y=1") == "https://host:8/x?y=1"
+    assert shown("https://me:secret@host:8/x?y=1") == "https://host:8/x?***"
 
 
 def test_two_at_one_file_do_not_mix(tmp_path):

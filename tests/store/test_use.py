@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from types import SimpleNamespace
 
 import pytest
+from simulated import simulated
 
 from edge.asking import OrderError
 from edge.cli import main
-from edge.config import parse
 from edge.models_desk import ModelOrder, handle, parse_order
 from edge.perception.sim_detector import SimDetector
 from edge.perception.swap.swapper import Swapper
@@ -74,10 +75,10 @@ def test_patience_has_an_end():
 
 def test_no_service_is_one_line_and_a_failure(tmp_path, capsys):
     path = tmp_path / "c.yaml"
-    path.write_text(json.dumps({"zenoh": {"endpoint": "tcp/127.0.0.1:1"}}))
-    assert (
-        main(["--log-level", "warning", "models", "use", "x", str(path), "--timeout", "0.1"]) == 2
-    )
+    data = {"zenoh": {"endpoint": "tcp/127.0.0.1:1"}, "perception": {"detector": {"kind": "sim"}}}
+    path.write_text(json.dumps(data))
+    words = ["--log-level", "warning", "models", "use", "x", str(path), "--timeout", "0.1"]
+    assert main(words) == os.EX_UNAVAILABLE
     assert capsys.readouterr().err == (
         "models: no service at tcp/127.0.0.1:1; start one with `edge run`\n"
     )
@@ -127,7 +128,7 @@ def test_no_order(payload, text):
 
 
 def test_orders_are_answered_with_how_the_swap_stands():
-    perception = parse({}).perception
+    perception = simulated().perception
     worker = WorkerBase(SimDetector(perception.detector, ["chair"]))
     swapper = Swapper(perception, worker, lambda text, now_ns: None)
     said: list = []

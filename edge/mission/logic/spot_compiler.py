@@ -19,7 +19,7 @@ from types import ModuleType
 
 import numpy as np
 
-from edge.errors import UserError
+from edge.errors import UnavailableError
 from edge.mission.logic.formula import UNARY, Formula, postorder
 from edge.mission.logic.limits import CompileError, Limits
 from edge.mission.logic.minimise import minimal
@@ -59,12 +59,12 @@ def language(
     """What `edge.mission.logic.compiler.language` does, by Spot: the same arrays.
 
     Raises:
-        UserError: Spot is not there.
+        UnavailableError: Spot is not there.
         CompileError: a limit was passed, or the formula is nested too deep for Spot.
     """
     reason = missing()
     if reason:
-        raise UserError(
+        raise UnavailableError(
             f"compiler 'spot': {reason}; install Spot's Python bindings (package spottl or "
             "conda-forge's spot), or choose the compiler 'own'"
         )

@@ -5,15 +5,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import shutil
 import signal
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +24,7 @@ from edge.perception.detector import Progress
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
+from edge.private_folder import private_folder
 
 log = logging.getLogger(__name__)
 
@@ -62,17 +60,17 @@ class Link:
         self._asked = self._checked = 0
         self._ended = threading.Event()
         self._asking, self._checking = threading.Lock(), threading.Lock()
+        self._folder = ExitStack()
         with ExitStack() as stack:
             try:
-                folder = tempfile.mkdtemp(prefix="edge-model-", dir=shared_dir())
-                self._drop_folder = partial(shutil.rmtree, folder, ignore_errors=True)
-                stack.callback(self._drop_folder)
+                folder = self._folder.enter_context(private_folder("edge-model-", shared_dir()))
+                stack.push(self._folder)
                 context = zmq.Context()
                 stack.callback(context.destroy, linger=0)
                 self._images = _bind(context, f"ipc://{folder}/frames")
                 self._control = _bind(context, f"ipc://{folder}/control")
                 start = messages.Start(
-                    perception.model_dump(mode="json"), list(prompts), folder, frames.fd,
+                    perception.model_dump(mode="json"), list(prompts), str(folder), frames.fd,
                     os.getpid(), *_logging(),
                 )  # fmt: skip
                 self._process = _start(start)
@@ -101,7 +99,7 @@ class Link:
             progress(self._decode(messages.decode_health, header))
         messages.raise_error(header, self.name)
         self._hear(self._images, timeout_s, told_to_end)
-        self._drop_folder()
+        self._folder.close()
 
     def _hear(
         self, socket: zmq.Socket[bytes], timeout_s: float, told_to_end: Callable[[], bool]

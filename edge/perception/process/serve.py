@@ -20,6 +20,7 @@ from edge import config, logs
 from edge.perception.detector import Detector, Health, Progress, make_detector
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameView
+from edge.signals import show_stacks_on_signals
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
@@ -41,6 +42,7 @@ def main(make: Make = make_detector) -> int:
     start = messages.Start.decode(sys.stdin.buffer.read())
     _end_with(start.parent)
     faulthandler.enable()
+    show_stacks_on_signals()
     logs.setup(start.log_level, start.log_json)
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")

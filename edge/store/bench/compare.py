@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Sequence
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any, Union
 
 import numpy as np
@@ -16,6 +14,7 @@ from edge.config import Config, DetectorOnnx
 from edge.errors import UserError
 from edge.perception.model_file import remembered_sha256
 from edge.perception.text import make_text_encoder
+from edge.private_folder import private_folder
 from edge.store.bench import figures, frames
 from edge.store.bench.figures import Measured
 from edge.store.bench.frames import Frames
@@ -52,8 +51,8 @@ def compare(
     tau_det, perception = config.perception.tau_det, config.perception
     limit_s = perception.swap.load_timeout_s + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
-    with tempfile.TemporaryDirectory(prefix="edge-bench-") as folder:
-        bench = Bench(Path(folder), pictures.rgb, prompts, settings, tau_det, limit_s)
+    with private_folder("edge-bench-") as folder:
+        bench = Bench(folder, pictures.rgb, prompts, settings, tau_det, limit_s)
         results = _run_all(bench, todo)
         again = _again(bench, results)
     answers = frames.answers_of(pictures.labels, prompts)

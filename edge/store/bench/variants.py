@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from edge.errors import UserError
+from edge.errors import UnavailableError, UserError
 from edge.perception.backends.runtime import TENSORRT
 from edge.perception.card_types import DetectCard
 from edge.perception.cards import all_cards
@@ -70,7 +70,7 @@ def providers_here(asked: str | None) -> list[str]:
     """
     available = _available()
     if not available:
-        raise UserError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
+        raise UnavailableError("onnxruntime is not installed: pip install edge-vln[cpu] (or [gpu])")
     here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
     if asked is None:
         return here

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from edge import machine, resources
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 from edge.files import write_atomically
 from edge.perception.cards import card_path
 from edge.store.bench.variants import RUNTIMES
@@ -106,4 +106,4 @@ def _replace(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())
     except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from None
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None

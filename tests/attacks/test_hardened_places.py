@@ -1,0 +1,122 @@
+"""Users without a home, code that is read-only, and signals at a bad moment."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
+from edge_processes import Edge, write_config
+
+from edge.ports import free_port
+
+pytestmark = pytest.mark.slow
+
+STRANGER = 54321  # no user of any machine
+# It may read whatever this test may read, as a hardened unit can, but write nothing of it.
+BECOME = (
+    "setpriv", f"--reuid={STRANGER}", f"--regid={STRANGER}", "--clear-groups",
+    "--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search",
+)  # fmt: skip
+
+
+@pytest.fixture
+def config(tmp_path) -> Path:
+    return write_config(tmp_path, zenoh={"endpoint": f"tcp/127.0.0.1:{free_port()}"})
+
+
+@pytest.fixture
+def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
+    """Starts `edge` commands; all are killed at the end."""
+    started = []
+
+    def start(*arguments: object, **environ: str) -> Edge:
+        started.append(Edge(*arguments, cwd=tmp_path, **environ))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+@pytest.fixture
+def temporary(tmp_path) -> Path:
+    """The one place that a stranger can write to."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    folder.chmod(0o777)
+    return folder
+
+
+@pytest.fixture
+def as_stranger(temporary) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs an `edge` command for a user whom nobody knows and who has no home."""
+    if os.getuid() != 0 or shutil.which("setpriv") is None:
+        pytest.skip("only root can become another user, with setpriv of util-linux")
+
+    def run(*words: str, **environ: str) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            [*BECOME, sys.executable, "-m", "edge.cli", *words], cwd="/", text=True,
+            env={"PATH": os.environ["PATH"], "TMPDIR": str(temporary), **environ},
+            capture_output=True, timeout=240,
+        )  # fmt: skip
+        assert "Traceback" not in done.stderr, done.stderr
+        return done
+
+    return run
+
+
+def test_a_user_without_a_home_is_told_which_variable_to_set(as_stranger, temporary):
+    done = as_stranger("models", "list")
+    assert done.returncode == os.EX_CONFIG
+    assert f"user {STRANGER} has no home folder: set EDGE_CACHE_DIR" in done.stderr
+    done = as_stranger("doctor")
+    assert done.returncode == 1
+    assert done.stdout.count("set EDGE_CACHE_DIR") == 1
+    assert "please report" not in done.stdout
+    assert list(temporary.iterdir()) == []
+
+
+def test_kernels_that_can_be_kept_nowhere_are_compiled_with_a_warning(as_stranger, temporary):
+    for environ in ({}, {"HOME": "/"}):
+        done = as_stranger("mission", "explain", "go to the bed", **environ)
+        assert done.returncode == 0, done.stderr
+        assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in done.stderr
+    assert list(temporary.iterdir()) == []
+
+
+def test_one_folder_is_all_that_a_user_without_a_home_needs(as_stranger, temporary):
+    done = as_stranger("mission", "explain", "go to the bed", EDGE_CACHE_DIR=str(temporary))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [folder.name for folder in temporary.iterdir()] == ["kernels"]
+
+
+@pytest.mark.parametrize("command", ["run", "motion"])
+def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, command):
+    service = edge("--log-level", "debug", command, config, NUMBA_CACHE_DIR=str(temporary))
+    # A kernel is compiled and written: others follow.
+    service.until(lambda: list(temporary.rglob("*.nbc")), "it never compiled")
+    assert service.stop(signal.SIGTERM) == 0, service.output
+    assert "stopped before it was ready" in service.output
+    assert "preparing kernels 5/5" not in service.output
+    assert "ready:" not in service.output
+
+
+def test_a_hang_up_and_a_quit_stop_in_order_and_a_look_at_the_threads_stops_nothing(
+    edge, config, tmp_path
+):
+    for number in (signal.SIGHUP, signal.SIGQUIT):
+        report = tmp_path / number.name
+        service = edge("run", config, "--report", report).says("ready:")
+        service.process.send_signal(signal.SIGUSR1)
+        service.says("most recent call first")
+        assert service.stop(number) == 0, service.output
+        assert f"{number.name}: stopping" in service.output
+        assert (report / "report.html").exists()

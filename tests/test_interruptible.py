@@ -1,0 +1,39 @@
+"""A step that cannot be told to stop is left to its thread."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from edge.errors import Stopped
+from edge.interruptible import ABANDONED, go_on, unless_stopped
+
+
+@pytest.fixture
+def stop() -> threading.Event:
+    return threading.Event()
+
+
+def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
+    assert unless_stopped(lambda: 7, stop) == 7
+    with pytest.raises(ZeroDivisionError):
+        unless_stopped(lambda: 1 // 0, stop)
+    stop.set()
+    with pytest.raises(Stopped):
+        go_on(stop)
+
+
+def test_a_step_that_goes_on_for_ever_is_left_once_told_to_stop(stop):
+    over = threading.Event()
+
+    def work() -> None:
+        stop.set()
+        over.wait()
+
+    with pytest.raises(Stopped):
+        unless_stopped(work, stop)
+    (thread,) = (thread for thread in threading.enumerate() if thread.name == ABANDONED)
+    assert thread.daemon
+    over.set()
+    thread.join()
