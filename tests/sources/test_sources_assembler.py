@@ -279,7 +279,7 @@ def test_another_camera_brings_another_pool():
 
 
 def test_a_camera_too_large_for_any_message_is_refused():
-    robot = Robot().info(CameraModel(2**31, 2**31, 5.0, 5.0, 1.0, 1.0))
+    robot = Robot().info(CameraModel(30_000, 30_000, 2e4, 2e4, 1.5e4, 1.5e4))
     assert robot.drops == {"oversized": 1}
 
 
