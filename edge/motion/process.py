@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 
 from edge import topics
-from edge.bus import declare_publisher, open_session
+from edge.bus import Ring, declare_publisher, open_session
 from edge.config import Config
 from edge.geometry import SE2, se2_of
 from edge.motion.controller import Controller
@@ -74,9 +74,8 @@ class Bus:
         self.malformed: dict[str, int] = {}
         self.map_heard_s: float | None = None
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._subscribers = {
-            topic: session.declare_subscriber(topic.under(prefix), zenoh.handlers.RingChannel(kept))
-            for topic, kept in _RINGS.items()
+        self._rings = {
+            topic: Ring(session, topic.under(prefix), kept) for topic, kept in _RINGS.items()
         }
         # In lockstep the simulator waits for every command: none may be dropped.
         command = replace(topics.CMD_VEL, qos="block") if lockstep else topics.CMD_VEL
@@ -84,9 +83,9 @@ class Bus:
         self._answers = declare_publisher(session, topics.GOAL_STATUS, prefix)
 
     def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
-        """Everything that came, oldest first; what cannot be read is counted."""
+        """What came, oldest first, at most a ring's worth; what cannot be read is counted."""
         read = []
-        while (sample := self._subscribers[topic].try_recv()) is not None:
+        for sample in self._rings[topic].take():
             try:
                 if len(sample.payload) > self._max_bytes:
                     raise ValueError(f"{len(sample.payload)} bytes, over source.max_message_mb")
@@ -122,8 +121,10 @@ class Bus:
             self.answer(controller.on_goal(stamp_ns, goal, now_ns))
 
     def close(self) -> None:
-        for end in (*self._subscribers.values(), self._commands, self._answers):
-            end.undeclare()
+        for ring in self._rings.values():
+            ring.close()
+        for publisher in (self._commands, self._answers):
+            publisher.undeclare()
 
 
 def parse_tick(payload: bytes) -> int:
