@@ -20,7 +20,7 @@ log = logging.getLogger("edge.faults")
 
 DEGRADED_AFTER = 30
 """So many failures in a row, of one step, are no bad moment: 1 s of ticks."""
-TICK = "tick"
+TICK, IDLE = "tick", "idle"
 
 
 class Faults:

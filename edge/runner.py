@@ -22,7 +22,7 @@ from edge.bus import open_session
 from edge.config import Config
 from edge.desk import Desk, Request
 from edge.errors import Stopped
-from edge.faults import TICK
+from edge.faults import IDLE, TICK
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
 from edge.mission.keeper import Keeper
@@ -294,7 +294,7 @@ def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> N
 
 
 def _idle(running: Running, now_ns: int) -> None:
-    with running.service.faults.outlived("idle", now_ns):
+    with running.service.faults.outlived(IDLE, now_ns):
         running.service.idle(now_ns, running.source.pose)
 
 
@@ -312,6 +312,7 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
         _idle(running, now_ns)
     else:
         service.faults.passed(TICK, now_ns)
+        service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
         service.latency.end_tick(perf_counter_ns())
 
 

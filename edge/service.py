@@ -265,7 +265,8 @@ class Service:
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         if self.keeper is not None:
-            self.keeper.note(self, now_ns)
+            with self.faults.outlived("checkpoint", now_ns):
+                self.keeper.note(self, now_ns)
         self._each_sink("tick", now_ns, self, observation, now_ns)
 
     def _tell(self, goal: Goal) -> None:

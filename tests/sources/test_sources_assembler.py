@@ -340,6 +340,23 @@ def test_labels_are_remembered():
     assert robot.drops == {"malformed": 2}
 
 
+def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_again(monkeypatch):
+    robot = Robot({**ONNX, "source": {"pool_slots": 3}}).info()
+
+    def broken(*_) -> None:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(messages, "decode_image_into", broken)
+        for k in range(1, 5):
+            robot.odom(k * FRAME_NS).frame(k * FRAME_NS)
+            with pytest.raises(ZeroDivisionError):
+                robot.poll()
+    assert robot.poll() is None
+    assert robot.odom(5 * FRAME_NS).frame(5 * FRAME_NS).poll().stamp_ns == 5 * FRAME_NS
+    assert not robot.drops
+
+
 def test_a_pose_too_far_for_the_map_is_dropped():
     robot = Robot().info().odom(1_000 * MS, x_m=5.4e6).odom(1_010 * MS, x_m=-5.4e6)
     assert robot.assembler.counters["malformed"] == 2
