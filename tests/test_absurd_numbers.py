@@ -1,0 +1,162 @@
+"""Messages that are well formed, with finite numbers that no sensor has: none raises anything.
+
+In process, from the payload to the end of a tick, or to the controller's command.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from closed_loop import ClosedLoop
+
+from edge import topics
+from edge.config import parse
+from edge.geometry import CameraModel, se2_of
+from edge.motion.controller import Controller
+from edge.sources.assembler import PATIENCE_NS, Assembler
+from edge.topics import Topic
+from edge.wire import DecodeError, messages
+
+WIDTH, HEIGHT, STAMP_NS = 64, 48, 10**18
+ABSURD = (
+    0.0, 1e-300, 1e-30, 1e-7, -1.0, 1e3, 8.9e5, -8.9e5, 1e10, 1e18, 1e30, 3.4e38, -3.4e38, 1e300,
+    -1.7e308,
+)  # fmt: skip
+STAMPS_NS = (-(2**31) * 10**9, -1, 0, 1, (2**31 - 1) * 10**9 + 999_999_999)
+CAMERA = CameraModel.from_hfov(WIDTH, HEIGHT, 1.3)
+
+Batch = dict[Topic, bytes]
+
+
+def changed(payload: bytes, code: str, before: float, after: float) -> bytes:
+    """The payload with every number `before` replaced; float32 takes the nearest it has."""
+    if code == "f":
+        after = max(min(after, 3.4e38), -3.4e38)
+    old = struct.pack(f"<{code}", before)
+    assert old in payload
+    return payload.replace(old, struct.pack(f"<{code}", after))
+
+
+def batch(stamp_ns: int = STAMP_NS) -> Batch:
+    """What a sane robot says of one instant; each number that a test changes stands out."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.111, 0.222, 0.333
+    ids = np.zeros((HEIGHT, WIDTH), np.uint16)
+    ids[10:30, 10:40] = 1
+    depth = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    depth[20:30] = 1.5
+    cloud = np.tile(np.array([[1.25, 2.5, -0.25]], np.float32), (50, 1))
+    camera = CameraModel(WIDTH, HEIGHT, 41.5, 42.5, 31.25, 23.25)
+    return {
+        topics.CAMERA_INFO: messages.encode_camera_info(stamp_ns, "camera", camera),
+        topics.ODOMETRY: messages.encode_odometry(stamp_ns, pose, 0.444, 0.555),
+        topics.DEPTH: messages.encode_image(stamp_ns, "camera", depth),
+        topics.RGB: messages.encode_image(
+            stamp_ns, "camera", np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        ),
+        topics.OBJECT_IDS: messages.encode_image(stamp_ns, "camera", ids),
+        topics.CLOUD: messages.encode_point_cloud(stamp_ns, "lidar", cloud),
+    }
+
+
+def scan() -> bytes:
+    ranges = np.full(50, 1.75, np.float32)
+    return messages.encode_laser_scan(STAMP_NS, "lidar", -1.5, 0.0625, 12.5, ranges)
+
+
+NUMBERS: list[tuple[Topic, str, float]] = [
+    *((topics.CAMERA_INFO, "d", value) for value in (41.5, 42.5, 31.25, 23.25)),
+    *((topics.ODOMETRY, "d", value) for value in (0.111, 0.222, 0.333, 0.444, 0.555)),
+    (topics.ODOMETRY, "d", 1.0),  # the quaternion's w, the only one that is not zero
+    (topics.DEPTH, "f", 1.5),
+    *((topics.CLOUD, "f", value) for value in (1.25, 2.5, -0.25)),
+    *((topics.SCAN, "f", value) for value in (-1.5, 0.0625, 12.5, 1.75)),
+]
+
+
+def batches() -> Iterator[Batch]:
+    for topic, code, number in NUMBERS:
+        for value in ABSURD:
+            sane = batch()
+            if topic is topics.SCAN:
+                del sane[topics.CLOUD]
+                sane[topic] = scan()
+            yield {**sane, topic: changed(sane[topic], code, number, value)}
+    for stamp_ns in STAMPS_NS:
+        yield batch(stamp_ns)
+
+
+@pytest.mark.parametrize("mode", ["depth", "cloud"])
+def test_no_number_breaks_decoding_or_a_tick(mode):
+    config = parse({
+        "mission": {"target": "bed"},
+        "mapping": {"input": mode},
+        "perception": {"detector": {"kind": "sim"}, "lift": mode, "min_hits": 1},
+        "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
+    })  # fmt: skip
+    service, ticks = ClosedLoop(config).service, 0
+    for said in batches():
+        clock = SimpleNamespace(now_ns=0)
+        source = Assembler(config, clock=lambda clock=clock: clock.now_ns)
+        source.offer(topics.OBJECT_LABELS, b'["bed"]')
+        for topic, payload in said.items():
+            source.offer(topic, payload)
+        clock.now_ns = PATIENCE_NS + 1
+        if (observation := source.poll()) is not None:
+            ticks += 1
+            service.tick(observation, observation.stamp_ns)
+            observation.release()
+            service.idle(observation.stamp_ns + 2 * 10**9, source.odometry.newest_pose)
+            assert service.status_dict()["loop"]["failed"] == 0
+    assert ticks > 100
+
+
+@pytest.fixture
+def controller() -> Controller:
+    return Controller(parse({"mission": {"target": "bed"}}))
+
+
+def taken(decode: Callable, payload: bytes):
+    try:
+        return decode(payload)
+    except DecodeError:
+        return None
+
+
+@pytest.mark.parametrize("number", [0.111, 0.222, 0.333, 0.444, 0.555, 0.0625, 0.777, 0.888, 0.999])
+@pytest.mark.parametrize("value", ABSURD)
+def test_no_number_breaks_the_controller(controller, number, value):
+    """Odometry, goal and map with one number changed, at a robot that was held up before."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.111, 0.222, 0.333
+    goal = np.eye(4)
+    goal[:2, 3] = 0.777, 0.888
+    odometry = messages.encode_odometry(STAMP_NS, pose, 0.444, 0.555)
+    order = messages.encode_pose_stamped(STAMP_NS, se2_of(goal))
+    grid = messages.encode_occupancy_grid(
+        STAMP_NS, np.zeros((40, 40), np.int8), (-0.999, -0.999), 0.0625
+    )
+    for code, sign in (("d", 1), ("d", -1), ("f", 1)):
+        old = struct.pack(f"<{code}", sign * number)
+        odometry, order, grid = (
+            changed(payload, code, sign * number, value) if old in payload else payload
+            for payload in (odometry, order, grid)
+        )
+    controller._bumps.add(se2_of(pose), True, STAMP_NS)
+    if (found := taken(messages.decode_occupancy_grid, grid)) is not None:
+        with suppress(ValueError):  # what it says of a map that it does not take
+            controller.on_map(*found[1:], STAMP_NS)
+    if (sent := taken(messages.decode_pose_stamped, order)) is not None:
+        controller.on_goal(*sent, STAMP_NS)
+    if (said := taken(messages.decode_odometry, odometry)) is not None:
+        for step in range(3):
+            now_ns = STAMP_NS + step * 50_000_000
+            at = se2_of(said.T_map_base)
+            command, _ = controller.step(at, said.v_mps, said.w_radps, now_ns)
+            assert math.isfinite(command.v_mps + command.w_radps)
