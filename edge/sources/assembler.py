@@ -30,6 +30,7 @@ from edge.wire import DecodeError, messages
 log = logging.getLogger("edge.sources")
 
 PATIENCE_NS = 50_000_000
+_POSES_APART_NS = 1_000_000
 
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
@@ -83,6 +84,7 @@ class Assembler:
             config.source.max_pose_jump_m,
             config.robot.max_speed_mps,
             config.robot.max_turn_radps,
+            _POSES_APART_NS,
         )
         self.counters: dict[str, int] = dict.fromkeys(("received", "observations", *REASONS), 0)
         self.streams = streams_of(config)
