@@ -3,6 +3,8 @@ and the ticks go on. Counts, no times."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from live_service import flood, live
 from patience import eventually
@@ -13,12 +15,12 @@ ODOMETRY_RING = 64  # the least there is: the flood need not be fast
 TICKS = 60
 
 
-def noting(sizes: list[int], look, size):
-    """`look`, with the size of what it took noted."""
+def noting(sizes: list[int], look: Callable[[], list]) -> Callable[[], list]:
+    """`look`, with how much it took noted."""
 
-    def noted():
+    def noted() -> list:
         took = look()
-        sizes.append(size(took))
+        sizes.append(len(took))
         return took
 
     return noted
@@ -28,7 +30,7 @@ def test_a_flood_of_odometry_leaves_the_loop_its_ticks():
     with live({"source": {"odometry_ring": ODOMETRY_RING}}) as service:
         source, looks = service.running.source, []
         ring = next(r for topic, r in source._rings.items() if topic.key == "odom")
-        ring.take = noting(looks, ring.take, len)
+        ring.take = noting(looks, ring.take)
         with flood(service.running.config, "odometry"):
             eventually(lambda: source.counters["overrun"] >= 3, "the flood is too slow")
             service.goes_on(TICKS)
@@ -40,7 +42,7 @@ def test_a_flood_of_odometry_leaves_the_loop_its_ticks():
 def test_two_floods_of_answers_leave_the_loop_its_ticks():
     with live({}) as service:
         inbox, looks = service.running.inbox, []
-        inbox.poll = noting(looks, inbox.poll, len)
+        inbox.poll = noting(looks, inbox.poll)
         with flood(service.running.config, "goal_status", "goal_status"):
             eventually(lambda: inbox._ring.overruns >= 3, "the flood is too slow")
             service.goes_on(TICKS)
