@@ -156,6 +156,48 @@ def declare_publisher(session: zenoh.Session, topic: Topic, prefix: str) -> zeno
     return session.declare_publisher(topic.under(prefix), **_QOS[topic.qos])
 
 
+class Ring:
+    """The newest messages of one key, for one thread, which takes a ring's worth a look.
+
+    Until the ring is empty would be for ever where somebody sends faster than they are taken.
+
+    Args:
+        kept: messages that wait between two looks; the oldest is let go when one more comes.
+
+    Attributes:
+        overruns: looks that found the ring full once more. How many messages it had let go by
+            then, or still has, nobody knows. Full once is whoever looks, late or just begun; and a
+            ring of one is for what says the same again and again, of which none is missed.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
+        self.overruns = 0
+        self._full = False
+        self._key, self._kept = key, kept
+        self._subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
+
+    def take(self) -> list[zenoh.Sample]:
+        """What came since the last look, oldest first, `kept` at most; the rest can wait."""
+        samples: list[zenoh.Sample] = []
+        while len(samples) < self._kept:
+            if (sample := self._subscriber.try_recv()) is None:
+                break
+            samples.append(sample)
+        was_full, self._full = self._full, len(samples) == self._kept > 1
+        if was_full and self._full:
+            self._overrun()
+        return samples
+
+    def close(self) -> None:
+        self._subscriber.undeclare()
+
+    def _overrun(self) -> None:
+        self.overruns += 1
+        if self.overruns == 1:
+            log.warning("%s: messages come faster than they are taken: %d a look, others are lost "
+                        "(further such looks are only counted)", self._key, self._kept)  # fmt: skip
+
+
 def _explain(endpoint: str, role: Role, reason: str) -> str:
     if "already in use" in reason:
         return (

@@ -15,6 +15,12 @@ import numpy as np
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
+# What a pinhole camera can be, in lengths of its image's longer side: one side focal length is
+# 53 degrees, the limits are 178.9 and 0.6. A small cut-out may lie far from the principal point.
+MIN_FOCAL, MAX_FOCAL, MAX_ASIDE = 0.01, 100.0, 10.0
+MAX_SIDE_PX = 1 << 16
+
+
 def wrap_angle(angle_rad: float) -> float:
     """The same angle in [-pi, pi).
 
@@ -146,7 +152,12 @@ def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """An undistorted pinhole camera; pixel centres lie at integer coordinates."""
+    """An undistorted pinhole camera; pixel centres lie at integer coordinates.
+
+    Raises:
+        ValueError: no camera is like that (see `MIN_FOCAL` and its neighbours). What follows from
+            these numbers, such as strides and rays, need not be looked at again.
+    """
 
     width_px: int
     height_px: int
@@ -154,6 +165,24 @@ class CameraModel:
     fy_px: float
     cx_px: float
     cy_px: float
+
+    def __post_init__(self) -> None:
+        width, height, fx, fy = self.width_px, self.height_px, self.fx_px, self.fy_px
+        side = max(width, height)
+        aside = (self.cx_px - 0.5 * width, self.cy_px - 0.5 * height)
+        # Written so that NaN fails.
+        if not 0 < min(width, height) <= side <= MAX_SIDE_PX:
+            raise ValueError(f"not a camera: {width}x{height} px")
+        if not all(MIN_FOCAL * side <= f <= MAX_FOCAL * side for f in (fx, fy)):
+            raise ValueError(
+                f"not a camera: focal lengths {fx:g}, {fy:g} px at {width}x{height}, "
+                f"expected {MIN_FOCAL * side:g} to {MAX_FOCAL * side:g}"
+            )
+        if not all(abs(off) <= MAX_ASIDE * side for off in aside):
+            raise ValueError(
+                f"not a camera: principal point ({self.cx_px:g}, {self.cy_px:g}) px is far from "
+                f"the image of {width}x{height}"
+            )
 
     @classmethod
     def from_hfov(cls, width_px: int, height_px: int, hfov_rad: float) -> CameraModel:

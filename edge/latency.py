@@ -38,7 +38,7 @@ class StageLatency:
         count: spans since the start.
         overruns: of those, how many took longer than the budget; for the tick itself,
             longer than `TICK_DEADLINE_MS`.
-        drops: inputs that the stage let go since the start.
+        drops: inputs that the stage let go, or failed on, since the start.
     """
 
     name: str
@@ -168,6 +168,7 @@ class LatencyRing:
         self._overruns = np.zeros(n + 1, dtype=np.int64)
         self._count = np.zeros(n + 1, dtype=np.int64)
         self._drops = [0] * n
+        self._abandoned = [0] * n
         self._ticks = 0
         self._began_ns = self._marked_ns = 0
         self._lock = threading.Lock()
@@ -218,8 +219,16 @@ class LatencyRing:
             self._count += self._ran
             self._ticks += 1
 
+    def abandon_tick(self, stage: int) -> None:
+        """The tick ended in an error of this stage, which so dropped its input.
+
+        Half a tick would spoil the percentiles: it does not enter the ring.
+        """
+        self._abandoned[stage] += 1
+
     def set_drops(self, stage: int, total: int) -> None:
-        """Stage `stage` has let go of `total` inputs since the start, as it counts them itself."""
+        """Stage `stage` has let go of `total` inputs since the start, as it counts them itself;
+        those of abandoned ticks come on top."""
         self._drops[stage] = total
 
     def report(self, last: int | None = None) -> LatencyReport:
@@ -229,7 +238,7 @@ class LatencyRing:
             for i in np.flatnonzero(~self._in_tick_columns):
                 windows[i] = self._spans_ns[self._newest(int(self._count[i]), last), i]
             count, overruns = self._count.tolist(), self._overruns.tolist()
-            drops = tuple(self._drops)
+            drops = tuple(map(sum, zip(self._drops, self._abandoned, strict=True)))
         rows = tuple(
             StageLatency(s.name, s.budget_ms, *_summary(window), *counted, in_tick=s.in_tick)
             for s, window, *counted in zip(

@@ -24,7 +24,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from edge import topics
-from edge.bus import declare_publisher, open_session
+from edge.bus import Ring, declare_publisher, open_session
 from edge.children import python_module
 from edge.config import Config, Zenoh, load
 from edge.errors import FileError, UnavailableError, UserError
@@ -123,26 +123,23 @@ def record(
         How many messages were written.
     """
     stop = stop or threading.Event()
-    subscribers = [
-        (topic, session.declare_subscriber(
-            topic.under(config.zenoh.prefix), zenoh.handlers.RingChannel(_RING)
-        ))
-        for topic in topics.ALL
-    ]  # fmt: skip
+    rings = [
+        (topic, Ring(session, topic.under(config.zenoh.prefix), _RING)) for topic in topics.ALL
+    ]
     deadline_s = time.monotonic() + duration_s
     try:
         with McapFile(path) as file:
             while not stop.is_set() and time.monotonic() < deadline_s:
-                for topic, subscriber in subscribers:
-                    while (sample := subscriber.try_recv()) is not None:
+                for topic, ring in rings:
+                    for sample in ring.take():
                         now_ns = time.time_ns()
                         payload = sample.payload.to_bytes()
                         file.add(topic, now_ns, _stamp_of(topic, payload, now_ns), payload)
                 stop.wait(_PAUSE_S)
         return file.messages
     finally:
-        for _, subscriber in subscribers:
-            subscriber.undeclare()
+        for _, ring in rings:
+            ring.close()
 
 
 def _stamp_of(topic: Topic, payload: bytes, otherwise_ns: int) -> int:

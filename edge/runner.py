@@ -19,6 +19,7 @@ from edge import bus, models_desk, requests, resources
 from edge.advice import make_advisers
 from edge.config import Config
 from edge.desk import Desk, Request
+from edge.faults import IDLE, TICK
 from edge.interruptible import go_on, unless_stopped
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
@@ -35,7 +36,9 @@ from edge.sinks.zenoh import ZenohSink
 from edge.sources.base import Source
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
-from edge.types import MissionStatus, Observation
+from edge.stages import STAGES
+from edge.text import one_line
+from edge.types import GoalStatus, MissionStatus, Observation
 from edge.warmup import warm_up
 
 log = logging.getLogger("edge.runner")
@@ -198,11 +201,11 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
     period_ns = int(1e9 / running.config.loop.hz)
     deadline_ns = perf_counter_ns()
     while not stop.is_set():
-        observation = _hear(running)
+        observation = _hear(running, wall_ns + time.monotonic_ns())
         now_ns = wall_ns + time.monotonic_ns()
         _obey(running, now_ns)
         if observation is None:
-            running.service.idle(now_ns, running.source.pose)
+            _idle(running, now_ns)
         else:
             _tick(running, observation, now_ns)
         yield
@@ -224,7 +227,7 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
     limit_s = running.config.mission.time_limit_s
     seen_s, now_ns, stamp_ns = time.monotonic(), 0, 0
     while not stop.is_set():
-        observation = _hear(running) if running.source.wait(_PATIENCE_S) else None
+        observation = _hear(running, now_ns) if _wait(running, now_ns) else None
         if observation is not None:
             seen_s = time.monotonic()
             now_ns = _later(now_ns, observation.stamp_ns - stamp_ns)
@@ -234,7 +237,7 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
             _tick(running, observation, now_ns)
         elif time.monotonic() - seen_s > limit_s:
             running.service.mission.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
-            running.service.idle(now_ns, running.source.pose)
+            _idle(running, now_ns)
         yield
 
 
@@ -245,21 +248,57 @@ def _later(now_ns: int, passed_ns: int) -> int:
     return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
 
 
-def _hear(running: Running) -> Observation | None:
+# What follows is called by the loop, and raises nothing into it: whatever one message, order or
+# frame does, the next one's turn comes (see `edge.faults`).
+
+
+def _wait(running: Running, now_ns: int) -> bool:
+    """Whether there is something new to hear, in lockstep."""
+    with running.service.faults.outlived("wait", now_ns):
+        return running.source.wait(_PATIENCE_S)
+    time.sleep(_PATIENCE_S)  # a source that fails at once must not have the loop spin
+    return False
+
+
+def _hear(running: Running, now_ns: int) -> Observation | None:
     """What the controller said, and what there is to be seen now."""
-    running.service.latency.begin_tick(perf_counter_ns())
-    for answer in running.inbox.poll():
-        running.service.goal_answered(answer)
-    return running.source.poll()
+    service = running.service
+    service.latency.begin_tick(perf_counter_ns())
+    answers: list[GoalStatus] = []
+    with service.faults.outlived("goal_status", now_ns):
+        answers = running.inbox.poll()
+    for answer in answers:
+        with service.faults.outlived("goal answer", now_ns):
+            service.goal_answered(answer)
+    try:
+        observation = running.source.poll()
+    except Exception as error:
+        service.latency.abandon_tick(INGEST)
+        service.faults.caught("source", error, now_ns)
+        return None
+    service.faults.passed("source", now_ns)
+    return observation
 
 
 def _obey(running: Running, now_ns: int) -> None:
     """Take the next orders from outside, if there are any, and the next step of a swap."""
-    for request in _orders(running.desk):
-        requests.handle(running.service, request, now_ns)
-    for request in _orders(running.models):
-        models_desk.handle(running.service.swapper, request, now_ns)
-    running.service.swapper.step(now_ns)
+    service = running.service
+    with service.faults.outlived("orders", now_ns):
+        _serve(running.desk, partial(requests.handle, service), now_ns)
+    with service.faults.outlived("model orders", now_ns):
+        _serve(running.models, partial(models_desk.handle, service.swapper), now_ns)
+    with service.faults.outlived("swap", now_ns):
+        service.swapper.step(now_ns)
+
+
+def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> None:
+    """Handle what waits at a desk; whoever gave an order is answered in any case."""
+    for request in _orders(desk):
+        try:
+            handle(request, now_ns)
+        except Exception as error:
+            request.refuse(f"internal error: {one_line(f'{type(error).__name__}: {error}')}")
+            raise
 
 
 def _orders(desk: Desk) -> Iterator[Request]:
@@ -274,13 +313,35 @@ def _orders(desk: Desk) -> Iterator[Request]:
             return
 
 
+def _idle(running: Running, now_ns: int) -> None:
+    with running.service.faults.outlived(IDLE, now_ns):
+        running.service.idle(now_ns, running.source.pose)
+
+
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:
+    """Take an observation through all stages; one that a stage fails on is dropped."""
     service = running.service
     service.latency.mark(INGEST, perf_counter_ns())
-    # Before the tick, so that the map of the old frame does not take in the first of the new one.
-    if running.source.epoch != running.epoch:
-        running.epoch = running.source.epoch
-        service.forget_places(now_ns)
-    service.tick(observation, now_ns)
-    observation.release()
-    service.latency.end_tick(perf_counter_ns())
+    service.stage = INGEST
+    try:
+        _see(running, observation, now_ns)
+    except Exception as error:
+        service.latency.abandon_tick(service.stage)
+        service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
+        # No one has looked: where that goes on, the robot must not drive on.
+        _idle(running, now_ns)
+    else:
+        service.faults.passed(TICK, now_ns)
+        service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
+        service.latency.end_tick(perf_counter_ns())
+
+
+def _see(running: Running, observation: Observation, now_ns: int) -> None:
+    try:
+        # Before the tick, so that the map of the old frame does not take in the first of the new.
+        if running.source.epoch != running.epoch:
+            running.service.forget_places(now_ns)
+            running.epoch = running.source.epoch
+        running.service.tick(observation, now_ns)
+    finally:
+        observation.release()

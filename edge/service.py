@@ -16,6 +16,7 @@ from edge import stages
 from edge.advice import Advice, Advisers
 from edge.candidates import CandidatePool
 from edge.config import Config, PlannerVitl
+from edge.faults import Faults
 from edge.geometry import SE2
 from edge.latency import LatencyRing
 from edge.mapping.grid import RollingMap
@@ -57,6 +58,8 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
+        faults: what stages, sinks and orders raised, and the loop outlived.
+        stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
         advice: what the scorers said, for policies; None where there are none.
     """
@@ -91,6 +94,8 @@ class Service:
         planner = config.mission.planner
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
+        self.faults = Faults(self.event)
+        self.stage = INGEST
         self._worker = worker
         self._advisers = advisers
         self.swapper = Swapper(config.perception, worker, self.event)
@@ -99,7 +104,7 @@ class Service:
         self._seen: Detections | None = None
         self.pose: SE2 | None = None
         self._turns = -1  # the mission's, when the present goal's target was set out for
-        self._looked_ns = 0  # when the last observation came
+        self._looked_ns = 0  # when the last observation was dealt with
         self._blind_ns = _blind_ns(config)
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
@@ -116,17 +121,21 @@ class Service:
 
         Returns:
             The goal now being driven to, or None.
+
+        A tick that raises is as good as none: no one has looked.
         """
+        self.stage = DETECT
         pose = self.pose = observation.pose
         self.stamp_ns = observation.stamp_ns
-        self._looked_ns, self._newest_seq = now_ns, observation.seq
+        self._newest_seq = observation.seq
         self._worker.submit(observation)
         # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
         self.latency.resume(perf_counter_ns())
 
+        self.stage = MAP
         self._map(observation, pose, now_ns)
         self._lap(MAP)
-        self._lift(self._worker.poll())
+        self._lift(self._worker.poll(), now_ns)
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
@@ -140,10 +149,13 @@ class Service:
         self._lap(SELECT)
         self._publish(goal, observation, now_ns)
         self._lap(PUBLISH)
+        self._looked_ns = now_ns
         return goal
 
     def _lap(self, stage: int) -> None:
+        """This stage is done, the next begins."""
         self.latency.mark(stage, perf_counter_ns())
+        self.stage = (stage + 1) % len(stages.STAGES)
 
     def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
@@ -157,15 +169,21 @@ class Service:
             self.grid.update_depth(observation.depth_m, observation.camera, T, pose)
         self.grid.reach.step(pose)
 
-    def _lift(self, detections: Detections | None) -> None:
+    def _lift(self, detections: Detections | None, now_ns: int) -> None:
         """Stage 4: boxes become instances, with the depth and pose they were seen with."""
         self._seen = None
         if detections is None:
             return
-        void = detections.observation.seq <= self._void_seq
-        if void or detections.prompts != self.mission.brief.targets:
+        try:
+            void = detections.observation.seq <= self._void_seq
+            if not void and detections.prompts == self.mission.brief.targets:
+                self._take(detections, now_ns)
+        finally:
+            # The arrays are only read through `_seen` in this tick; the frame may be used again.
             detections.observation.release()
-            return
+
+    def _take(self, detections: Detections, now_ns: int) -> None:
+        """Detections of what is looked for, in the map that there is."""
         self.latency.span(DETECT, detections.latency_ns)
         if self._advisers is not None:
             self._advisers.saw(detections)
@@ -173,10 +191,7 @@ class Service:
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation)
         self._seen = _unrivalled(detections)
-        for sink in self._sinks:
-            sink.detections(self._seen)
-        # The arrays are only read through `_seen` in this tick; the frame may be used again.
-        detections.observation.release()
+        self._each_sink("detections", now_ns, self._seen)
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
@@ -254,13 +269,23 @@ class Service:
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         if self.keeper is not None:
-            self.keeper.note(self, now_ns)
-        for sink in self._sinks:
-            sink.tick(self, observation, now_ns)
+            with self.faults.outlived("checkpoint", now_ns):
+                self.keeper.note(self, now_ns)
+        self._each_sink("tick", now_ns, self, observation, now_ns)
 
     def _tell(self, goal: Goal) -> None:
+        self._each_sink("goal", goal.stamp_ns, goal)
+
+    def _each_sink(self, method: str, now_ns: int, *told: object) -> None:
+        """Call a method of every sink; one that fails costs the others nothing."""
         for sink in self._sinks:
-            sink.goal(goal)
+            step = f"{type(sink).__name__}.{method}"
+            try:
+                getattr(sink, method)(*told)
+            except Exception as error:
+                self.faults.caught(step, error, now_ns)
+            else:
+                self.faults.passed(step, now_ns)
 
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
         """No sensor shows what is there, so only driving can tell: the map closes."""
@@ -293,8 +318,7 @@ class Service:
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
-        for sink in self._sinks:
-            sink.answered(answer)
+        self._each_sink("answered", self._looked_ns, answer)
         self.pursuit.orders.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None) -> None:
@@ -307,11 +331,13 @@ class Service:
         if blind and pose is not None:
             self.pose = pose
         looking = self.pose is not None and not blind
-        self.mission.observe(self.pose, now_ns, looking)
-        self.mission.check_limits(now_ns)
-        if self.pose is not None and (self.mission.done or self.mission.paused or blind):
-            self._stand(self.pose, now_ns)
-        self._report(None, now_ns)
+        try:
+            self.mission.observe(self.pose, now_ns, looking)
+            self.mission.check_limits(now_ns)
+        finally:  # whatever is the matter with the mission
+            if self.pose is not None and (self.mission.done or self.mission.paused or blind):
+                self._stand(self.pose, now_ns)
+            self._report(None, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
         orders = self.pursuit.orders
@@ -343,8 +369,7 @@ class Service:
     def event(self, text: str, now_ns: int) -> None:
         """Tell log and sinks of something that a person would want to know."""
         log.info(text)
-        for sink in self._sinks:
-            sink.event(text, now_ns)
+        self._each_sink("event", now_ns, text, now_ns)
 
     def close(self) -> None:
         """No tick comes any more."""

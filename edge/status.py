@@ -42,6 +42,7 @@ def status_of(
             "answer": "" if orders.answer is None else orders.answer.state,
         },
         "controller": "answers" if orders.heard else "silent",
+        "loop": service.faults.status(),
         "frontiers": service.grid.frontiers.n,
         "instances": [
             {

@@ -170,7 +170,7 @@ def test_bearing_is_positive_to_the_left(x, y, bearing):
         assert pose.bearing_to(x, y) == pytest.approx(bearing)
 
 
-sizes = st.integers(16, 2000)
+sizes = st.integers(160, 2000)
 fields_of_view = st.floats(0.2, 2.6)
 
 
@@ -184,6 +184,33 @@ def test_camera_from_its_field_of_view(width, height, hfov):
     assert camera.bearing_of((width - 1) / 2) == 0.0
     columns = np.array([-0.5, width - 0.5], np.float32)
     assert camera.bearing_of(columns) == pytest.approx([hfov / 2, -hfov / 2])
+
+
+@pytest.mark.parametrize(
+    ("camera", "wrong"),
+    [
+        ((640, 480, 525.0, 525.0, 319.5, 239.5), ""),
+        ((64, 48, 3000.0, 3000.0, -500.0, 600.0), ""),  # a cut-out of a telescope's corner
+        ((1, 1, 1.0, 1.0, 0.0, 0.0), ""),
+        ((0, 480, 525.0, 525.0, 0.0, 239.5), "0x480 px"),
+        ((640, -1, 525.0, 525.0, 319.5, 239.5), "640x-1 px"),
+        ((2**31, 480, 525.0, 525.0, 319.5, 239.5), "2147483648x480 px"),
+        ((640, 480, 1e300, 525.0, 319.5, 239.5), r"focal lengths 1e\+300, 525 px"),
+        ((640, 480, 525.0, 1e30, 319.5, 239.5), "expected 6.4 to 64000"),
+        ((640, 480, 1e-300, 525.0, 319.5, 239.5), "focal lengths"),
+        ((640, 480, 525.0, -525.0, 319.5, 239.5), "focal lengths"),
+        ((640, 480, math.nan, 525.0, 319.5, 239.5), "focal lengths"),
+        ((640, 480, 525.0, 525.0, 1e18, 239.5), r"principal point \(1e\+18, 239.5\)"),
+        ((640, 480, 525.0, 525.0, 319.5, math.nan), "principal point"),
+        ((640, 480, 525.0, 525.0, math.inf, 239.5), "principal point"),
+    ],
+)
+def test_a_camera_is_what_a_camera_can_be(camera, wrong):
+    if not wrong:
+        assert CameraModel(*camera).width_px == camera[0]
+        return
+    with pytest.raises(ValueError, match=f"not a camera: .*{wrong}"):
+        CameraModel(*camera)
 
 
 @given(metres, metres, metres, st.floats(-1.5, 1.5))

@@ -54,6 +54,18 @@ def test_percentiles_are_numpys_over_the_newest(durations, capacity, last):
         assert (row.n, row.count) == (len(window), len(durations))
 
 
+def test_an_abandoned_tick_is_a_drop_and_nothing_else():
+    ring = LatencyRing()
+    ring.set_drops(MAP, 2)
+    ring.begin_tick(1_000)
+    ring.mark(INGEST, 9_000)
+    ring.abandon_tick(MAP)
+    tick(ring, {MAP: 5 * MS}, 5 * MS)
+    report = ring.report()
+    assert (report.stage("map").drops, report.tick.drops) == (3, 3)
+    assert (report.tick.count, report.stage("ingest").n, report.tick.max_ms) == (1, 0, 5.0)
+
+
 def test_marks_share_the_time_of_a_tick_out():
     ring = LatencyRing()
     ring.begin_tick(1_000)

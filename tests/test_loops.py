@@ -5,18 +5,38 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from closed_loop import ClosedLoop, blank_observation
 from simulated import simulated
 
 from edge import runner
+from edge.desk import Request
+from edge.errors import Stopped
+from edge.faults import DEGRADED_AFTER
 from edge.geometry import SE2
 from edge.runner import Running, loop
+from edge.sinks import SinkBase
 from edge.stages import STAGES
-from edge.types import Observation
+from edge.types import GoalStatus, Observation
+
+
+class Slot:
+    """Counts who holds a frame; the source gives it out held once."""
+
+    def __init__(self) -> None:
+        self.holds = 1
+
+    def hold(self) -> None:
+        self.holds += 1
+
+    def release(self) -> None:
+        self.holds -= 1
 
 
 class Source:
@@ -49,10 +69,32 @@ def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> Ru
         {"loop": {"lockstep": lockstep, "hz": 200.0}, "mission": {"target": "bed", **mission}}
     )
     closed = ClosedLoop(config)
-    seen = [blank_observation(i, 10**9 + i * 10**8, SE2(0, 0, 0), closed) for i in range(frames)]
-    inbox, desk = SimpleNamespace(poll=list), SimpleNamespace(poll=lambda: None)
+    return running_of(closed, blanks(closed, frames), jump_at)
+
+
+def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
+    """Frames in which nothing returned, a tenth of a second apart."""
+    pose, start_ns = closed.drive.motion.odometry, closed.drive.motion.stamp_ns
+    ids = np.zeros(closed.rig.depth_m.shape, np.uint16)
+    return [
+        replace(
+            blank_observation(i, start_ns + i * 10**8, pose, closed), object_ids=ids, slot=Slot()
+        )
+        for i in range(frames)
+    ]
+
+
+def running_of(closed: ClosedLoop, seen: list[Observation], jump_at: int = -1) -> Running:
+    inbox = SimpleNamespace(poll=list)
+    desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
     service, source = closed.service, Source(seen, jump_at)
-    return Running(config, None, service, service._worker, source, inbox, desk, desk)
+    return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
+
+
+def run_out(run: Running, seen: list[Observation]) -> None:
+    """Let the loop see all of it."""
+    stop = threading.Event()
+    loop(run, stop, each=lambda: None if seen else stop.set())
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
@@ -108,3 +150,177 @@ def test_the_service_takes_the_stages_in_the_order_of_the_table():
 
     for index, stage in enumerate(STAGES):
         assert getattr(service, stage.name.upper()) == index
+
+
+def broken(*_, **__) -> None:
+    raise ZeroDivisionError("oh no")
+
+
+BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
+    "ingest": lambda run: (run.service, "forget_places"),
+    "detect": lambda run: (run.service._worker, "submit"),
+    "map": lambda run: (run.service, "_map"),
+    "lift": lambda run: (run.service._lifter, "lift"),
+    "candidates": lambda run: (run.service, "_gather"),
+    "score": lambda run: (run.service.policy, "score"),
+    "plan": lambda run: (run.service.mission, "observe"),
+    "select": lambda run: (run.service.pursuit, "choose"),
+    "publish": lambda run: (run.service.pursuit, "give"),
+}
+
+
+@pytest.mark.parametrize("stage", [stage.name for stage in STAGES])
+def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch):
+    failing, passing = DEGRADED_AFTER + 2, 3
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    seen = blanks(closed, failing + passing)
+    slots, states = [observation.slot for observation in seen], []
+    run = running_of(closed, seen, jump_at=0 if stage == "ingest" else -1)
+    service, stop = run.service, threading.Event()
+    repair = monkeypatch.context()
+    repair.__enter__().setattr(*BREAKS[stage](run), broken)
+
+    def each() -> None:
+        states.append(service.status_dict()["loop"]["state"])
+        if len(seen) == passing and len(states) == failing:
+            repair.__exit__(None, None, None)
+        if not seen:
+            stop.set()
+
+    loop(run, stop, each=each)
+    assert states.index("degraded") == DEGRADED_AFTER - 1
+    assert states[-passing:] == ["ok"] * passing
+    said = service.status_dict()["loop"]
+    assert said["failures"][f"{stage}: ZeroDivisionError"] == failing
+    assert "oh no" in said["last_error"]
+    report = service.latency.report()
+    assert (report.tick.count, report.tick.drops) == (passing, failing)
+    assert report.stage(stage).drops == failing
+    run.worker.close()  # it may still hold what it found last
+    assert [slot.holds for slot in slots] == [0] * len(slots)
+
+
+@pytest.mark.parametrize("stage", ["map", "plan", "publish"])
+def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
+    while not (closed.service.pursuit.orders.driving and closed.drive.motion.v_mps > 0.2):
+        closed.step()
+    seen, before = blanks(closed, 20), len(closed.notes.goals)
+    run = running_of(closed, seen)
+    run.source.pose = closed.drive.motion.odometry
+    monkeypatch.setattr(*BREAKS[stage](run), broken)
+    run_out(run, seen)
+    assert [goal.kind for goal in closed.notes.goals[before:]] == ["look"]
+    assert closed.notes.goals[-1].pose == run.source.pose
+    # One second after the last good tick, which was a tenth of a second before the first bad one.
+    assert closed.notes.goals[-1].stamp_ns - closed.drive.motion.stamp_ns == pytest.approx(1e9, 2e8)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
+def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
+    run, slot = running(True, frames=1), Slot()
+    run.source._observations[0] = replace(run.source._observations[0], slot=slot)
+
+    def ends(*_) -> None:
+        raise error
+
+    monkeypatch.setattr(run.service, "tick", ends)
+    with pytest.raises(error):
+        loop(run, threading.Event())
+    assert slot.holds == 0
+
+
+class Sink(SinkBase):
+    """Notes the ticks it is told of; or fails at everything."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+
+    def tick(self, service, observation, now_ns) -> None:
+        self.ticks += 1
+
+
+class BadSink(SinkBase):
+    tick = goal = detections = event = answered = broken
+
+
+def test_a_sink_that_fails_costs_the_others_nothing():
+    sinks = [BadSink(), Sink()]
+    closed = ClosedLoop(
+        simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=sinks
+    )
+    seen = blanks(closed, DEGRADED_AFTER)
+    run_out(running_of(closed, seen), seen)
+    assert sinks[1].ticks == DEGRADED_AFTER
+    said = closed.service.faults.status()
+    assert said["state"] == "degraded"
+    assert said["failures"]["BadSink.tick: ZeroDivisionError"] == DEGRADED_AFTER
+    assert closed.service.latency.report().tick.drops == 0
+    assert closed.notes.goals
+
+
+def ticks(run: Running) -> int:
+    return run.service.latency.report().tick.count
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "part", "method", "step"),
+    [
+        (False, "inbox", "poll", "goal_status"),
+        (False, "source", "poll", "source"),
+        (False, "desk", "poll", "orders"),
+        (False, "models", "poll", "model orders"),
+        (False, "service", "idle", "idle"),
+        (True, "inbox", "poll", "goal_status"),
+        (True, "source", "wait", "wait"),
+        (True, "source", "poll", "source"),
+        (True, "desk", "poll", "orders"),
+        (True, "models", "poll", "model orders"),
+    ],
+)
+def test_whatever_fails_around_the_ticks_the_loop_goes_on(
+    lockstep, part, method, step, monkeypatch
+):
+    run, stop, beats = running(lockstep, frames=1), threading.Event(), []
+    if part == "service":  # idle comes only where there is nothing to be seen
+        run.source.poll = lambda: run.source._observations.pop() if len(beats) > 2 else None
+    whole = getattr(getattr(run, part), method)
+
+    def sometimes(*args) -> object:
+        beats.append(len(beats))
+        return whole(*args) if len(beats) > 2 else broken()
+
+    monkeypatch.setattr(getattr(run, part), method, sometimes)
+    loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
+    assert ticks(run) == 1
+    assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
+
+
+def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
+    run, heard = running(True, frames=1), []
+    answers = [GoalStatus(stamp, "accepted") for stamp in (1, 2, 3)]
+
+    def hear(answer: GoalStatus) -> None:
+        heard.append(answer.stamp_ns)
+        if answer.stamp_ns == 2:
+            broken()
+
+    run.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
+    monkeypatch.setattr(run.service, "goal_answered", hear)
+    run_out(run, run.source._observations)
+    assert heard == [1, 2, 3]
+    assert run.service.faults.failed == 1
+
+
+def test_who_gave_an_order_that_fails_is_told_and_the_next_order_is_taken(monkeypatch):
+    run, said = running(True, frames=2), []
+    cancel = Request("cancel", None, said.append, said.append)
+    status = Request("status", None, said.append, said.append)
+    orders = [cancel, status]
+    run.desk = SimpleNamespace(poll=lambda: orders.pop(0) if orders else None)
+    monkeypatch.setattr(run.service.mission, "fail", broken)
+    run_out(run, run.source._observations)
+    assert said[0] == "internal error: ZeroDivisionError: oh no"
+    assert said[1]["phase"] == "searching"
+    assert run.service.faults.failures == {"orders: ZeroDivisionError": 1}
+    assert run.service.latency.report().tick.count == 2

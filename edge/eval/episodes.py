@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from edge import names, topics
+from edge.bus import Ring
 from edge.children import python_module
 from edge.config import Config, load
 from edge.errors import UserError
@@ -179,13 +180,11 @@ class Truth:
         self.xy_m = (math.nan, math.nan)
         self.path_m = 0.0
         self.bumps = 0
-        self._subscriber = session.declare_subscriber(
-            topics.GROUND_TRUTH.under(prefix), zenoh.handlers.RingChannel(256)
-        )
+        self._ring = Ring(session, topics.GROUND_TRUTH.under(prefix), 256)
 
     def update(self) -> None:
         """Take in what came since the last call."""
-        while (sample := self._subscriber.try_recv()) is not None:
+        for sample in self._ring.take():
             data = json.loads(sample.payload.to_bytes())
             self.xy_m = (data["pose"][0], data["pose"][1])
             self.path_m = data["path_m"]

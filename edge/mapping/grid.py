@@ -84,7 +84,7 @@ class RollingMap:
         """Bring a depth image into the map (VL-Nav algorithm 1).
 
         Args:
-            depth_m: (h, w) float32, NaN, 0 or inf = no return.
+            depth_m: (h, w) float32; NaN, 0, inf and what is over 1e6 = no return.
             camera: its intrinsics.
             T_map_camera: (4, 4), `map` from the optical frame at the image's stamp.
             pose: the robot's at that stamp.

@@ -24,6 +24,8 @@ _NEAR_GROUND_M = 1.5
 # whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
 _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # rings
+# No sensor sees this far; a number beyond it is no return, and its square would be inf.
+_FARTHEST_M = np.float32(1e6)
 _MIN_SECTOR_RAD = 0.0175
 _MAX_SPREAD = 16
 
@@ -147,7 +149,7 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
         bz = T[2, 1] * row[v] + T[2, 2]
         for u in range(stride_u // 2, depth_m.shape[1], stride_u):
             d = depth_m[v, u]
-            if not (d > min_range_m and d < np.float32(np.inf)):
+            if not (d > min_range_m and d < _FARTHEST_M):
                 dropped += 1
                 continue
             xyz[0, n] = d * (xx * column[u] + bx)
@@ -164,8 +166,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
-        # Squaring overflows to inf, so this also turns away what is absurdly far.
-        if not (squared > min_range_m * min_range_m and squared < np.float32(np.inf)):
+        if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
             dropped += 1
             continue
         xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c

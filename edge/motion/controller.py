@@ -44,6 +44,7 @@ FACING_RAD = 0.2
 ARRIVE = 0.7  # of the goal tolerance: nearer than this the robot stops and turns
 AGAIN_M = 1.0  # driven since the last recovery: the next standstill gets one of its own
 STILL_MPS, STILL_RADPS = 0.03, 0.1
+MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # what a map to drive by can be made of
 RESTART_NS = 1_000_000_000  # time that goes back by more is another run
 REPLACED = 64  # goals that are remembered as replaced
 
@@ -110,8 +111,10 @@ class Controller:
         Raises:
             ValueError: not a map; the one before stays.
         """
-        if not resolution_m > 0:
-            raise ValueError(f"map resolution has to be above 0, got {resolution_m}")
+        if not MIN_CELL_M <= resolution_m <= MAX_CELL_M:
+            raise ValueError(
+                f"map resolution has to be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got {resolution_m:g}"
+            )
         m = self._motion
         self._map = costmap.from_occupancy(
             cells,

@@ -19,7 +19,7 @@ import numpy as np
 import zenoh
 
 from edge import topics
-from edge.bus import declare_publisher, session
+from edge.bus import Ring, declare_publisher, session
 from edge.config import Config
 from edge.geometry import SE2, se2_of
 from edge.interruptible import unless_stopped
@@ -76,9 +76,8 @@ class Bus:
         self.malformed: dict[str, int] = {}
         self.map_heard_s: float | None = None
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._subscribers = {
-            topic: session.declare_subscriber(topic.under(prefix), zenoh.handlers.RingChannel(kept))
-            for topic, kept in _RINGS.items()
+        self._rings = {
+            topic: Ring(session, topic.under(prefix), kept) for topic, kept in _RINGS.items()
         }
         # In lockstep simulator and service wait for every message: none may be dropped.
         change = {"qos": "block"} if lockstep else {}
@@ -88,9 +87,9 @@ class Bus:
         )
 
     def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
-        """Everything that came, oldest first; what cannot be read is counted."""
+        """What came, oldest first, at most a ring's worth; what cannot be read is counted."""
         read = []
-        while (sample := self._subscribers[topic].try_recv()) is not None:
+        for sample in self._rings[topic].take():
             try:
                 if len(sample.payload) > self._max_bytes:
                     raise ValueError(f"{len(sample.payload)} bytes, over source.max_message_mb")
@@ -128,8 +127,10 @@ class Bus:
             self.answer(controller.on_goal(stamp_ns, goal))
 
     def close(self) -> None:
-        for end in (*self._subscribers.values(), self._commands, self._answers):
-            end.undeclare()
+        for ring in self._rings.values():
+            ring.close()
+        for publisher in (self._commands, self._answers):
+            publisher.undeclare()
 
 
 def parse_tick(payload: bytes) -> int:

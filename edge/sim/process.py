@@ -66,8 +66,7 @@ class Link:
             for topic in topics.ALL
             if topic.writer == "sensors"
         }
-        key = topics.CMD_VEL.under(prefix)
-        self._commands = session.declare_subscriber(key, zenoh.handlers.RingChannel(16))
+        self._commands = bus.Ring(session, topics.CMD_VEL.under(prefix), 16)
         self._malformed = 0
 
     def send(self, batch: Iterable[Message]) -> None:
@@ -75,8 +74,9 @@ class Link:
             self._publishers[topic.key].put(payload)
 
     def commands(self) -> Iterable[tuple[int, float, float]]:
-        """(stamp_ns, v, w) of every command since the last call; malformed ones are counted."""
-        while (sample := self._commands.try_recv()) is not None:
+        """(stamp_ns, v, w) of the commands since the last call, at most a ring's worth; malformed
+        ones are counted."""
+        for sample in self._commands.take():
             try:
                 yield messages.decode_twist_stamped(sample.payload.to_bytes())
             except messages.DecodeError as error:

@@ -30,12 +30,12 @@ from edge.wire import DecodeError, messages
 log = logging.getLogger("edge.sources")
 
 PATIENCE_NS = 50_000_000
-# The map takes no sensor beyond 1e6 m, where a step of its float32 is 6 cm.
-_FARTHEST_M = 9e5
+_POSES_APART_NS = 1_000_000
 
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
     "unpaired", "no_pose", "no_camera_info", "pool_exhausted", "pose_jump", "clock_reset",
+    "overrun",
 )  # fmt: skip
 IMAGES = (topics.RGB, topics.DEPTH, topics.OBJECT_IDS)
 # Topics that say the same again and again, and where that begins: behind CDR header and stamp.
@@ -84,6 +84,7 @@ class Assembler:
             config.source.max_pose_jump_m,
             config.robot.max_speed_mps,
             config.robot.max_turn_radps,
+            _POSES_APART_NS,
         )
         self.counters: dict[str, int] = dict.fromkeys(("received", "observations", *REASONS), 0)
         self.streams = streams_of(config)
@@ -131,12 +132,6 @@ class Assembler:
 
     def _take_odometry(self, payload: bytes) -> None:
         sample = messages.decode_odometry(payload)
-        if np.abs(sample.T_map_base[:3, 3]).max() >= _FARTHEST_M:
-            x_m, y_m, _ = sample.T_map_base[:3, 3]
-            raise DecodeError(
-                f"pose ({x_m:g}, {y_m:g}) m is too far from the origin of `map` for float32: "
-                "send odometry in a local frame"
-            )
         if reason := self.odometry.push(sample.stamp_ns, sample.T_map_base):
             self.count(topics.ODOMETRY, reason)
 
@@ -180,15 +175,14 @@ class Assembler:
             joined, T_map_base, reason = self._join(message, now_ns)
             if reason == "wait":
                 continue
-            observation = None
-            if T_map_base is not None:
-                observation = self._observe(message, joined, T_map_base)
-            else:
+            leading.drop(message)  # at once: one that cannot be decoded must not come up again
+            if T_map_base is None:
                 self.count(message.topic, reason)
-            if observation is None:
-                leading.drop(message)
                 continue
-            self.counters["superseded"] += leading.drop_through(message.stamp_ns) - 1
+            observation = self._observe(message, joined, T_map_base)
+            if observation is None:
+                continue
+            self.counters["superseded"] += leading.drop_through(message.stamp_ns)
             self.counters["observations"] += 1
             return observation
         return None
@@ -227,14 +221,14 @@ class Assembler:
         if slot is None:
             self.count(leader.topic, "pool_exhausted")
             return None
-        fields: dict[str, np.ndarray] = {}
-        for message in (leader, *joined):
-            array = self._decode(message, slot)
-            if array is not None:
-                fields[_FIELD_OF[message.topic.key]] = array
-            elif message is leader or self.streams[message.topic].required:
+        fields = None
+        try:
+            fields = self._fields(leader, joined, slot)
+        finally:
+            if fields is None:
                 slot.release()
-                return None
+        if fields is None:
+            return None
         self._seq += 1
         return Observation(
             seq=self._seq - 1,
@@ -247,6 +241,19 @@ class Assembler:
             slot=slot,
             **fields,
         )
+
+    def _fields(
+        self, leader: Message, joined: list[Message], slot: PoolSlot
+    ) -> dict[str, np.ndarray] | None:
+        """The observation's arrays by name; None (and counted) where one is missing."""
+        fields: dict[str, np.ndarray] = {}
+        for message in (leader, *joined):
+            array = self._decode(message, slot)
+            if array is not None:
+                fields[_FIELD_OF[message.topic.key]] = array
+            elif message is leader or self.streams[message.topic].required:
+                return None
+        return fields
 
     def _acquire(self) -> PoolSlot | None:
         if self._pool is None:

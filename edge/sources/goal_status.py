@@ -8,6 +8,7 @@ import logging
 import zenoh
 
 from edge import topics
+from edge.bus import Ring
 from edge.text import one_line
 from edge.types import GoalStatus
 
@@ -56,7 +57,7 @@ def _place(blocked: object) -> tuple[float, float] | None:
 
 
 class GoalStatusInbox:
-    """Answers since the last poll, oldest first.
+    """Answers since the last poll, oldest first, at most a ring's worth.
 
     Attributes:
         malformed: how many messages were no answer.
@@ -64,13 +65,11 @@ class GoalStatusInbox:
 
     def __init__(self, session: zenoh.Session, prefix: str) -> None:
         self.malformed = 0
-        self._subscriber = session.declare_subscriber(
-            topics.GOAL_STATUS.under(prefix), zenoh.handlers.RingChannel(_KEPT)
-        )
+        self._ring = Ring(session, topics.GOAL_STATUS.under(prefix), _KEPT)
 
     def poll(self) -> list[GoalStatus]:
         answers = []
-        while (sample := self._subscriber.try_recv()) is not None:
+        for sample in self._ring.take():
             try:
                 answers.append(parse_goal_status(sample.payload.to_bytes()))
             except ValueError as error:
@@ -80,4 +79,4 @@ class GoalStatusInbox:
         return answers
 
     def close(self) -> None:
-        self._subscriber.undeclare()
+        self._ring.close()

@@ -62,6 +62,8 @@ class OdometryRing:
     Args:
         max_jump_m: what a pose may move at once, on top of what the robot can drive in the time.
         max_speed_mps: of the robot; `max_turn_radps` likewise.
+        apart_ns: of poses closer than this the newest is kept, so that a flood of them does not
+            push out those that frames still ask for.
 
     Attributes:
         epoch: rises whenever poses before and after have nothing to do with each other, since
@@ -76,6 +78,7 @@ class OdometryRing:
         max_jump_m: float,
         max_speed_mps: float = 0.0,
         max_turn_radps: float = 0.0,
+        apart_ns: int = 0,
     ) -> None:
         if capacity < 2:
             raise ValueError(f"capacity {capacity}: at least 2 poses are needed")
@@ -84,6 +87,7 @@ class OdometryRing:
         self._max_jump_m = max_jump_m
         self._max_speed_mps = max_speed_mps
         self._max_turn_radps = max_turn_radps
+        self._apart_ns = apart_ns
         self._stamps_ns = np.zeros(capacity, np.int64)
         self._poses = np.zeros((capacity, 4, 4))
         self._written = 0
@@ -119,6 +123,9 @@ class OdometryRing:
             verdict = "pose_jump"
         if verdict != "ok":
             self._kept = 0
+        if self._kept > 1 and stamp_ns - self._stamp(1) < self._apart_ns:
+            self._written -= 1
+            self._kept -= 1
         i = self._written % len(self._stamps_ns)
         self._stamps_ns[i] = stamp_ns
         self._poses[i] = T_map_base

@@ -1,6 +1,7 @@
 """Observations from Zenoh: ring channels that the loop polls, never callbacks.
 
-A ring keeps the newest messages and lets the rest go, so a loop that lags never lags more.
+A ring keeps the newest messages and lets the rest go, so a loop that lags never lags more. A look
+takes a ring's worth of each at most, so that no flood keeps the loop from its next tick.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import time
 import zenoh
 
 from edge import topics
+from edge.bus import Ring
 from edge.config import Config
 from edge.geometry import SE2
 from edge.sources.assembler import Assembler
@@ -30,14 +32,12 @@ class ZenohSource:
     def __init__(self, session: zenoh.Session, config: Config) -> None:
         self._assembler = Assembler(config)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._subscribers = {
-            topic: session.declare_subscriber(
-                topic.under(config.zenoh.prefix), zenoh.handlers.RingChannel(kept)
-            )
-            for topic, kept in self._rings(config).items()
+        self._rings = {
+            topic: Ring(session, topic.under(config.zenoh.prefix), kept)
+            for topic, kept in self._kept(config).items()
         }
 
-    def _rings(self, config: Config) -> dict[Topic, int]:
+    def _kept(self, config: Config) -> dict[Topic, int]:
         """How many messages of each topic to keep between polls; odometry is drained first."""
         rings = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         rings |= dict.fromkeys(self._assembler.streams, KEPT)
@@ -74,18 +74,20 @@ class ZenohSource:
         return True
 
     def close(self) -> None:
-        for subscriber in self._subscribers.values():
-            subscriber.undeclare()
+        for ring in self._rings.values():
+            ring.close()
 
     def _drain(self) -> int:
-        """Hand everything that has arrived to the assembler; how many messages it was."""
+        """Hand a ring's worth of each topic to the assembler; how many messages it was."""
         n = 0
-        for topic, subscriber in self._subscribers.items():
-            while (sample := subscriber.try_recv()) is not None:
-                n += 1
+        for topic, ring in self._rings.items():
+            samples = ring.take()
+            n += len(samples)
+            for sample in samples:
                 size = len(sample.payload)
                 if size > self._max_bytes:
                     self._assembler.count(topic, "oversized", f"{size} bytes")
                 else:
                     self._assembler.offer(topic, sample.payload.to_bytes())
+        self.counters["overrun"] = sum(ring.overruns for ring in self._rings.values())
         return n

@@ -68,6 +68,8 @@ __all__ = [
 MAP_FRAME = "map"
 BASE_FRAME = "base_link"
 
+# The map takes no sensor beyond 1e6 m, where a step of its float32 is 6 cm.
+_FARTHEST_M = 9e5
 _POSE = struct.Struct("<7d")
 _TWIST = struct.Struct("<6d")
 _COVARIANCE = struct.Struct("<36d")
@@ -97,6 +99,11 @@ def _write_pose(writer: Writer, T: np.ndarray) -> Writer:
 def _read_pose(reader: Reader) -> np.ndarray:
     """geometry_msgs/Pose as a (4, 4) transform."""
     values = _finite(reader.read(_POSE, 8), "pose")
+    if max(map(abs, values[:3])) >= _FARTHEST_M:
+        raise DecodeError(
+            f"pose ({values[0]:g}, {values[1]:g}, {values[2]:g}) m is too far from the origin of "
+            "`map` for float32: use a local frame"
+        )
     try:
         return se3_from_quaternion(values[:3], values[3:])
     except ValueError as error:
@@ -185,10 +192,10 @@ def decode_camera_info(payload: bytes) -> tuple[int, CameraModel]:
     p = reader.read(_P, 8)
     reader.skip(_ROI.size, 4)
     fx, fy, cx, cy = (p[0], p[5], p[2], p[6]) if p[0] != 0.0 else (k[0], k[4], k[2], k[5])
-    _finite((fx, fy, cx, cy), "camera matrix")
-    if min(fx, fy) <= 0.0 or min(height, width) == 0:
-        raise DecodeError(f"not a camera: {width}x{height} px, focal lengths {fx:g}, {fy:g}")
-    return stamp_ns, CameraModel(width, height, fx, fy, cx, cy)
+    try:
+        return stamp_ns, CameraModel(width, height, fx, fy, cx, cy)
+    except ValueError as error:
+        raise DecodeError(str(error)) from None
 
 
 def encode_occupancy_grid(

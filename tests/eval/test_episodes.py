@@ -44,7 +44,7 @@ def blocked(tmp_path, **sim):
     path = tmp_path / "blocked.json"
     path.write_text(json.dumps(house))
     world = {"kind": "house", "house": str(path)}
-    return simulated(sim={"world": world, **sim})
+    return simulated({"sim": {"world": world, **sim}})
 
 
 def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):

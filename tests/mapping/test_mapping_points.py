@@ -63,7 +63,7 @@ def test_point_kernels_agree_with_their_twins(seed, n):
     assert len(xs) == 0 or (xs.min() >= x0 and xs.max() < x1 and ys.min() >= y0 and ys.max() < y1)
 
 
-@pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0])
+@pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
 def test_depth_points_agree_with_numpy_and_count_what_is_no_return(bad):
     camera = CameraModel.from_hfov(40, 30, 1.2)
     rng = np.random.default_rng(0)
@@ -76,7 +76,7 @@ def test_depth_points_agree_with_numpy_and_count_what_is_no_return(bad):
     n, dropped = points.from_depth(depth, 3, 2, column, row, T, F(0.1), xyz)
     v, u = np.meshgrid(np.arange(1, 30, 2), np.arange(1, 40, 3), indexing="ij")
     d = depth[v, u]
-    good = np.isfinite(d) & (d > 0.1)
+    good = (d > 0.1) & (d < 1e6)
     optical = np.stack([d * column[u], d * row[v], d])[:, good]
     expected = T[:, :3] @ optical
     expected[2] += T[2, 3]
@@ -89,7 +89,7 @@ def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
     cloud = rng.uniform(-5, 5, (200, 3)).astype(F)
     cloud[::7, 1] = np.inf
     cloud[3::11, 2] = np.nan
-    cloud[5] = 3e38
+    cloud[5] = 1e6
     cloud[6] = 0.0
     T = se3(1, 2, 0.5, 0.1, 0.4, 1.0)[:3].astype(F)
     xyz = np.zeros((3, 200), F)

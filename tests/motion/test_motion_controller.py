@@ -503,8 +503,8 @@ def test_a_pose_that_is_no_place_stops_the_robot(pose):
     assert walk.states[-1] == (1, "reached")
 
 
-@pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan])
-def test_a_map_without_resolution_is_refused(resolution):
+@pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan, 1e-30, 1e-9, 100.0, math.inf])
+def test_a_map_of_no_sensible_resolution_is_refused(resolution):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="resolution"):
         controller.on_map(room(2.0, 2.0), (0.0, 0.0), resolution)

@@ -265,7 +265,7 @@ class _Rings:
 
 def test_answers_are_what_the_service_reads():
     answers = [GoalStatus(-5, "accepted", blocked=(1.5, -2.0)), GoalStatus(6, "failed", "stuck")]
-    bus, said = process.Bus(_Rings([]), Config()), []
+    bus, said = process.Bus(_Rings([]), simulated()), []
     bus._answers = SimpleNamespace(put=said.append)
     bus.answer(answers)
     assert [parse_goal_status(payload) for payload in said] == answers
@@ -278,3 +278,11 @@ def test_malformed_messages_are_counted_and_logged_once(caplog):
     assert [o.stamp_ns for o in read] == [5, 5]
     assert bus.malformed == {"odom": 3}
     assert len([r for r in caplog.records if "odom" in r.getMessage()]) == 1
+
+
+def test_a_look_takes_no_more_than_the_ring_holds():
+    flood = [messages.encode_odometry(n, np.eye(4), 0.0, 0.0) for n in range(1, 1001)]
+    bus = process.Bus(_Rings(flood), simulated())
+    for look in range(3):
+        read = bus.read(topics.ODOMETRY, messages.decode_odometry)
+        assert [o.stamp_ns for o in read] == list(range(64 * look + 1, 64 * look + 65))

@@ -256,10 +256,10 @@ def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
     path = tmp_path / "houses.jsonl"
     path.write_text(json.dumps(json.loads(house)) + "\n")
     sim = yaml.safe_load(config)["sim"]
-    world = load_world(simulated(sim=sim))
+    world = load_world(simulated({"sim": sim}))
     assert (world.name, world.start) == ("demo", SE2(2.0, 1.0, 0.0))
     section = {"kind": "procthor", "file": str(path), "name": "my-house-0"}
-    world = load_world(simulated(sim={"world": section}))
+    world = load_world(simulated({"sim": {"world": section}}))
     assert [thing.label for thing in world.objects] == ["refrigerator"]
     assert not collides(world, world.start.x_m, world.start.y_m, 0.2)
     (tmp_path / "things.json").write_text(things)

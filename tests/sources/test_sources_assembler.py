@@ -280,7 +280,7 @@ def test_another_camera_brings_another_pool():
 
 
 def test_a_camera_too_large_for_any_message_is_refused():
-    robot = Robot().info(CameraModel(2**31, 2**31, 5.0, 5.0, 1.0, 1.0))
+    robot = Robot().info(CameraModel(30_000, 30_000, 2e4, 2e4, 1.5e4, 1.5e4))
     assert robot.drops == {"oversized": 1}
 
 
@@ -341,6 +341,23 @@ def test_labels_are_remembered():
     observation = robot.frame(1000).send(topics.OBJECT_IDS, ids).poll()
     assert observation.object_labels == ("chair", "bed")
     assert robot.drops == {"malformed": 6}
+
+
+def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_again(monkeypatch):
+    robot = Robot({**ONNX, "source": {"pool_slots": 3}}).info()
+
+    def broken(*_) -> None:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(messages, "decode_image_into", broken)
+        for k in range(1, 5):
+            robot.odom(k * FRAME_NS).frame(k * FRAME_NS)
+            with pytest.raises(ZeroDivisionError):
+                robot.poll()
+    assert robot.poll() is None
+    assert robot.odom(5 * FRAME_NS).frame(5 * FRAME_NS).poll().stamp_ns == 5 * FRAME_NS
+    assert not robot.drops
 
 
 def test_a_pose_too_far_for_the_map_is_dropped():

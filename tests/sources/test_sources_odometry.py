@@ -58,6 +58,18 @@ def test_the_ring_forgets_the_oldest():
     assert se2_of(poses.pose_at(10 * 36 + 5)[0]).x_m == pytest.approx(3.65)
 
 
+@pytest.mark.parametrize("every_ns", [1, 3, 10, 25])
+def test_a_flood_does_not_push_out_what_frames_ask_for(every_ns):
+    """64 poses, of those closer than 10 the newest; all lie on one line."""
+    poses = OdometryRing(64, 1.0, 1.0, apart_ns=10)
+    for stamp_ns in range(0, 1000, every_ns):
+        assert poses.push(stamp_ns, SE2(0.001 * stamp_ns, 0.0, 0.0).matrix()) == ""
+    newest_ns = range(0, 1000, every_ns)[-1]
+    assert poses.newest_ns == newest_ns
+    for asked_ns in (newest_ns - 55, newest_ns - 500, newest_ns):
+        assert se2_of(poses.pose_at(asked_ns)[0]).x_m == pytest.approx(0.001 * asked_ns)
+
+
 def test_what_was_handed_out_is_not_written_over():
     poses = ring((0, 0.5), capacity=2)
     T, _ = poses.pose_at(0)

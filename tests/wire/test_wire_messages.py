@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ STAMP_NS = 1_790_000_000_123_456_789
 POSE = se3(1.0, -2.0, 0.5, 0.1, -0.2, 3.0)
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
-coordinates = st.floats(-1e6, 1e6)
+coordinates = st.floats(-8e5, 8e5)
 angles = st.floats(-3.14, 3.14)
 
 
@@ -347,6 +348,16 @@ def test_a_cloud_that_claims_more_points_than_it_has():
         messages.decode_point_cloud_into(bytes(payload), np.zeros((64, 3), np.float32))
 
 
+def projection(i: int, value: float) -> Callable[[object], None]:
+    """Sets one number of CameraInfo's projection matrix P."""
+
+    def change(info) -> None:
+        info.p = info.p.copy()
+        info.p[i] = value
+
+    return change
+
+
 def zero_rotation(odometry) -> None:
     odometry.pose.pose.orientation = type(odometry.pose.pose.orientation)(0.0, 0.0, 0.0, 0.0)
 
@@ -358,7 +369,15 @@ def zero_rotation(odometry) -> None:
         ("nav_msgs/msg/Odometry", zero_rotation, "not a rotation"),
         ("nav_msgs/msg/Odometry", lambda m: setattr(m.twist.twist.linear, "x", math.inf), "twist"),
         ("nav_msgs/msg/Odometry", lambda m: setattr(m.header.stamp, "nanosec", 10**9), "time"),
+        ("nav_msgs/msg/Odometry", lambda m: setattr(m.pose.pose.position, "z", 1e300), "too far"),
+        ("geometry_msgs/msg/PoseStamped", lambda m: setattr(m.pose.position, "y", -1e6), "too far"),
+        ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info.origin.position, "x", 1e30), "far"),
         ("sensor_msgs/msg/CameraInfo", lambda m: setattr(m, "width", 0), "not a camera"),
+        ("sensor_msgs/msg/CameraInfo", lambda m: setattr(m, "height", HUGE), "not a camera"),
+        ("sensor_msgs/msg/CameraInfo", projection(0, 1e300), "focal lengths 1e.300"),
+        ("sensor_msgs/msg/CameraInfo", projection(5, 1e-300), "focal lengths"),
+        ("sensor_msgs/msg/CameraInfo", projection(2, math.nan), "principal point"),
+        ("sensor_msgs/msg/CameraInfo", projection(6, -1e30), "principal point"),
         ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info, "resolution", 0.0), "resolution"),
         ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info, "width", 4), "6 cells for 4x2"),
     ],

@@ -1,0 +1,40 @@
+"""Sends valid messages without a pause: `python flooder.py ENDPOINT odometry | goal_status`."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from edge import topics
+from edge.bus import open_session
+from edge.config import Zenoh
+from edge.wire import messages
+
+PREFIX = "edge"
+
+
+def odometry() -> bytes:
+    """Where `absurd_sensors.batch` says the robot stands."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.111, 0.222, 0.333
+    return messages.encode_odometry(time.time_ns(), pose, 0.0, 0.0)
+
+
+def goal_status() -> bytes:
+    return b'{"stamp": 1, "state": "accepted"}'
+
+
+def main(endpoint: str, kind: str) -> None:
+    topic, make = {
+        "odometry": (topics.ODOMETRY, odometry),
+        "goal_status": (topics.GOAL_STATUS, goal_status),
+    }[kind]
+    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+        publisher = session.declare_publisher(topic.under(PREFIX))
+        while True:
+            publisher.put(make())
+
+
+main(*sys.argv[1:])

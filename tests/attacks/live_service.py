@@ -1,0 +1,110 @@
+"""A service whose loop runs in a thread, and a robot that stands still before its sensors."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import zenoh
+from absurd_sensors import HEIGHT, WIDTH, Batch, batch
+from patience import PATIENCE_S, eventually
+from simulated import simulated
+
+from edge import topics
+from edge.bus import open_session
+from edge.config import Config
+from edge.mission.order import ask
+from edge.ports import free_port
+from edge.runner import Running, loop, open_service
+
+FRAME_S = 1 / 30
+
+
+class Live:
+    """A service under attack.
+
+    Attributes:
+        running: its parts; the loop's thread owns them, tests only read.
+        peer: the attacker's session.
+    """
+
+    def __init__(self, running: Running, peer: zenoh.Session) -> None:
+        self.running, self.peer = running, peer
+        self.statuses: list[dict] = []
+        self._prefix = running.config.zenoh.prefix
+        self._status = peer.declare_subscriber(topics.STATUS.under(self._prefix), self._hear)
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        self.statuses.append(json.loads(sample.payload.to_bytes()))
+
+    @property
+    def ticks(self) -> int:
+        return self.running.service.latency.report(last=1).tick.count
+
+    def send(self, said: Batch) -> None:
+        for topic, payload in said.items():
+            self.peer.put(topic.under(self._prefix), payload)
+
+    def goes_on(self, ticks: int = 3) -> None:
+        """Waits until it has seen more, and answered an order."""
+        enough = self.ticks + ticks
+        eventually(lambda: self.ticks >= enough, "the loop does not tick")
+        assert "phase" in ask(self.peer, self._prefix, {"do": "status"}, PATIENCE_S)
+
+
+@contextmanager
+def live(sections: dict) -> Iterator[Live]:
+    """A service with the simulator's detector, and 30 frames a second of a sane robot."""
+    config = simulated({
+        "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
+        "perception": {"detector": {"kind": "sim"}, **sections.pop("perception", {})},
+        "mission": {"target": "surfboard", "time_limit_s": 1e6},
+        "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
+        "report": {"status_hz": 20},
+        **sections,
+    })  # fmt: skip
+    stop = threading.Event()
+    with (
+        open_service(config, []) as running,
+        ThreadPoolExecutor(2) as pool,
+        open_session(config.zenoh, "connect") as peer,
+    ):
+        service = Live(running, peer)
+        works = [pool.submit(loop, running, stop), pool.submit(_stand, service, stop)]
+        try:
+            service.goes_on()
+            yield service
+        finally:
+            stop.set()
+            for work in works:
+                work.result()
+
+
+def _stand(service: Live, stop: threading.Event) -> None:
+    while not stop.wait(FRAME_S):
+        said = batch(time.time_ns())
+        if service.running.config.mapping.input == "depth":
+            del said[topics.CLOUD]
+        service.send({**said, topics.OBJECT_LABELS: b'["chair"]'})
+
+
+@contextmanager
+def flood(config: Config, *kinds: str) -> Iterator[None]:
+    """Processes that send as fast as they can, one of each kind (see `flooder.py`)."""
+    script = Path(__file__).with_name("flooder.py")
+    senders = [
+        subprocess.Popen([sys.executable, script, config.zenoh.endpoint, kind]) for kind in kinds
+    ]
+    try:
+        yield
+    finally:
+        for sender in senders:
+            sender.kill()
+            sender.wait()
