@@ -22,6 +22,8 @@ _HEIR_M = 1.0
 _MOVE_SHARE = 0.25
 _LOOKS = 3
 _LOOK_AFTER_NS = 1_000_000_000
+# From afar the rim of what is known flickers: a frontier that turns up later has to last.
+_LASTING_NS = 2_000_000_000
 
 
 class GoalSelector:
@@ -29,7 +31,8 @@ class GoalSelector:
 
     Attributes:
         goal: what was last chosen; None when nothing can be chosen.
-        exhausted: nothing is left to go to, and looking around showed nothing new.
+        exhausted: nothing was left to go to, and looking around showed nothing new. What turns
+            up since is gone to, but the robot does not look around after it.
     """
 
     def __init__(self, policy: Policy, move_m: float = 0.3) -> None:
@@ -59,12 +62,17 @@ class GoalSelector:
             A goal on a free cell that the robot can reach, facing its candidate; or None.
         """
         order = ranked(pool, pose, self._policy.delta_reached_m)
+        if self.exhausted:
+            lasting = pool.first_seen_ns[order] <= now_ns - _LASTING_NS
+            order = order[lasting | (pool.kind[order] == INSTANCE)]
         choice = self._choose(order, pool, grid, instances, pose)
         if choice is None:
             self.goal = self._look_around(pose, now_ns, target)
             return self.goal
         index, cell = choice
-        self._idle_since_ns, self._looks, self.exhausted = None, 0, False
+        self._idle_since_ns = None
+        if not self.exhausted:
+            self._looks = 0
         same = index == self._present(pool)
         self._peak = max(self._peak if same else 0.0, float(pool.score[index]))
         if not (same and self._stands(cell, grid, pose)):
@@ -133,6 +141,8 @@ class GoalSelector:
 
     def _look_around(self, pose: SE2, now_ns: int, target: str) -> Goal | None:
         """With nowhere to go, turn on the spot; the space behind may never have been seen."""
+        if self.exhausted:
+            return None
         if self._idle_since_ns is None:
             self._idle_since_ns = now_ns
         if self.goal is not None and self.goal.kind == "look":
