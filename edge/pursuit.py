@@ -209,9 +209,10 @@ class Pursuit:
     def _leave_vanished(self, now_ns: int) -> None:
         """A frontier that shows from afar alone would have the robot come and go without end."""
         goal = self.goal
-        if goal is not None and goal.kind == "frontier":
-            if self._pool.index_of(FRONTIER, goal.candidate_id) < 0:
-                self._discard(now_ns)
+        if goal is None or goal.kind != "frontier":
+            return
+        if self._pool.index_of(FRONTIER, goal.candidate_id) < 0:
+            self._discard(now_ns)
 
     def _discard(self, now_ns: int) -> None:
         """Leave the present goal's candidate alone for a while and choose another."""

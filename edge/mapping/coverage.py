@@ -52,8 +52,8 @@ class Coverage:
     """A byte for each place, on the map's torus; memory is fixed at construction.
 
     Attributes:
-        camera_yaw_rad: of the camera on the robot; 0 when it looks ahead.
-        view: what `search` found: the best of all views; None while none is worth a goal.
+        camera_yaw_rad: of the camera on the robot; 0 where it looks ahead.
+        view: what `search` found, the best of all views; None when none is worth a goal.
     """
 
     def __init__(self, layers: Layers, resolution_m: float) -> None:
@@ -97,7 +97,8 @@ class Coverage:
         camera = seen.camera
         if camera is None:
             return
-        self._fov_rad, self._range_m, self._enough = camera.hfov_rad, range_m, enough
+        self._fov_rad, self._range_m = camera.hfov_rad, range_m
+        self._enough = min(enough, _MOST)
         mount, T = seen.T_base_camera, seen.T_map_base @ seen.T_base_camera
         self.camera_yaw_rad = math.atan2(mount[1, 2], mount[0, 2])
         heading = math.atan2(T[1, 2], T[0, 2])
@@ -123,7 +124,7 @@ class Coverage:
         """One step of the search for the view that shows the most for the way to it.
 
         The cells that the robot can get to are gone through some at a time, so that a step costs
-        about a millisecond whatever the map's size.
+        a few milliseconds at most whatever the map's size.
 
         Returns:
             Whether all were gone through; `view` then holds the best.

@@ -297,3 +297,44 @@ def test_the_weakest_give_way_but_never_a_protected_one(scene):
     assert [i.id for i in s.tracker.all] == [1, 2]
     assert s.tracker.get(2).score == pytest.approx(0.9)
     assert s.tracker.dropped == 2
+
+
+def test_looking_for_something_else_wears_nothing_away(scene):
+    s = scene(confirm_hits=3)
+    for _ in range(3):
+        (chair,) = s.see(("chair", 2, 0, 0.6))
+    before = chair.score
+    for _ in range(60):
+        s.expire(s.frame(), ("sofa",))
+    assert (chair.state, chair.score) == ("confirmed", before)
+    assert s.expire(s.frame(), ("sofa", "chairs")) == []
+    assert chair.score < before
+
+
+def test_another_mission_may_find_again_what_the_last_one_reached_or_refuted(scene):
+    s = scene(min_hits=1)
+    s.see(("chair", 2, 0, 0.6), ("sofa", 4, 0, 0.6), ("desk", 6, 0, 0.6))
+    s.tracker.mark_reached(1)
+    s.tracker.refute(2)
+    s.tracker.forget_verdicts()
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "confirmed"), ("desk", "seen")]
+    s.see(("sofa", 4, 0, 0.6))
+    assert [i.state for i in s.tracker.of("sofa")] == ["seen"]
+
+
+def test_what_was_refuted_may_be_found_again_where_nothing_else_is_left(scene):
+    s = scene(min_hits=1)
+    s.see(("couch", 2, 0, 0.6), ("chair", 4, 0, 0.6))
+    s.tracker.refute(1)
+    s.tracker.refute(2)
+    s.tracker.forget_refuted("sofa")
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted")]
+
+
+def test_only_what_is_sure(scene):
+    s = scene(confirm_hits=3, min_hits=1)
+    s.see(("chair", 2, 0, 0.6))
+    assert s.tracker.of("chair", sure=True) == []
+    s.see(("chair", 2, 0, 0.6))
+    s.see(("chair", 2, 0, 0.6))
+    assert s.tracker.of("chair", sure=True) == s.tracker.of("chair") != []

@@ -43,13 +43,17 @@ class Case:
         self.selector, self.grid = GoalSelector(POLICY), Grid()
         self.now_ns = 0
 
-    def select(self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1):
-        """One tick with candidates of (kind, id, x, y, score)."""
+    def select(
+        self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1, since_s: float = 0.0
+    ):
+        """One tick with candidates of (kind, id, x, y, score), seen for the first time before
+        `since_s`."""
         pool, instances = CandidatePool(16, 0.5), {}
         pool.n = len(entries)
         for i, (kind, id, x, y, score) in enumerate(entries):
             pool.kind[i], pool.id[i], pool.xy_m[i], pool.score[i] = kind, id, (x, y), score
             pool.sure[i] = id in sure
+            pool.first_seen_ns[i] = int(since_s * S)
             if kind == INSTANCE:
                 points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
                 instances[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
@@ -200,6 +204,13 @@ def test_with_nowhere_to_go_it_looks_around_three_times_and_is_exhausted():
         case.selector.looked(case.now_ns)
         pose = goal.pose
     assert case.select(pose=pose, after_s=1.1) is None
+    assert case.selector.exhausted
+    # What turns up later is gone to, and no reason to look around once more.
+    late_s = case.now_ns / S
+    assert who(case.select(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
+    assert case.select(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
+    assert who(case.select(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
+    assert case.select(pose=pose, after_s=5.0) is None
     assert case.selector.exhausted
     case.selector.start_over()
     assert not case.selector.exhausted
