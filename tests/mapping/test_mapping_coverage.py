@@ -170,9 +170,7 @@ def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
             raw, looks, x + 0.5, y + 0.5, first, between, width, near, far, enough, KEEP
         )
         cost = start + (steps[y, x] - 1) / 5
-        assert (
-            sum(shown) / cost >= 0.99 * best[0]
-        )  # more: in a circle, some count for its other rays
+        assert sum(shown) / cost >= 0.99 * best[0]  # in a circle other rays may claim some
 
 
 @pytest.mark.parametrize("how", ["looked from there", "in vain"])
