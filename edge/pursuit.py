@@ -110,8 +110,7 @@ class Pursuit:
         Args:
             looks: how often the detector has answered so far.
         """
-        if self._selector.exhausted:
-            self._leave_vanished(now_ns)
+        self._leave_vanished(now_ns)
         goal = self._selector.select(self._pool, grid, instances, pose, now_ns, target)
         if goal is not None or not self._selector.exhausted:
             self._survey.drop()
@@ -208,10 +207,11 @@ class Pursuit:
 
     def _leave_vanished(self, now_ns: int) -> None:
         """A frontier that shows from afar alone would have the robot come and go without end."""
-        goal = self.goal
+        goal, selector = self.goal, self._selector
         if goal is None or goal.kind != "frontier":
             return
-        if self._pool.index_of(FRONTIER, goal.candidate_id) < 0:
+        gone = self._pool.index_of(FRONTIER, goal.candidate_id) < 0
+        if gone and (selector.exhausted or selector.fickle(goal.candidate_xy_m)):
             self._discard(now_ns)
 
     def _discard(self, now_ns: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,6 +23,9 @@ _HEIR_M = 1.0
 _MOVE_SHARE = 0.25
 _LOOKS = 3
 _LOOK_AFTER_NS = 1_000_000_000
+# A frontier left so often for another, or because it vanished, before the robot came there, shows
+# from afar alone or is farther than it looks: then it is seen through, or left alone.
+_FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
 # From afar the rim of what is known flickers: a frontier that turns up later has to last.
 _LASTING_NS = 2_000_000_000
 
@@ -43,6 +47,7 @@ class GoalSelector:
         self._peak = 0.0  # the best score of the present goal's candidate
         self._looks = 0
         self._idle_since_ns: int | None = None
+        self._left: deque[tuple[float, float]] = deque(maxlen=_LEFT)
 
     def select(
         self,
@@ -65,7 +70,10 @@ class GoalSelector:
         if self.exhausted:
             lasting = pool.first_seen_ns[order] <= now_ns - _LASTING_NS
             order = order[lasting | (pool.kind[order] == INSTANCE)]
-        choice = self._choose(order, pool, grid, instances, pose)
+        present, goal = self._present(pool), self.goal
+        choice = self._choose(order, present, pool, grid, instances, pose)
+        if goal is not None and goal.kind == "frontier" and (not choice or choice[0] != present):
+            self._left.append(goal.candidate_xy_m)
         if choice is None:
             self.goal = self._look_around(pose, now_ns, target)
             return self.goal
@@ -73,11 +81,15 @@ class GoalSelector:
         self._idle_since_ns = None
         if not self.exhausted:
             self._looks = 0
-        same = index == self._present(pool)
+        same = index == present
         self._peak = max(self._peak if same else 0.0, float(pool.score[index]))
         if not (same and self._stands(cell, grid, pose)):
             self.goal = _goal(index, cell, pool, now_ns, target)
         return self.goal
+
+    def fickle(self, xy_m: tuple[float, float]) -> bool:
+        """Whether a frontier was left too often before the robot came there."""
+        return sum(math.dist(xy_m, left) < _SAME_M for left in self._left) >= _FICKLE
 
     def drop(self) -> None:
         """Forget the present goal; the next tick chooses afresh."""
@@ -86,13 +98,13 @@ class GoalSelector:
     def _choose(
         self,
         order: np.ndarray,
+        present: int,
         pool: CandidatePool,
         grid: RollingMap,
         instances: Mapping[int, Instance],
         pose: SE2,
     ) -> tuple[int, tuple[float, float]] | None:
         """The best reachable candidate, or the present one where that is about as good."""
-        present = self._present(pool)
         if present not in order:
             present = -1
         for index in map(int, order):
@@ -109,10 +121,14 @@ class GoalSelector:
         """Whether a better-ranked candidate is worth a change of goal.
 
         An instance is seen through: its score falls while the robot comes too near to see it
-        whole, and must not make it turn to another, whose score then falls, and back.
+        whole, and must not make it turn to another, whose score then falls, and back. So is a
+        frontier that was left often: the way to it may lead past where the other scores better.
         """
         if pool.kind[index] != pool.kind[present] or pool.sure[index] != pool.sure[present]:
             return True
+        assert self.goal is not None
+        if pool.kind[index] == FRONTIER and self.fickle(self.goal.candidate_xy_m):
+            return False
         margin = 1.0 + self._policy.switch_margin
         if pool.kind[index] == INSTANCE:
             return bool(pool.score[index] > margin * self._peak)
@@ -164,6 +180,7 @@ class GoalSelector:
     def start_over(self) -> None:
         """Look around again, as after new space or a lifted discard."""
         self.exhausted, self._looks, self._idle_since_ns = False, 0, None
+        self._left.clear()
 
 
 def _goal_cell(

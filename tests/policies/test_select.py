@@ -184,6 +184,31 @@ def test_a_dropped_goal_is_chosen_afresh():
     assert (who(again), again is first) == (("frontier", 1), False)
 
 
+def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
+    """Two far frontiers, each the better one from where the way to the other leads."""
+    case, chosen = Case(), []
+    for k in range(12):
+        here, there = (0.9, 0.3) if k % 2 else (0.3, 0.9)
+        chosen.append(who(case.select(frontier(1, 3, here), frontier(2, -3, there)))[1])
+    assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
+    # Another place has its own count, and another target starts over.
+    assert who(case.select(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
+    case.selector.drop()
+    case.selector.start_over()
+    assert who(case.select(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
+    assert who(case.select(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
+
+
+def test_a_frontier_that_the_robot_came_to_was_not_left():
+    case = Case()
+    for _ in range(5):
+        goal = case.select(frontier(1, 3, 0.9))
+        case.selector.drop()
+        case.select(frontier(2, -3, 0.9))
+        case.selector.drop()
+    assert not case.selector.fickle(goal.candidate_xy_m)
+
+
 def turn(case: Case, pose: SE2) -> Goal:
     """The next turn on the spot, which comes after a second without anything to choose."""
     assert case.select(pose=pose) is None
