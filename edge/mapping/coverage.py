@@ -27,9 +27,9 @@ START_M = 2.0
 SURE = 0.85
 """Share of the field of view and of the range that a view is planned with: the robot stops a
 little aside, and turned a little."""
-WORK_PER_STEP = 200_000
+WORK_PER_STEP = 100_000
 """What a step of the search may do, as lattice points passed over (some 10 ns each)."""
-_REACHED_WORK, _CAST_WORK = 64, 1024
+_REACHED_WORK, _CAST_WORK = 64, 2048
 MAX_RAYS = 512
 # A place's byte: looks up to `_MOST`, and a bit that is set while a kernel runs alone.
 _MOST, _FLAG = 127, 128
