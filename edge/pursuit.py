@@ -16,6 +16,7 @@ from edge.orders import Orders
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import Policy
 from edge.policies.select import GoalSelector
+from edge.policies.survey import Survey
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
 # A controller that says that the robot is held up farther away than this mistakes the frame.
@@ -52,11 +53,12 @@ class Pursuit:
         self._policy, self._pool, self._tracker, self._event = policy, pool, tracker, event
         self._held_up, self._radius_m = held_up, config.robot.radius_m
         self._selector = GoalSelector(policy)
+        self._survey = Survey(config.perception.confirm_hits)
         self._approach = Approach(config.mission)
         self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
         self._neighbours = Neighbours(config.mission.reach_m)
         self._discard_ns = int(config.mission.discard_s * 1e9)
-        self._second_look = False
+        self._second_chance = False
 
     @property
     def phase(self) -> MissionPhase:
@@ -65,8 +67,13 @@ class Pursuit:
 
     @property
     def exhausted(self) -> bool:
-        """Nothing is left to go to, and looking around showed nothing new."""
-        return self._selector.exhausted
+        """Nothing is left to go to, nor to look at again."""
+        return self._selector.exhausted and self._survey.done
+
+    @property
+    def views(self) -> int:
+        """How often it went to look again at what had been seen badly, in this mission."""
+        return self._survey.views
 
     def judge(self, mission: MissionRun, pose: SE2, now_ns: int, looks: int) -> None:
         """What has become of the present goal.
@@ -86,13 +93,13 @@ class Pursuit:
         if verdict is not None:
             self._act_on(verdict, mission, now_ns)
         elif goal is not None:
-            self._follow(goal, answer, pose, now_ns)
+            self._follow(goal, answer, pose, now_ns, looks)
 
     def set_out(self, target: str) -> None:
         """For another target: nothing that held for the last one does."""
         self.drop()
         self._selector.start_over()
-        self._second_look = False
+        self._second_chance = False
         self.orders.target = target
 
     def choose(
@@ -102,13 +109,33 @@ class Pursuit:
         pose: SE2,
         now_ns: int,
         target: str,
+        looks: int,
     ) -> Goal | None:
-        """Algorithm 2 of VL-Nav over the scored candidates; see `GoalSelector.select`."""
-        return self._selector.select(self._pool, grid, instances, pose, now_ns, target)
+        """Algorithm 2 of VL-Nav over the scored candidates; see `GoalSelector.select`.
+
+        With none left, those that were given up come once more, and the ways on which the robot
+        was held up; then what the detector has seen badly is looked at again.
+
+        Args:
+            looks: how often the detector has answered so far.
+        """
+        self._leave_vanished(now_ns)
+        goal = self._selector.select(self._pool, grid, instances, pose, now_ns, target)
+        if goal is not None or not self._selector.exhausted:
+            self._survey.drop()
+            return goal
+        if not self._second_chance:
+            self._second_chance = True
+            self._pool.lift_discards()
+            grid.lift_bumps()  # doors open, and people go
+            self._tracker.forget_refuted(target)
+            return None
+        return self._survey.choose(grid, looks, now_ns, target)
 
     def rest(self) -> None:
         """There is nothing to be done: the robot stands in the next tick."""
         self._selector.drop()
+        self._survey.drop()
         self.orders.withdraw(at_once=True)
 
     def give(self, goal: Goal | None, mission: MissionRun, pose: SE2, now_ns: int) -> None:
@@ -123,24 +150,15 @@ class Pursuit:
     def drop(self) -> None:
         """Leave the present goal; its candidate may be chosen again."""
         self._selector.drop()
+        self._survey.drop()
         self.orders.withdraw()
         self.goal = None
-
-    def look_again(self, grid: RollingMap) -> bool:
-        """Before giving up, go once more through what was discarded, and to where the robot was
-        held up, for doors open and people go; False: that was done."""
-        if self._second_look:
-            return False
-        self._second_look = True
-        self._pool.lift_discards()
-        grid.lift_bumps()
-        self._selector.start_over()
-        return True
 
     def forget_mission(self) -> None:
         """Another mission has other goals, and forbids other things."""
         self._neighbours.forget()
         self.drop()
+        self._survey.views = 0
 
     def forget_places(self) -> None:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
@@ -148,7 +166,7 @@ class Pursuit:
         self.orders.withdraw(at_once=True)
         self._selector.start_over()
         self._stuck.reset()
-        self._second_look = False
+        self._second_chance = False
 
     def _act_on(self, verdict: Verdict, mission: MissionRun, now_ns: int) -> None:
         instance = verdict.instance
@@ -169,12 +187,16 @@ class Pursuit:
             self._discard(now_ns)
         self._event(f"{verdict.kind.replace('_', ' ')}: {where}", now_ns)
 
-    def _follow(self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int) -> None:
-        """Take up the controller's answers about frontiers and turns, and notice standstill.
+    def _follow(
+        self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int, looks: int
+    ) -> None:
+        """Take up the controller's answers about frontiers, turns and views; notice standstill.
 
         Where no controller answers, it is no candidate's fault that the robot stands.
         """
-        if goal.kind == "look":
+        if goal is self._survey.goal:
+            self._survey.follow(answer, looks)
+        elif goal.kind == "look":
             if answer is not None and answer.state in ("reached", "failed"):
                 self._selector.looked(now_ns)
                 self.drop()
@@ -196,9 +218,21 @@ class Pursuit:
                 self._held_up(pose.ahead(self._radius_m), now_ns)
             self._discard(now_ns)
 
+    def _leave_vanished(self, now_ns: int) -> None:
+        """A frontier that shows from afar alone would have the robot come and go without end."""
+        goal, selector = self.goal, self._selector
+        if goal is None or goal.kind != "frontier":
+            return
+        gone = self._pool.index_of(FRONTIER, goal.candidate_id) < 0
+        if gone and (selector.exhausted or selector.fickle(goal.candidate_xy_m)):
+            self._discard(now_ns)
+
     def _discard(self, now_ns: int) -> None:
         """Leave the present goal's candidate alone for a while and choose another."""
         goal = self.goal
+        if goal is not None and goal is self._survey.goal:
+            self._survey.give_up()
+            return
         if goal is not None and goal.kind == "look":
             self._selector.looked(now_ns)
         elif goal is not None:

@@ -189,15 +189,19 @@ class Service:
             self._advisers.saw(detections)
         lifted = self._lifter.lift(detections)
         self.tracker.update(lifted, detections.observation.stamp_ns)
-        self.tracker.expire(detections.observation)
+        self.tracker.expire(detections.observation, detections.prompts)
+        perception = self.config.perception
+        self.grid.coverage.look(
+            detections.observation, perception.confirm_range_m, perception.confirm_hits
+        )
         self._seen = _unrivalled(detections)
         self._each_sink("detections", now_ns, self._seen)
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
-        if not self.policy.uses_instances or self.mission.done:
+        if self.mission.done:
             return []
-        return self.tracker.of(self.mission.target)
+        return self.tracker.of(self.mission.target, sure=not self.policy.uses_instances)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
@@ -221,20 +225,24 @@ class Service:
         if self.keeper is not None:
             self.keeper.restore_places(self, observation)
         mission.observe(pose, now_ns)
-        if self.policy.uses_instances:
-            mission.see(newest_ids(self.tracker, mission.brief.targets), now_ns)
+        sure = not self.policy.uses_instances
+        mission.see(newest_ids(self.tracker, mission.brief.targets, sure), now_ns)
         if self._surveyor is not None:
             self._survey(self._surveyor, pose, now_ns)
         if self._turns == mission.turns and not (mission.done or mission.paused):
             self.pursuit.judge(mission, pose, now_ns, self._worker.stats.done)
-            if self.pursuit.exhausted and not self.pursuit.look_again(self.grid):
-                found = "no way to" if mission.target in mission.detected else "found no"
-                reason = f"explored all that can be reached, {found} {mission.target}"
-                reason += _barred(self.grid.bumps_m)
-                mission.give_up(reason, now_ns)
+            if self.pursuit.exhausted:
+                mission.give_up(self._why_given_up(), now_ns)
         mission.check_limits(now_ns)
         if self._turns != mission.turns:
             self._turn(observation, now_ns)
+
+    def _why_given_up(self) -> str:
+        target, views = self.mission.target, self.pursuit.views
+        found = "no way to" if target in self.mission.detected else "found no"
+        again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
+        barred = _barred(self.grid.bumps_m)
+        return f"explored all that can be reached{again}, {found} {target}{barred}"
 
     def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
         """Have driving distances worked out on the side, and take up those that are there."""
@@ -260,7 +268,8 @@ class Service:
             self.pursuit.rest()
             return None
         by_id = {i.id: i for i in self._instances()}
-        return self.pursuit.choose(self.grid, by_id, pose, now_ns, self.mission.target)
+        target, looks = self.mission.target, self._worker.stats.done
+        return self.pursuit.choose(self.grid, by_id, pose, now_ns, target, looks)
 
     def _publish(self, goal: Goal | None, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -306,7 +315,8 @@ class Service:
         mission = MissionRun(brief, self.config.mission, self._step_taken)
         self._worker.set_prompts(brief.targets)
         self.mission = mission
-        self.tracker.forget_reached()
+        self.tracker.forget_verdicts()
+        self.grid.coverage.forget()
         self.pool.set_channels(len(brief.targets))
         self._seen, self._turns = None, -1
         if self._surveyor is not None:

@@ -134,7 +134,8 @@ class Instance:
         return float(np.sqrt((d * d).sum(axis=1).min()))
 
 
-# "look" turns on the spot: there was nothing to go to.
+# "look": there was nothing to go to, so the robot turns on the spot, or goes to where the camera
+# sees what it saw badly before.
 CandidateKind = Literal["frontier", "instance", "look"]
 
 

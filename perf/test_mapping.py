@@ -11,6 +11,7 @@ import pytest
 from edge import config
 from edge.geometry import SE2, CameraModel, camera_mount
 from edge.mapping import grid, layers
+from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
 T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
@@ -119,3 +120,29 @@ def test_reach_step_in_the_open(benchmark):
     m = explored_map(1000)
     benchmark.pedantic(m.reach.step, args=(SE2(0.0, 0.0, 0.0),), rounds=500, warmup_rounds=20)
     assert m.reach.generation > 0
+
+
+def test_where_the_detector_looked(benchmark):
+    """What each image that was searched adds to a tick."""
+    benchmark.extra_info["budget"] = "coverage_look"
+    m = explored_map(1000)
+    views = itertools.cycle(
+        Observation(0, 0, pose.matrix(), camera=CAMERA, T_base_camera=T_BASE_CAMERA)
+        for _, _, pose in frames()
+    )
+
+    def step() -> None:
+        m.coverage.look(next(views), 3.0, 3)
+
+    benchmark.pedantic(step, rounds=500, warmup_rounds=20)
+    assert m.coverage._looks.any()
+
+
+def test_step_of_the_search_for_a_view(benchmark):
+    """In an open hall of 50 m, where all can be reached and nothing was looked at: the dearest."""
+    benchmark.extra_info["budget"] = "coverage_search_step"
+    m = explored_map(1000)
+    while m.reach.generation == 0:
+        m.reach.step(SE2(0.0, 0.0, 0.0))
+    m.coverage.look(Observation(0, 0, np.eye(4), camera=CAMERA), 3.0, 3)
+    benchmark.pedantic(m.coverage.search, args=(m.reach,), rounds=100, warmup_rounds=5)

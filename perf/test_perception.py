@@ -134,7 +134,7 @@ def test_track(benchmark):
 
     def step():
         tracker.update(lifted, 1_000_000_000)
-        tracker.expire(seen)
+        tracker.expire(seen, lifted.detections.prompts)
 
     benchmark(step)
     assert len(tracker) > 10

@@ -108,7 +108,7 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
     service, pose = loop.service, loop.drive.motion.odometry
     near = (pose.x_m + away_m, pose.y_m)
     goal = service.pursuit.goal = replace(service.goal, candidate_xy_m=near)
-    service.pursuit._follow(goal, None, pose, loop.drive.motion.stamp_ns)
+    service.pursuit._follow(goal, None, pose, loop.drive.motion.stamp_ns, 0)
     assert (service.goal is None) == done
     assert any(xy == pytest.approx(near) for xy in service.pool._discarded_xy_m) == done
 
@@ -278,9 +278,9 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
 def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    service.pursuit._selector.exhausted = service.pursuit._second_look = True
+    service.pursuit._selector.exhausted = service.pursuit._second_chance = True
     service.forget_places(loop.drive.motion.stamp_ns)
-    assert (service.pursuit.exhausted, service.pursuit._second_look) == (False, False)
+    assert (service.pursuit.exhausted, service.pursuit._second_chance) == (False, False)
     assert service.goal is None
     blank = blank_observation(10**6, loop.drive.motion.stamp_ns, SE2(7, 7, 0), loop)
     service.tick(blank, blank.stamp_ns)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from closed_loop import ClosedLoop
+from simulated import simulated
 
-from edge.config import parse
 from edge.types import GoalStatus
 
 # Over what the simulated robot drives across (0.05 m), under what the map shows (0.10 m).
@@ -38,7 +38,7 @@ def closed_loop(folder: Path, way_round: bool, policy: str = "hvl") -> ClosedLoo
     path.write_text(json.dumps(house))
     world = {"kind": "house", "house": str(path)}
     return ClosedLoop(
-        parse(
+        simulated(
             {
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True, "world": world},

@@ -108,7 +108,12 @@ class ChoiceText(Section):
 
 
 class Perception(Section):
-    """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run."""
+    """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run.
+
+    What the detector says counts within `confirm_range_m`: a thing found there in `confirm_hits`
+    images can be confirmed, and a place that was there in so many was seen well, so that it need
+    not be looked at again before a target is given up.
+    """
 
     isolation: Literal["thread", "process"] = "thread"
     process: ModelProcess = ModelProcess()

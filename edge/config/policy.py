@@ -10,7 +10,11 @@ from edge.config.section import NonNegative, Positive, Section
 
 
 class PolicyHvl(Section):
-    """VL-Nav eq. 2-8 and algorithm 2; the two switches are its ablations (table I)."""
+    """VL-Nav eq. 2-8 and algorithm 2; the two switches are its ablations (table I).
+
+    `instances: false` leaves out the approach to what may be the target (III.C): the robot follows
+    frontiers, and goes only to what the detector confirmed in passing, for there an episode ends.
+    """
 
     kind: Literal["hvl"] = "hvl"
     sigma_rad: Positive = 0.1

@@ -12,8 +12,10 @@ from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, unknown, update
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
+from edge.mapping.coverage import Coverage, View
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate, OccupancySnapshot
+from edge.types import Observation
 
 # An obstacle this wide and high is sampled twice across at full range, and four times up: its
 # lowest sample may pass for ground, and from there the highest must still stand out by 0.06 m.
@@ -37,6 +39,7 @@ class RollingMap:
     Attributes:
         frontiers: refreshed in place by every update.
         reach: geodesic distances from the robot; its `step` is called once a tick.
+        coverage: where the detector looked; its `look` is called for each image that it searched.
         resolution_m: side of a cell.
     """
 
@@ -77,6 +80,7 @@ class RollingMap:
         self.reach = ReachField(
             self._layers, res, self._inflation_cells, self._body, c.reach_cells_per_tick
         )
+        self.coverage = Coverage(self._layers, res)
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -399,7 +403,7 @@ class RollingMap:
         n, word = self._n, ly.WORD
         if self._origin is None:
             self._origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
-            self.reach.move_window(*self._origin)
+            self._tell_window()
             return False
         rolled = False
         for axis, at in enumerate((x, y)):
@@ -414,9 +418,13 @@ class RollingMap:
                 self._roll(axis, shift)
                 rolled = True
         if rolled:
-            self.reach.move_window(*self._origin)
+            self._tell_window()
             self._bumps = {c: until_ns for c, until_ns in self._bumps.items() if self._holds(*c)}
         return rolled
+
+    def _tell_window(self) -> None:
+        self.reach.move_window(*self._origin)
+        self.coverage.move_window(*self._origin)
 
     def _roll(self, axis: int, by: int) -> None:
         """Move the window along one axis by a multiple of 64 cells, forgetting a strip."""
@@ -472,6 +480,9 @@ def warmup(mapping: config.Mapping) -> None:
     grid.lift_bumps()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
+    grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
+    grid.coverage.search(grid.reach)
+    grid.coverage.worth(View(0.0, 0.0, 0.0))
     grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     far = grid._n * grid.resolution_m

@@ -120,6 +120,11 @@ class ReachField:
             self.generation += 1
             self._clear_row = -1
 
+    @property
+    def field(self) -> tuple[np.ndarray, tuple[int, int, int, int]]:
+        """The distances in use (see `Wave.distance`), and the world cells where they hold."""
+        return self._waves[self._current].distance, self._common(self._current)
+
     def distance_m(self, x_m: float, y_m: float) -> float:
         """Geodesic distance to a point's cell in metres; inf where it was not reached."""
         if self.generation == 0:
@@ -142,10 +147,10 @@ class ReachField:
         if self.generation == 0:
             return None
         res = self._resolution_m
+        distance, common = self.field
         x, y, steps = nearest_reached(
-            self._layers, self._waves[self._current].distance,
-            *self._common(self._current), float(x_m / res), float(y_m / res), radius_m / res,
-        )  # fmt: skip
+            self._layers, distance, *common, float(x_m / res), float(y_m / res), radius_m / res
+        )
         if steps == _UNREACHED:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res

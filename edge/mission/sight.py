@@ -14,11 +14,17 @@ if TYPE_CHECKING:
     from edge.perception.instances import InstanceTracker
 
 
-def newest_ids(tracker: InstanceTracker, targets: Iterable[str]) -> dict[str, int]:
-    """For each target of which an instance is known, the highest id of them."""
+def newest_ids(
+    tracker: InstanceTracker, targets: Iterable[str], sure: bool = False
+) -> dict[str, int]:
+    """For each target of which an instance is known, the highest id of them.
+
+    Args:
+        sure: only confirmed ones count.
+    """
     known = {}
     for label in targets:
-        if found := tracker.of(label):
+        if found := tracker.of(label, sure):
             known[label] = max(instance.id for instance in found)
     return known
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -102,11 +103,14 @@ class InstanceTracker:
         track = self._tracks.get(instance_id)
         return track.instance if track else None
 
-    def of(self, label: str) -> list[Instance]:
+    def of(self, label: str, sure: bool = False) -> list[Instance]:
         """Instances worth driving to, best first.
 
         Those that answer to a label (or a synonym), were found in `min_hits` images at least, and
         were not refuted.
+
+        Args:
+            sure: only those that are confirmed.
         """
         name = names.canonical(label)
         found = [
@@ -115,6 +119,7 @@ class InstanceTracker:
             if track.name == name
             and track.instance.state != "refuted"
             and track.instance.hits >= self.config.min_hits
+            and (not sure or self.confirmed(track.instance))
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
@@ -157,10 +162,14 @@ class InstanceTracker:
             self._unite(instance_id)
         self._limit()
 
-    def expire(self, observation: Observation) -> list[int]:
+    def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
         """Take score off what this observation looked at without finding it.
 
-        Call it after `update` with the same observation. Refuted and reached instances stay.
+        Call it after `update` with the same observation. Refuted and reached instances stay, and
+        all that the detector was not asked for.
+
+        Args:
+            prompts: what the detector looked for.
 
         Returns:
             Ids of instances that were forgotten.
@@ -170,10 +179,11 @@ class InstanceTracker:
             return []
         T = invert(observation.T_map_base @ observation.T_base_camera).tolist()
         pose, near_m = observation.pose, self.config.confirm_range_m
+        asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
         for track in list(self._tracks.values()):
             instance = track.instance
-            if instance.state in ("refuted", "reached"):
+            if instance.state in ("refuted", "reached") or track.name not in asked:
                 continue
             view = self._view(track, observation, camera, T)
             if view == "hidden":
@@ -259,11 +269,21 @@ class InstanceTracker:
         """Forget every instance; ids go on, so that what comes is newer than all that was."""
         self._tracks.clear()
 
-    def forget_reached(self) -> None:
-        """A new mission begins: what the last one reached is as good a target as any."""
-        for track in self._tracks.values():
+    def forget_verdicts(self) -> None:
+        """A new mission begins: what the last one reached is as good a target as any, and what it
+        refuted may be found again."""
+        for track in list(self._tracks.values()):
             if track.instance.state == "reached":
                 track.instance.state = "confirmed"
+            elif track.instance.state == "refuted":
+                del self._tracks[track.instance.id]
+
+    def forget_refuted(self, label: str) -> None:
+        """What was refuted as a label (or a synonym) may be found again."""
+        name = names.canonical(label)
+        for track in list(self._tracks.values()):
+            if track.name == name and track.instance.state == "refuted":
+                del self._tracks[track.instance.id]
 
     def _match(self, name: str, x_m: float, y_m: float) -> _Track | None:
         """The instance that a detection belongs to; a refuted one near its centre comes first."""

@@ -56,7 +56,7 @@ def _lift() -> None:
         lifted = Lifter(perception).lift(detections)
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
-    tracker.expire(seen)
+    tracker.expire(seen, detections.prompts)
     # What an instance that is seen again needs; nothing here was clear enough to found one.
     points_m = np.zeros((1, 3), np.float32)
     support = np.ones(1, np.int32)

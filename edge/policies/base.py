@@ -17,7 +17,8 @@ class Policy(Protocol):
     """Scores candidates; `select` picks among them.
 
     Attributes:
-        uses_instances: whether instances are candidates at all (ablation "w/o IBTP").
+        uses_instances: whether what may be the target is a candidate; else only what the detector
+            confirmed in passing is (ablation "w/o IBTP").
         delta_reached_m: candidates nearer than this are discarded (VL-Nav algorithm 2).
         switch_margin: how much better another candidate must be for the goal to change,
             as a fraction of the present goal's score.

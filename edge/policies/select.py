@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,6 +23,11 @@ _HEIR_M = 1.0
 _MOVE_SHARE = 0.25
 _LOOKS = 3
 _LOOK_AFTER_NS = 1_000_000_000
+# A frontier left so often for another, or because it vanished, before the robot came there, shows
+# from afar alone or is farther than it looks: then it is seen through, or left alone.
+_FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
+# From afar the rim of what is known flickers: a frontier that turns up later has to last.
+_LASTING_NS = 2_000_000_000
 
 
 class GoalSelector:
@@ -29,7 +35,8 @@ class GoalSelector:
 
     Attributes:
         goal: what was last chosen; None when nothing can be chosen.
-        exhausted: nothing is left to go to, and looking around showed nothing new.
+        exhausted: nothing was left to go to, and looking around showed nothing new. What turns
+            up since is gone to, but the robot does not look around after it.
     """
 
     def __init__(self, policy: Policy, move_m: float = 0.3) -> None:
@@ -40,6 +47,7 @@ class GoalSelector:
         self._peak = 0.0  # the best score of the present goal's candidate
         self._looks = 0
         self._idle_since_ns: int | None = None
+        self._left: deque[tuple[float, float]] = deque(maxlen=_LEFT)
 
     def select(
         self,
@@ -59,17 +67,29 @@ class GoalSelector:
             A goal on a free cell that the robot can reach, facing its candidate; or None.
         """
         order = ranked(pool, pose, self._policy.delta_reached_m)
-        choice = self._choose(order, pool, grid, instances, pose)
+        if self.exhausted:
+            lasting = pool.first_seen_ns[order] <= now_ns - _LASTING_NS
+            order = order[lasting | (pool.kind[order] == INSTANCE)]
+        present, goal = self._present(pool), self.goal
+        choice = self._choose(order, present, pool, grid, instances, pose)
+        if goal is not None and goal.kind == "frontier" and (not choice or choice[0] != present):
+            self._left.append(goal.candidate_xy_m)
         if choice is None:
             self.goal = self._look_around(pose, now_ns, target)
             return self.goal
         index, cell = choice
-        self._idle_since_ns, self._looks, self.exhausted = None, 0, False
-        same = index == self._present(pool)
+        self._idle_since_ns = None
+        if not self.exhausted:
+            self._looks = 0
+        same = index == present
         self._peak = max(self._peak if same else 0.0, float(pool.score[index]))
         if not (same and self._stands(cell, grid, pose)):
             self.goal = _goal(index, cell, pool, now_ns, target)
         return self.goal
+
+    def fickle(self, xy_m: tuple[float, float]) -> bool:
+        """Whether a frontier was left too often before the robot came there."""
+        return sum(math.dist(xy_m, left) < _SAME_M for left in self._left) >= _FICKLE
 
     def drop(self) -> None:
         """Forget the present goal; the next tick chooses afresh."""
@@ -78,13 +98,13 @@ class GoalSelector:
     def _choose(
         self,
         order: np.ndarray,
+        present: int,
         pool: CandidatePool,
         grid: RollingMap,
         instances: Mapping[int, Instance],
         pose: SE2,
     ) -> tuple[int, tuple[float, float]] | None:
         """The best reachable candidate, or the present one where that is about as good."""
-        present = self._present(pool)
         if present not in order:
             present = -1
         for index in map(int, order):
@@ -101,10 +121,14 @@ class GoalSelector:
         """Whether a better-ranked candidate is worth a change of goal.
 
         An instance is seen through: its score falls while the robot comes too near to see it
-        whole, and must not make it turn to another, whose score then falls, and back.
+        whole, and must not make it turn to another, whose score then falls, and back. So is a
+        frontier that was left often: the way to it may lead past where the other scores better.
         """
         if pool.kind[index] != pool.kind[present] or pool.sure[index] != pool.sure[present]:
             return True
+        assert self.goal is not None
+        if pool.kind[index] == FRONTIER and self.fickle(self.goal.candidate_xy_m):
+            return False
         margin = 1.0 + self._policy.switch_margin
         if pool.kind[index] == INSTANCE:
             return bool(pool.score[index] > margin * self._peak)
@@ -133,6 +157,8 @@ class GoalSelector:
 
     def _look_around(self, pose: SE2, now_ns: int, target: str) -> Goal | None:
         """With nowhere to go, turn on the spot; the space behind may never have been seen."""
+        if self.exhausted:
+            return None
         if self._idle_since_ns is None:
             self._idle_since_ns = now_ns
         if self.goal is not None and self.goal.kind == "look":
@@ -154,6 +180,7 @@ class GoalSelector:
     def start_over(self) -> None:
         """Look around again, as after new space or a lifted discard."""
         self.exhausted, self._looks, self._idle_since_ns = False, 0, None
+        self._left.clear()
 
 
 def _goal_cell(

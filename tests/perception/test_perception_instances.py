@@ -42,6 +42,9 @@ class Scene:
         self.last = seen
         return self.tracker.all
 
+    def expire(self, observation, prompts=("chair", "desk")):
+        return self.tracker.expire(observation, prompts)
+
     def frame(self, x_m=0.0, y_m=0.0, depth_m=6.0):
         self.seq += 1
         depth = np.full((64, 80), depth_m, np.float32)
@@ -57,7 +60,7 @@ def test_nothing_seen_nothing_there(scene):
     s = scene()
     assert s.see() == []
     assert s.tracker.of("chair") == []
-    assert s.tracker.expire(s.frame()) == []
+    assert s.expire(s.frame()) == []
     assert s.tracker.get(1) is None
 
 
@@ -170,7 +173,7 @@ def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
         (chair,) = s.see(("chair", 2, 0, 0.6))
     assert chair.state == "confirmed"
     for _ in range(15):
-        s.tracker.expire(s.frame())
+        s.expire(s.frame())
     assert chair.state == "seen"
 
 
@@ -179,7 +182,7 @@ def test_what_something_else_explains_better_is_refuted(scene):
     (desk,) = s.see(("desk", 2, 0, 0.6))
     for _ in range(40):
         s.see(("desk", 2, 0, 0.45), rival=0.7)
-        s.tracker.expire(s.last)
+        s.expire(s.last)
     assert desk.state == "refuted"
     assert s.tracker.of("desk") == []
 
@@ -195,7 +198,7 @@ def test_a_mistake_now_and_then_does_not_confirm(scene):
     for _ in range(3):
         (chair,) = s.see(("chair", 1.5, 0, 0.6))
         for _ in range(9):
-            s.tracker.expire(s.frame(depth_m=1.5))
+            s.expire(s.frame(depth_m=1.5))
     assert chair.state == "seen"
 
 
@@ -215,13 +218,13 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
     s = scene(confirm_hits=3, confirm_mean=0.12, tau_det=0.1)
     for _ in range(4):
         (chair,) = s.see(("chair", x_m, y_m, 0.4))
-        s.tracker.expire(s.last)
+        s.expire(s.last)
         for _ in range(19):
-            s.tracker.expire(s.frame())
+            s.expire(s.frame())
     assert chair.state == "seen"
     for _ in range(20):
         s.see(("chair", x_m, y_m, 0.4))
-        s.tracker.expire(s.last)
+        s.expire(s.last)
     assert chair.state == "confirmed"
 
 
@@ -236,7 +239,7 @@ def test_a_refuted_thing_is_never_chased_again(scene):
     assert s.tracker.of("chair") == []
     s.see(("chair", 4, 0, 0.6))
     assert [i.id for i in s.tracker.of("chair")] == [2]
-    s.tracker.expire(s.frame())
+    s.expire(s.frame())
     assert s.tracker.get(chair.id) is chair
 
 
@@ -250,7 +253,7 @@ def test_refuting_takes_its_doubles_along(scene):
 def test_looks_in_vain_wear_an_instance_away(scene):
     s = scene()
     (chair,) = s.see(("chair", 2, 0, 0.6))
-    gone = [s.tracker.expire(s.frame()) for _ in range(30)]
+    gone = [s.expire(s.frame()) for _ in range(30)]
     assert gone.count([chair.id]) == 1
     assert gone.index([chair.id]) > 5
     assert len(s.tracker) == 0
@@ -265,14 +268,14 @@ def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
     s = scene(lift_max_range_m=8.0)
     (chair,) = s.see(("chair", x_m, y_m, 0.6))
     for _ in range(50):
-        s.tracker.expire(s.frame(depth_m=depth_m))
+        s.expire(s.frame(depth_m=depth_m))
     assert chair.score == pytest.approx(0.6)
 
 
 def test_a_frame_that_shows_it_is_no_look_in_vain(scene):
     s = scene()
     (chair,) = s.see(("chair", 2, 0, 0.6))
-    s.tracker.expire(s.make(seq=s.seq, depth_m=np.full((64, 80), 6.0, np.float32)))
+    s.expire(s.make(seq=s.seq, depth_m=np.full((64, 80), 6.0, np.float32)))
     assert chair.score == pytest.approx(0.6)
 
 
@@ -281,7 +284,7 @@ def test_reached_ones_stay(scene):
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.mark_reached(chair.id)
     for _ in range(50):
-        s.tracker.expire(s.frame())
+        s.expire(s.frame())
     assert s.tracker.all == [chair]
     assert s.tracker.confirmed(chair)
 
@@ -294,3 +297,44 @@ def test_the_weakest_give_way_but_never_a_protected_one(scene):
     assert [i.id for i in s.tracker.all] == [1, 2]
     assert s.tracker.get(2).score == pytest.approx(0.9)
     assert s.tracker.dropped == 2
+
+
+def test_looking_for_something_else_wears_nothing_away(scene):
+    s = scene(confirm_hits=3)
+    for _ in range(3):
+        (chair,) = s.see(("chair", 2, 0, 0.6))
+    before = chair.score
+    for _ in range(60):
+        s.expire(s.frame(), ("sofa",))
+    assert (chair.state, chair.score) == ("confirmed", before)
+    assert s.expire(s.frame(), ("sofa", "chairs")) == []
+    assert chair.score < before
+
+
+def test_another_mission_may_find_again_what_the_last_one_reached_or_refuted(scene):
+    s = scene(min_hits=1)
+    s.see(("chair", 2, 0, 0.6), ("sofa", 4, 0, 0.6), ("desk", 6, 0, 0.6))
+    s.tracker.mark_reached(1)
+    s.tracker.refute(2)
+    s.tracker.forget_verdicts()
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "confirmed"), ("desk", "seen")]
+    s.see(("sofa", 4, 0, 0.6))
+    assert [i.state for i in s.tracker.of("sofa")] == ["seen"]
+
+
+def test_what_was_refuted_may_be_found_again_where_nothing_else_is_left(scene):
+    s = scene(min_hits=1)
+    s.see(("couch", 2, 0, 0.6), ("chair", 4, 0, 0.6))
+    s.tracker.refute(1)
+    s.tracker.refute(2)
+    s.tracker.forget_refuted("sofa")
+    assert [(i.label, i.state) for i in s.tracker.all] == [("chair", "refuted")]
+
+
+def test_only_what_is_sure(scene):
+    s = scene(confirm_hits=3, min_hits=1)
+    s.see(("chair", 2, 0, 0.6))
+    assert s.tracker.of("chair", sure=True) == []
+    s.see(("chair", 2, 0, 0.6))
+    s.see(("chair", 2, 0, 0.6))
+    assert s.tracker.of("chair", sure=True) == s.tracker.of("chair") != []

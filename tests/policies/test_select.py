@@ -43,13 +43,17 @@ class Case:
         self.selector, self.grid = GoalSelector(POLICY), Grid()
         self.now_ns = 0
 
-    def select(self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1):
-        """One tick with candidates of (kind, id, x, y, score)."""
+    def select(
+        self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1, since_s: float = 0.0
+    ):
+        """One tick with candidates of (kind, id, x, y, score), seen for the first time before
+        `since_s`."""
         pool, instances = CandidatePool(16, 0.5), {}
         pool.n = len(entries)
         for i, (kind, id, x, y, score) in enumerate(entries):
             pool.kind[i], pool.id[i], pool.xy_m[i], pool.score[i] = kind, id, (x, y), score
             pool.sure[i] = id in sure
+            pool.first_seen_ns[i] = int(since_s * S)
             if kind == INSTANCE:
                 points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
                 instances[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
@@ -180,6 +184,31 @@ def test_a_dropped_goal_is_chosen_afresh():
     assert (who(again), again is first) == (("frontier", 1), False)
 
 
+def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
+    """Two far frontiers, each the better one from where the way to the other leads."""
+    case, chosen = Case(), []
+    for k in range(12):
+        here, there = (0.9, 0.3) if k % 2 else (0.3, 0.9)
+        chosen.append(who(case.select(frontier(1, 3, here), frontier(2, -3, there)))[1])
+    assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
+    # Another place has its own count, and another target starts over.
+    assert who(case.select(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
+    case.selector.drop()
+    case.selector.start_over()
+    assert who(case.select(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
+    assert who(case.select(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
+
+
+def test_a_frontier_that_the_robot_came_to_was_not_left():
+    case = Case()
+    for _ in range(5):
+        goal = case.select(frontier(1, 3, 0.9))
+        case.selector.drop()
+        case.select(frontier(2, -3, 0.9))
+        case.selector.drop()
+    assert not case.selector.fickle(goal.candidate_xy_m)
+
+
 def turn(case: Case, pose: SE2) -> Goal:
     """The next turn on the spot, which comes after a second without anything to choose."""
     assert case.select(pose=pose) is None
@@ -200,6 +229,13 @@ def test_with_nowhere_to_go_it_looks_around_three_times_and_is_exhausted():
         case.selector.looked(case.now_ns)
         pose = goal.pose
     assert case.select(pose=pose, after_s=1.1) is None
+    assert case.selector.exhausted
+    # What turns up later is gone to, and no reason to look around once more.
+    late_s = case.now_ns / S
+    assert who(case.select(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
+    assert case.select(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
+    assert who(case.select(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
+    assert case.select(pose=pose, after_s=5.0) is None
     assert case.selector.exhausted
     case.selector.start_over()
     assert not case.selector.exhausted

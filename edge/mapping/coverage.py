@@ -1,0 +1,344 @@
+"""How often the detector looked at each place from near by, and from where it would see the rest.
+
+A place is a square of about a quarter of a metre. The camera sees those that a straight line over
+free cells leads to, and the first occupied one on that line. The same rule tells what a view
+would show, so that standing there makes true what was expected.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
+from edge.mapping.reach import STRAIGHT, ReachField
+from edge.types import Observation
+
+PLACE_M = 0.25
+NEAR_M = 0.8
+"""What lies nearer does not fit into the image."""
+LEAST_M2 = 0.5
+"""A view of less than this is not worth a goal."""
+START_M = 2.0
+"""What a goal costs besides the way to it: turning, stopping and looking, as metres of way."""
+SURE = 0.85
+"""Share of the field of view and of the range that a view is planned with: the robot stops a
+little aside, and turned a little."""
+WORK_PER_STEP = 100_000
+"""What a step of the search may do, as lattice points passed over (some 10 ns each)."""
+_REACHED_WORK, _CAST_WORK = 64, 2048
+MAX_RAYS = 512
+# A place's byte: looks up to `_MOST`, and a bit that is set while a kernel runs alone.
+_MOST, _FLAG = 127, 128
+# What becomes of the places that a cast showed.
+KEEP, COUNT, WRITE_OFF = range(3)
+# Entries of the best view so far; the place is a world cell.
+_WORTH, _X, _Y, _HEADING = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where to stand, on a cell that the robot can get to, and which way the camera then looks."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+class Coverage:
+    """A byte for each place, on the map's torus; memory is fixed at construction.
+
+    Attributes:
+        camera_yaw_rad: of the camera on the robot; 0 where it looks ahead.
+        view: what `search` found, the best of all views; None when none is worth a goal.
+    """
+
+    def __init__(self, layers: Layers, resolution_m: float) -> None:
+        self.camera_yaw_rad = 0.0
+        self.view: View | None = None
+        self._layers = layers
+        self._resolution_m = resolution_m
+        # The window's rolls are multiples of 64 cells, and so of a place's side.
+        self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
+        self._least = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
+        self._n = n = layers.raw.shape[0]
+        self._looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
+        self._fresh = np.zeros(MAX_RAYS, np.int32)
+        self._origin = (0, 0)
+        self._fov_rad = self._range_m = 0.0
+        self._enough = 1
+        self._next = 0  # lattice point that the search goes on with
+        self._best = np.zeros(4)
+
+    def move_window(self, origin_x: int, origin_y: int) -> None:
+        """The map's window rolled: its lower-left world cell is now (origin_x, origin_y)."""
+        for axis, new in ((1, origin_x), (0, origin_y)):
+            old = self._origin[1 - axis]
+            by = min(abs(new - old), self._n)
+            start = old if new > old else old + self._n - by
+            strip = np.arange(start >> self._bits, (start + by) >> self._bits) % len(self._looks)
+            self._looks[(slice(None), strip) if axis else strip] = 0
+        self._origin = (origin_x, origin_y)
+
+    def forget(self) -> None:
+        """The detector looks for something else: nothing was looked at for that."""
+        self._looks[:] = 0
+
+    def look(self, seen: Observation, range_m: float, enough: int) -> None:
+        """The detector searched this image.
+
+        Args:
+            range_m: how far away what it says counts.
+            enough: after so many looks a place was seen well.
+        """
+        camera = seen.camera
+        if camera is None:
+            return
+        self._fov_rad, self._range_m = camera.hfov_rad, range_m
+        self._enough = min(enough, _MOST)
+        mount, T = seen.T_base_camera, seen.T_map_base @ seen.T_base_camera
+        self.camera_yaw_rad = math.atan2(mount[1, 2], mount[0, 2])
+        heading = math.atan2(T[1, 2], T[0, 2])
+        far = range_m / self._resolution_m
+        between, rays = sector(camera.hfov_rad, far, self._bits)
+        first = heading - 0.5 * (rays - 1) * between
+        self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
+
+    def worth(self, view: View) -> bool:
+        """Whether a view still shows enough that was seen badly."""
+        return self._planned(view, KEEP) >= self._least
+
+    def write_off(self, view: View) -> None:
+        """What a view was to show and was not seen well all the same is not sought again."""
+        self._planned(view, WRITE_OFF)
+
+    def start_over(self) -> None:
+        """Have the next `search` begin anew."""
+        self._next = 0
+        self._best[:] = 0.0
+
+    def search(self, reach: ReachField) -> bool:
+        """One step of the search for the view that shows the most for the way to it.
+
+        The cells that the robot can get to are gone through some at a time, so that a step costs
+        a few milliseconds at most whatever the map's size.
+
+        Returns:
+            Whether all were gone through; `view` then holds the best.
+        """
+        self.view = None
+        if self._fov_rad == 0.0 or reach.generation == 0:
+            return True
+        res = self._resolution_m
+        distance, rect = reach.field
+        self._next = best_view(
+            self._layers, distance, *rect, *self._origin, self._looks, self._bits, self._enough,
+            SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res, START_M / res,
+            self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
+        )  # fmt: skip
+        if self._next > 0:
+            return False
+        if self._best[_WORTH] > 0.0:
+            x, y, heading = self._best[_X:].tolist()
+            self.view = View((x + 0.5) * res, (y + 0.5) * res, heading)
+        self._best[:] = 0.0
+        return True
+
+    def _planned(self, view: View, then: int) -> int:
+        far = SURE * self._range_m / self._resolution_m
+        between, width = sector(SURE * self._fov_rad, far, self._bits)
+        first = view.heading_rad - 0.5 * (width - 1) * between
+        return self._show(view.x_m, view.y_m, first, between, width, far, then)
+
+    def _show(
+        self, x_m: float, y_m: float, first: float, between: float, rays: int, far: float, then: int
+    ) -> int:
+        """See `show`; in metres of `map`."""
+        res, n, (ox, oy) = self._resolution_m, self._n, self._origin
+        return show(
+            self._layers.raw, self._looks, self._bits, ox % n, oy % n,
+            x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
+            self._enough, then, self._fresh,
+        )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def sector(fov, far, bits):
+    """(angle between two rays, their number) so that two are about a place apart at the end.
+
+    A full circle is a whole number of such angles.
+    """
+    circle = max(8, min(int(2.0 * math.pi * far / (1 << bits)), MAX_RAYS - 1))
+    between = 2.0 * math.pi / circle
+    return between, min(max(int(fov / between), 0), circle - 1) + 1
+
+
+@njit(nogil=True, cache=True)
+def show(
+    raw, looks, bits, shift_x, shift_y, x, y, first, between, rays, near, far, enough, then, fresh
+):  # fmt: skip
+    """Which places a camera sees, and what becomes of them.
+
+    Args:
+        x, y: window coordinates in cells, fractions too.
+        first, between: direction of the first ray, and from there to the next, radians.
+        near, far: cells; what lies nearer or farther does not count.
+        then: COUNT a look, WRITE_OFF what had too few, or KEEP all as it is.
+        fresh: (rays,) int32 output: places with too few looks that this ray was the first to show.
+
+    Returns:
+        The sum of `fresh`.
+    """
+    total = 0
+    for k in range(rays):
+        angle = first + between * k
+        fresh[k] = _ray(
+            raw, looks, bits, shift_x, shift_y, x, y, math.cos(angle), math.sin(angle),
+            near, far, enough,
+        )  # fmt: skip
+        total += fresh[k]
+    m = looks.shape[0]
+    x0, y0, x1, y1 = _square(x, y, far, bits, m)
+    for cy in range(y0, y1):
+        sy = cy + (shift_y >> bits)
+        sy -= m if sy >= m else 0
+        for cx in range(x0, x1):
+            sx = cx + (shift_x >> bits)
+            sx -= m if sx >= m else 0
+            if looks[sy, sx] < _FLAG:
+                continue
+            before = looks[sy, sx] - _FLAG
+            if then == COUNT and before < _MOST:
+                before += 1
+            elif then == WRITE_OFF and before < enough:
+                before = _MOST
+            looks[sy, sx] = before
+    return total
+
+
+@njit(nogil=True, cache=True)
+def _square(x, y, far, bits, m):
+    """(x0, y0, x1, y1): the places of the window, half open, that may lie within `far` cells."""
+    return (
+        max(int(x - far) >> bits, 0),
+        max(int(y - far) >> bits, 0),
+        min((int(x + far) >> bits) + 1, m),
+        min((int(y + far) >> bits) + 1, m),
+    )
+
+
+@njit(nogil=True, cache=True)
+def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
+    """Flag the places along a ray; the number of those not flagged yet with too few looks."""
+    n = raw.shape[0]
+    step = max(1.0, 0.25 * (1 << bits))
+    fresh, along = 0, 0.0
+    while along <= far:
+        sx, sy = math.floor(x + along * dx), math.floor(y + along * dy)
+        if sx < 0 or sy < 0 or sx >= n or sy >= n:
+            break
+        sx += shift_x - (n if sx + shift_x >= n else 0)
+        sy += shift_y - (n if sy + shift_y >= n else 0)
+        state = raw[sy, sx]
+        if state == UNSEEN:
+            break
+        if along >= near:
+            before = looks[sy >> bits, sx >> bits]
+            if before < _FLAG:
+                looks[sy >> bits, sx >> bits] = before + _FLAG
+                if before < enough:
+                    fresh += 1
+        if state >= OCCUPIED:
+            break
+        along += step
+    return fresh
+
+
+@njit(nogil=True, cache=True)
+def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
+    """Places with too few looks in the square around a window cell: no view shows more."""
+    m = looks.shape[0]
+    x0, y0, x1, y1 = _square(x, y, far, bits, m)
+    count = 0
+    for cy in range(y0, y1):
+        sy = cy + (shift_y >> bits)
+        sy -= m if sy >= m else 0
+        for cx in range(x0, x1):
+            sx = cx + (shift_x >> bits)
+            sx -= m if sx >= m else 0
+            count += looks[sy, sx] < enough
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _best_sector(fresh, circle, width):
+    """(places, first ray) of the best `width` neighbouring rays of a full circle."""
+    now = 0
+    for k in range(width):
+        now += fresh[k]
+    best, first = now, 0
+    for k in range(1, circle):
+        now += fresh[(k + width - 1) % circle] - fresh[k - 1]
+        if now > best:
+            best, first = now, k
+    return best, first
+
+
+@njit(nogil=True, cache=True)
+def best_view(
+    layers, distance, x0, y0, x1, y1, origin_x, origin_y, looks, bits, enough, fov, near, far,
+    start, least, fresh, at, work, best,
+):  # fmt: skip
+    """Go on through the lattice of reached cells, one a place, from point `at`.
+
+    A view is worth the places it shows over the way to it, which counts `start` cells more.
+
+    Args:
+        distance: the reach field; x0, y0, x1, y1: the world cells where it holds.
+        least: a view of fewer places is worth nothing.
+        work: see `WORK_PER_STEP`.
+        best: (4,) float64: worth, world cell x and y, heading of the best view so far.
+
+    Returns:
+        The point to go on with, or 0 when all were gone through.
+    """
+    n, side = layers.raw.shape[0], 1 << bits
+    shift_x, shift_y = origin_x % n, origin_y % n
+    x0, y0 = (x0 + side - 1) >> bits << bits, (y0 + side - 1) >> bits << bits
+    columns, rows = (x1 - x0 + side - 1) >> bits, (y1 - y0 + side - 1) >> bits
+    between, width = sector(fov, far, bits)
+    circle = round(2.0 * math.pi / between)
+    # What fits into a sector, with the places that its rim cuts.
+    angle = between * width
+    room = (0.5 * angle * far * far / side + (2.0 + angle) * far) / side
+    while at < columns * rows:
+        if work <= 0:
+            return at
+        work -= 1
+        wx, wy = x0 + at % columns * side, y0 + at // columns * side
+        at += 1
+        sx, sy = wx % n, wy % n
+        steps = distance[sy, sx]
+        if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+            continue
+        cost = start + (steps - 1) / STRAIGHT
+        if room / cost <= best[_WORTH]:
+            continue
+        work -= _REACHED_WORK
+        x, y = wx - origin_x + 0.5, wy - origin_y + 0.5
+        most = min(_bad_around(looks, bits, shift_x, shift_y, x, y, far, enough), room)
+        if most < least or most / cost <= best[_WORTH]:
+            continue
+        work -= _CAST_WORK
+        show(
+            layers.raw, looks, bits, shift_x, shift_y, x, y, 0.0, between, circle, near, far,
+            enough, KEEP, fresh,
+        )  # fmt: skip
+        places, first = _best_sector(fresh, circle, width)
+        if places >= least and places / cost > best[_WORTH]:
+            best[_WORTH], best[_X], best[_Y] = places / cost, wx, wy
+            best[_HEADING] = (first + 0.5 * (width - 1)) * between
+    return 0
