@@ -29,11 +29,19 @@ class Case:
         self.events: list[str] = []
         tracker = InstanceTracker(config.perception)
         self.pursuit = Pursuit(
-            config, policy, self.pool, tracker, lambda goal: None, lambda text, _: None
+            config,
+            policy,
+            self.pool,
+            tracker,
+            tell=lambda goal: None,
+            held_up=lambda place, now_ns: None,
+            event=lambda text, now_ns: None,
         )
         coverage = SimpleNamespace(view=None, start_over=lambda: None, search=lambda reach: True)
         reach = SimpleNamespace(nearest=lambda x, y, within_m: (x, y, 1.0))
-        self.grid = SimpleNamespace(coverage=coverage, reach=reach, state_at=lambda x, y: 0)
+        self.grid = SimpleNamespace(
+            coverage=coverage, reach=reach, state_at=lambda x, y: 0, lift_bumps=lambda: None
+        )
         self.mission = SimpleNamespace(forbidden=())
         self.now_ns = S
         self.pursuit.set_out("chair")

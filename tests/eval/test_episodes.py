@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 
 import pytest
@@ -65,7 +66,7 @@ def test_a_process_that_fails_fails_its_episode():
     stop = threading.Event()
     (outcome,) = episodes._run_all("nowhere.yaml", planned, 1, None, stop)
     assert not outcome.success
-    assert outcome.reason.startswith("crashed (2): nowhere.yaml: no such file")
+    assert outcome.reason.startswith(f"crashed ({os.EX_CONFIG}): nowhere.yaml: no such file")
 
 
 def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():

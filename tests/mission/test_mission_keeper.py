@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 from closed_loop import ClosedLoop
+from simulated import simulated
 
-from edge.config import Config, parse
+from edge.config import Config
 from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.mission.keeper import Keeper
@@ -22,7 +23,7 @@ from edge.text import MAX_CHARS
 
 def config(formula: str) -> Config:
     mission = {"instruction": formula, "translator": {"kind": "ltl"}}
-    return parse({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
+    return simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission})
 
 
 def restart(loop: ClosedLoop, path: Path) -> Keeper:

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from patience import PATIENCE_S, eventually
+from simulated import simulated
 
-from edge.config import parse
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
@@ -79,7 +79,7 @@ class Bench:
         self._make_observation = make_observation
         settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
-            parse({"perception": {"swap": settings}}).perception, self.worker,
+            simulated({"perception": {"swap": settings}}).perception, self.worker,
             lambda text, now_ns: self.said.append(text), self._make, lambda: self.clock_s,
         )  # fmt: skip
 

@@ -9,7 +9,7 @@ import pytest
 from simulated import simulated
 
 from edge import topics
-from edge.config import Config, ConfigError
+from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources.assembler import PATIENCE_NS, Assembler
 from edge.wire import messages
@@ -328,7 +328,7 @@ def test_an_empty_cloud_and_one_too_large():
 
 def test_cloud_without_a_lidar_is_a_configuration_error():
     with pytest.raises(ConfigError, match=r"mapping\.input: cloud needs sensors\.lidar"):
-        Assembler(Config(**{"mapping": {"input": "cloud"}}))
+        Assembler(simulated({"mapping": {"input": "cloud"}}))
 
 
 def test_labels_are_remembered():
