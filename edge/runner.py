@@ -120,7 +120,9 @@ def open_service(
         advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
         if advisers is not None:
             stack.callback(advisers.close)
+        go_on(stop)
         unless_stopped(partial(warm_up, config), stop)
+        go_on(stop)
         source = ZenohSource(session, config)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]

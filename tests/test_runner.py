@@ -107,7 +107,7 @@ STEPS = ["prepare", "make_detector", "make_advisers", "warm_up"]
 
 @pytest.mark.parametrize("last", STEPS)
 def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeypatch, caplog, last):
-    caplog.set_level(logging.INFO, "edge.runner")
+    caplog.set_level(logging.INFO, "edge")
     stop, made = threading.Event(), []
 
     def noting(name, step):
@@ -125,7 +125,7 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
     with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):
         raise AssertionError
     assert made == STEPS[: STEPS.index(last) + 1]
-    told = [r.getMessage() for r in caplog.records if r.name == "edge.runner"]
+    told = [r.getMessage() for r in caplog.records if r.name == "edge"]
     assert told == ["stopped before it was ready"]
 
 
