@@ -19,6 +19,7 @@ import zenoh
 
 from edge import config
 from edge.errors import Stopped, UnavailableError
+from edge.interruptible import start_unjoined
 from edge.topics import Qos, Topic
 
 log = logging.getLogger("edge.bus")
@@ -91,20 +92,19 @@ def session_config(settings: config.Zenoh, role: Role, exact: bool = False) -> z
 
 
 @contextmanager
-def session(
+def zenoh_session(
     settings: config.Zenoh, role: Role, stop: threading.Event | None = None, exact: bool = False
 ) -> Iterator[zenoh.Session]:
     """A session as from `open_session`, closed at exit however its peers do.
 
     For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
-    After `CLOSE_S` it goes on in a thread, which `edge.cli` does not wait for.
+    After `CLOSE_S` it goes on in a thread, which nobody waits for (`edge.interruptible`).
     """
     opened = open_session(settings, role, stop, exact)
     try:
         yield opened
     finally:
-        closing = threading.Thread(target=_close, args=(opened,), name="zenoh-close", daemon=True)
-        closing.start()
+        closing = start_unjoined("zenoh-close", _close, opened)
         closing.join(CLOSE_S)
         if closing.is_alive():
             log.warning("a peer at %s takes nothing: not waited for", settings.endpoint)

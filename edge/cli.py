@@ -11,10 +11,9 @@ import logging
 import os
 import signal
 import sys
-import threading
 
 from edge.errors import Stopped, UserError
-from edge.interruptible import ABANDONED
+from edge.interruptible import any_unjoined
 from edge.kernel_cache import kernel_cache
 from edge.logs import setup
 from edge.parsers import make_parser
@@ -29,7 +28,7 @@ def main(argv: list[str] | None = None) -> int:
     handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
     args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
     setup(args.log_level, args.log_json)
-    if getattr(args, "trust_cache", False):  # in the environment, a model's process has it too
+    if args.trust_cache:  # in the environment, a model's process has it too
         from edge.perception.model_file import TRUST_CACHE
 
         os.environ[TRUST_CACHE] = "1"
@@ -61,13 +60,11 @@ def _outcome(args: argparse.Namespace) -> int:
 
 
 def _leave(code: int) -> int:
-    """The exit code; where a thread must not be waited for, the process ends with it here and now.
+    """The exit code; where a thread runs that nobody may wait for, the process ends with it here.
 
-    Such a thread loads a model or compiles a kernel, which may take minutes (see
-    `edge.perception.swap` and `edge.interruptible`), or closes a session with a stopped peer (see
-    `edge.bus`). None of their libraries would survive the interpreter's end under its thread.
+    See `edge.interruptible`.
     """
-    if any(thread.name in ("swap", "zenoh-close", ABANDONED) for thread in threading.enumerate()):
+    if any_unjoined():
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 # Columns are the optical axes seen from a body frame (x forward, y left, z up).
+FARTHEST_M = 1e6
+"""The map takes no sensor and no point beyond it: a step of its float32 is 6 cm there."""
+
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 

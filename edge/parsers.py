@@ -35,6 +35,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"edge {__version__}")
+    parser.set_defaults(trust_cache=False)
     add_arguments(parser)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, add in _OWN.items():

@@ -15,8 +15,8 @@ from edge.motion.stuck import StuckDetector
 from edge.orders import Orders
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import Policy
+from edge.policies.next_view import NextBestView
 from edge.policies.select import GoalSelector
-from edge.policies.survey import Survey
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
 # A controller that says that the robot is held up farther away than this mistakes the frame.
@@ -53,7 +53,7 @@ class Pursuit:
         self._policy, self._pool, self._tracker, self._event = policy, pool, tracker, event
         self._held_up, self._radius_m = held_up, config.robot.radius_m
         self._selector = GoalSelector(policy)
-        self._survey = Survey(config.perception.confirm_hits)
+        self._next_view = NextBestView(config.perception.confirm_hits)
         self._approach = Approach(config.mission)
         self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
         self._neighbours = Neighbours(config.mission.reach_m)
@@ -68,12 +68,12 @@ class Pursuit:
     @property
     def exhausted(self) -> bool:
         """Nothing is left to go to, nor to look at again."""
-        return self._selector.exhausted and self._survey.done
+        return self._selector.exhausted and self._next_view.done
 
     @property
     def views(self) -> int:
-        """How often it went to look again at what had been seen badly, in this mission."""
-        return self._survey.views
+        """How many views of what had been seen badly it has seen, in this mission."""
+        return self._next_view.views
 
     def judge(self, mission: MissionRun, pose: SE2, now_ns: int, looks: int) -> None:
         """What has become of the present goal.
@@ -122,20 +122,20 @@ class Pursuit:
         self._leave_vanished(now_ns)
         goal = self._selector.select(self._pool, grid, instances, pose, now_ns, target)
         if goal is not None or not self._selector.exhausted:
-            self._survey.drop()
+            self._next_view.drop()
             return goal
         if not self._second_chance:
             self._second_chance = True
             self._pool.lift_discards()
-            grid.lift_bumps()  # doors open, and people go
+            grid.open_bumps()  # doors open, and people go
             self._tracker.forget_refuted(target)
             return None
-        return self._survey.choose(grid, looks, now_ns, target)
+        return self._next_view.choose(grid, looks, now_ns, target)
 
     def rest(self) -> None:
         """There is nothing to be done: the robot stands in the next tick."""
         self._selector.drop()
-        self._survey.drop()
+        self._next_view.drop()
         self.orders.withdraw(at_once=True)
 
     def give(self, goal: Goal | None, mission: MissionRun, pose: SE2, now_ns: int) -> None:
@@ -150,7 +150,7 @@ class Pursuit:
     def drop(self) -> None:
         """Leave the present goal; its candidate may be chosen again."""
         self._selector.drop()
-        self._survey.drop()
+        self._next_view.drop()
         self.orders.withdraw()
         self.goal = None
 
@@ -158,7 +158,7 @@ class Pursuit:
         """Another mission has other goals, and forbids other things."""
         self._neighbours.forget()
         self.drop()
-        self._survey.views = 0
+        self._next_view.start_over()
 
     def forget_places(self) -> None:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
@@ -194,8 +194,8 @@ class Pursuit:
 
         Where no controller answers, it is no candidate's fault that the robot stands.
         """
-        if goal is self._survey.goal:
-            self._survey.follow(answer, looks)
+        if goal is self._next_view.goal:
+            self._next_view.follow(answer, looks)
         elif goal.kind == "look":
             if answer is not None and answer.state in ("reached", "failed"):
                 self._selector.looked(now_ns)
@@ -230,8 +230,8 @@ class Pursuit:
     def _discard(self, now_ns: int) -> None:
         """Leave the present goal's candidate alone for a while and choose another."""
         goal = self.goal
-        if goal is not None and goal is self._survey.goal:
-            self._survey.give_up()
+        if goal is not None and goal is self._next_view.goal:
+            self._next_view.give_up()
             return
         if goal is not None and goal.kind == "look":
             self._selector.looked(now_ns)

@@ -24,7 +24,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from edge import topics
-from edge.bus import Ring, declare_publisher, open_session
+from edge.bus import Ring, declare_publisher, open_session, zenoh_session
 from edge.children import python_module
 from edge.config import Config, Zenoh, load
 from edge.errors import FileError, UnavailableError, UserError
@@ -296,7 +296,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge record`; 1 when nothing was heard."""
     config = load(args.config)
     stop = stop_on_signals()
-    with open_session(config.zenoh, "connect", stop) as session:
+    with zenoh_session(config.zenoh, "connect", stop) as session:
         n = record(session, config, args.out, args.seconds, stop)
     print(f"{args.out}: {n} messages")
     if n == 0:

@@ -20,7 +20,7 @@ from edge.advice import make_advisers
 from edge.config import Config
 from edge.desk import Desk, Request
 from edge.faults import IDLE, TICK
-from edge.interruptible import go_on, unless_stopped
+from edge.interruptible import raise_if_stopped, unless_stopped
 from edge.mission.brief import prepare
 from edge.mission.desk import MissionDesk
 from edge.mission.keeper import Keeper
@@ -105,9 +105,9 @@ def open_service(
             brief = keeper.brief()
         if brief is None:
             brief = prepare(mission, formula=formula)
-        go_on(stop)
+        raise_if_stopped(stop)
         session = stack.enter_context(
-            bus.session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
+            bus.zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
         detector = _load(config, brief.targets, stop)
         worker = (
@@ -116,13 +116,11 @@ def open_service(
             else DetectorWorker(detector)
         )
         stack.callback(worker.close)
-        go_on(stop)
         advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
         if advisers is not None:
             stack.callback(advisers.close)
-        go_on(stop)
         unless_stopped(partial(warm_up, config), stop)
-        go_on(stop)
+        raise_if_stopped(stop)
         source = ZenohSource(session, config)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]
@@ -154,7 +152,7 @@ def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Dete
     try:
         return make()
     except ModelError:
-        go_on(stop)
+        raise_if_stopped(stop)
         raise
 
 

@@ -7,6 +7,7 @@ clock but to time itself: the same observations give the same goals.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter_ns
 
@@ -194,8 +195,8 @@ class Service:
         self.grid.coverage.look(
             detections.observation, perception.confirm_range_m, perception.confirm_hits
         )
-        self._seen = _unrivalled(detections)
-        self._each_sink("detections", now_ns, self._seen)
+        seen = self._seen = _unrivalled(detections)
+        self._each_sink("detections", now_ns, lambda sink: sink.detections(seen))
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
@@ -241,7 +242,7 @@ class Service:
         target, views = self.mission.target, self.pursuit.views
         found = "no way to" if target in self.mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        barred = _barred(self.grid.bumps_m)
+        barred = _bumped_at(self.grid.bumps_m)
         return f"explored all that can be reached{again}, {found} {target}{barred}"
 
     def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
@@ -280,21 +281,16 @@ class Service:
         if self.keeper is not None:
             with self.faults.outlived("checkpoint", now_ns):
                 self.keeper.note(self, now_ns)
-        self._each_sink("tick", now_ns, self, observation, now_ns)
+        self._each_sink("tick", now_ns, lambda sink: sink.tick(self, observation, now_ns))
 
     def _tell(self, goal: Goal) -> None:
-        self._each_sink("goal", goal.stamp_ns, goal)
+        self._each_sink("goal", goal.stamp_ns, lambda sink: sink.goal(goal))
 
-    def _each_sink(self, method: str, now_ns: int, *told: object) -> None:
-        """Call a method of every sink; one that fails costs the others nothing."""
+    def _each_sink(self, what: str, now_ns: int, tell: Callable[[Sink], None]) -> None:
+        """Tell every sink of something; one that fails costs the others nothing."""
         for sink in self._sinks:
-            step = f"{type(sink).__name__}.{method}"
-            try:
-                getattr(sink, method)(*told)
-            except Exception as error:
-                self.faults.caught(step, error, now_ns)
-            else:
-                self.faults.passed(step, now_ns)
+            with self.faults.outlived(f"{type(sink).__name__}.{what}", now_ns):
+                tell(sink)
 
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
         """No sensor shows what is there, so only driving can tell: the map closes."""
@@ -328,7 +324,7 @@ class Service:
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
-        self._each_sink("answered", self._looked_ns, answer)
+        self._each_sink("answered", self._looked_ns, lambda sink: sink.answered(answer))
         self.pursuit.orders.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None) -> None:
@@ -379,7 +375,7 @@ class Service:
     def event(self, text: str, now_ns: int) -> None:
         """Tell log and sinks of something that a person would want to know."""
         log.info(text)
-        self._each_sink("event", now_ns, text, now_ns)
+        self._each_sink("event", now_ns, lambda sink: sink.event(text, now_ns))
 
     def close(self) -> None:
         """No tick comes any more."""
@@ -406,7 +402,7 @@ class Service:
         return status_of(self, self._worker, self._advisers)
 
 
-def _barred(places_m: list[tuple[float, float]]) -> str:
+def _bumped_at(places_m: list[tuple[float, float]]) -> str:
     """What held the robot up, for the end of a reason; empty where nothing did."""
     if not places_m:
         return ""

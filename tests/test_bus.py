@@ -143,7 +143,7 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
     stuck = SimpleNamespace(close=lambda: go.wait(PATIENCE_S))
     monkeypatch.setattr(bus, "open_session", lambda *_: stuck)
     monkeypatch.setattr(bus, "CLOSE_S", 0.01)
-    with bus.session(Zenoh(endpoint="tcp/here:1"), "listen") as session:
+    with bus.zenoh_session(Zenoh(endpoint="tcp/here:1"), "listen") as session:
         assert session is stuck
     assert "a peer at tcp/here:1 takes nothing: not waited for" in caplog.text
     go.set()

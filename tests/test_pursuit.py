@@ -40,7 +40,7 @@ class Case:
         coverage = SimpleNamespace(view=None, start_over=lambda: None, search=lambda reach: True)
         reach = SimpleNamespace(nearest=lambda x, y, within_m: (x, y, 1.0))
         self.grid = SimpleNamespace(
-            coverage=coverage, reach=reach, state_at=lambda x, y: 0, lift_bumps=lambda: None
+            coverage=coverage, reach=reach, state_at=lambda x, y: 0, open_bumps=lambda: None
         )
         self.mission = SimpleNamespace(forbidden=())
         self.now_ns = S

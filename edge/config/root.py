@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from edge import resources
-from edge.config.faults import explain
+from edge.config.explain import explain
 from edge.config.loop import Loop, Report, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission

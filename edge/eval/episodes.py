@@ -25,12 +25,11 @@ from edge.children import python_module
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
+from edge.signals import stop_on_signals
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.signals import stop_on_signals
-from edge.signals import stop_on_signals
-from edge.sim.base import World, WorldObject
+    from edge.sim.base import World, WorldObject
 
 REACHED_M = 1.0
 _EPISODE_TIMEOUT_S = 1800.0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edge import config
-from edge.geometry import SE2, CameraModel
+from edge.geometry import FARTHEST_M, SE2, CameraModel
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, unknown, update
@@ -26,7 +26,6 @@ _FOOTPRINT_M = 0.3
 _ROUNDING_CELLS = 2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
-_FARTHEST_M = 1e6
 _MOST_BUMPS = 64
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
 
@@ -63,7 +62,7 @@ class RollingMap:
         self._origin: tuple[int, int] | None = None
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
         self._bumps: dict[tuple[int, int], int] = {}  # world cell: until when, oldest first
-        self._lifted: set[tuple[int, int]] = set()
+        self._opened: set[tuple[int, int]] = set()
         self._floor_z_m = 0.0
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
@@ -134,7 +133,7 @@ class RollingMap:
         """Close the cell where the robot was held up by something that the map does not show.
 
         Sensors see through it, so no ray clears it: it opens after `bump_memory_s`, when the
-        robot stands there, or by `lift_bumps`. Outside the window nothing happens.
+        robot stands there, or by `open_bumps`. Outside the window nothing happens.
 
         Args:
             now_ns: of the clock that `expire_bumps` is told.
@@ -144,9 +143,9 @@ class RollingMap:
         found = [self._cell(x_m, y_m)]
         while found:
             cell = found.pop()
-            # What was lifted beside it is the same sill, and still there.
-            beside = [c for c in self._lifted if math.dist(c, cell) <= touching]
-            self._lifted.difference_update(beside)
+            # What was opened beside it is the same sill, and still there.
+            beside = [c for c in self._opened if math.dist(c, cell) <= touching]
+            self._opened.difference_update(beside)
             found += beside
             if self._holds(*cell):
                 self._close(cell, until_ns)
@@ -157,13 +156,13 @@ class RollingMap:
             cell, until_ns = next(iter(self._bumps.items()))
             if now_ns < until_ns:
                 return
-            self._lift(cell)
+            self._open(cell)
 
-    def lift_bumps(self) -> None:
+    def open_bumps(self) -> None:
         """Open all that was closed by `bump`, to be tried once more."""
-        self._lifted = set(self._bumps)
+        self._opened = set(self._bumps)
         while self._bumps:
-            self._lift(next(iter(self._bumps)))
+            self._open(next(iter(self._bumps)))
 
     @property
     def bumps_m(self) -> list[tuple[float, float]]:
@@ -265,9 +264,9 @@ class RollingMap:
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
         """The transform as (3, 4) float32, the sensor's world cell, its place in the scratch."""
         place = (*T_map_sensor[:2, 3], pose.x_m, pose.y_m)
-        if not np.isfinite(T_map_sensor).all() or not all(abs(v) < _FARTHEST_M for v in place):
+        if not np.isfinite(T_map_sensor).all() or not all(abs(v) < FARTHEST_M for v in place):
             raise ValueError(
-                f"sensor or robot pose is not finite or beyond {_FARTHEST_M:.0e} m: "
+                f"sensor or robot pose is not finite or beyond {FARTHEST_M:.0e} m: "
                 f"x, y of sensor and robot {tuple(float(v) for v in place)}"
             )
         x, y = T_map_sensor[0, 3] / self.resolution_m, T_map_sensor[1, 3] / self.resolution_m
@@ -318,7 +317,7 @@ class RollingMap:
         )  # fmt: skip
         self._extend_trail(robot)
         if robot in self._bumps:
-            self._lift(robot)
+            self._open(robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
 
@@ -338,9 +337,9 @@ class RollingMap:
         self._bumps[cell] = until_ns
         self._write(*cell, ly.BUMPED)
         if len(self._bumps) > _MOST_BUMPS:
-            self._lift(next(iter(self._bumps)))
+            self._open(next(iter(self._bumps)))
 
-    def _lift(self, cell: tuple[int, int]) -> None:
+    def _open(self, cell: tuple[int, int]) -> None:
         """Open one cell that `bump` closed."""
         del self._bumps[cell]
         self._write(*cell, ly.FREE)
@@ -477,7 +476,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
     grid.bump(0.0, 0.0, 0)
-    grid.lift_bumps()
+    grid.open_bumps()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)

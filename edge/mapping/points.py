@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from edge.geometry import FARTHEST_M
+
 FLOOR = 1
 # `seen` and `top` hold 2 + height in units of obstacle_max_m / HEIGHT_CODES above the ground.
 LOWEST_OBSTACLE, HEIGHT_CODES = 2, 250
@@ -24,8 +26,8 @@ _NEAR_GROUND_M = 1.5
 # whose floor lies in the blind zone is one ring, and creeping up to it would lift the floor.
 _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # rings
-# No sensor sees this far; a number beyond it is no return, and its square would be inf.
-_FARTHEST_M = np.float32(1e6)
+# No sensor sees this far: a number beyond it is no return.
+_FARTHEST_M = np.float32(FARTHEST_M)
 _MIN_SECTOR_RAD = 0.0175
 _MAX_SPREAD = 16
 

@@ -45,7 +45,7 @@ ARRIVE = 0.7  # of the goal tolerance: nearer than this the robot stops and turn
 AGAIN_M = 1.0  # driven since the last recovery: the next standstill gets one of its own
 STILL_MPS, STILL_RADPS = 0.03, 0.1
 MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # what a map to drive by can be made of
-RESTART_NS = 1_000_000_000  # time that goes back by more is another run
+RESTART_NS = 1_000_000_000  # time that goes back by more is another run; on, nobody looked
 REPLACED = 64  # goals that are remembered as replaced
 
 
@@ -156,7 +156,7 @@ class Controller:
         Returns:
             What to do until the next step, and answers to the goal (none, or one).
         """
-        dt_s = self._elapsed_s(now_ns)
+        dt_s = self._pass_time(now_ns)
         wanted, answers = STOP, []
         self._blocked = None
         if self._goal is not None and _is_finite(pose):
@@ -177,7 +177,8 @@ class Controller:
         self._stuck.reset()
         self._progress.reset()
 
-    def _elapsed_s(self, now_ns: int) -> float:
+    def _pass_time(self, now_ns: int) -> float:
+        """Take up what the step's time tells of the run; how long the step is, in seconds."""
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
             self._begin(None)

@@ -19,7 +19,7 @@ import numpy as np
 import zenoh
 
 from edge import topics
-from edge.bus import Ring, declare_publisher, session
+from edge.bus import Ring, declare_publisher, zenoh_session
 from edge.config import Config
 from edge.geometry import SE2, se2_of
 from edge.interruptible import unless_stopped
@@ -42,8 +42,8 @@ _MAX_JSON = 4096
 def main(config: Config, stop: threading.Event) -> int:
     """Run until `stop` is set; returns the exit status."""
     unless_stopped(partial(warm_up, config), stop)
-    with session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as opened:
-        bus = Bus(opened, config)
+    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+        bus = Bus(session, config)
         controller = Controller(config)
         try:
             if config.sim.lockstep:

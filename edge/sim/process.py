@@ -44,7 +44,7 @@ def main(config: Config, stop: threading.Event) -> int:
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
-    with bus.session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with bus.zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
         link = Link(session, config)
         log.info("simulating %s in %s", config.robot.name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time

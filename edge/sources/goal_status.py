@@ -9,6 +9,7 @@ import zenoh
 
 from edge import topics
 from edge.bus import Ring
+from edge.geometry import FARTHEST_M
 from edge.text import one_line
 from edge.types import GoalStatus
 
@@ -17,7 +18,6 @@ log = logging.getLogger("edge.sources.goal_status")
 STATES = ("accepted", "reached", "failed")
 _MAX_BYTES = 4096
 _KEPT = 64
-_FARTHEST_M = 1e6
 
 
 def parse_goal_status(payload: bytes) -> GoalStatus:
@@ -51,7 +51,7 @@ def _place(blocked: object) -> tuple[float, float] | None:
     if blocked is None:
         return None
     is_pair = isinstance(blocked, list) and len(blocked) == 2
-    if not is_pair or not all(type(v) in (int, float) and abs(v) <= _FARTHEST_M for v in blocked):
+    if not is_pair or not all(type(v) in (int, float) and abs(v) <= FARTHEST_M for v in blocked):
         raise ValueError(f"blocked: expected [x, y] in metres, got {blocked!r:.40}")
     return float(blocked[0]), float(blocked[1])
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.geometry import (
+    FARTHEST_M,
     SE2,
     CameraModel,
     quaternion_of,
@@ -68,8 +69,8 @@ __all__ = [
 MAP_FRAME = "map"
 BASE_FRAME = "base_link"
 
-# The map takes no sensor beyond 1e6 m, where a step of its float32 is 6 cm.
-_FARTHEST_M = 9e5
+# A sensor on a robot here still lies where the map takes it.
+_FARTHEST_M = 0.9 * FARTHEST_M
 _POSE = struct.Struct("<7d")
 _TWIST = struct.Struct("<6d")
 _COVARIANCE = struct.Struct("<36d")

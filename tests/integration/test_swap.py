@@ -26,7 +26,6 @@ from edge import resources
 from edge.asking import OrderError
 from edge.config import load
 from edge.geometry import CameraModel
-from edge.interruptible import ABANDONED
 from edge.runner import loop, open_service
 from edge.store import use
 from edge.types import Observation
@@ -229,12 +228,16 @@ def test_no_service_is_one_line(config):
 LEFT_BEHIND = """
 import atexit, threading, types
 from edge import cli
+from edge.interruptible import start_unjoined
+
+def start_other(name, work):
+    threading.Thread(target=work, name=name, daemon=True).start()
 
 def handler(args):
-    threading.Thread(target=threading.Event().wait, name=args.thread, daemon=True).start()
+    START("for ever", threading.Event().wait)
     return 3
 
-args = types.SimpleNamespace(log_level="info", log_json=False, handler=handler, thread="NAME")
+args = types.SimpleNamespace(log_level="info", log_json=False, handler=handler, trust_cache=False)
 cli.make_parser = lambda *_: types.SimpleNamespace(parse_args=lambda argv: args)
 atexit.register(print, "cleared up")
 raise SystemExit(cli.main([]))
@@ -242,12 +245,12 @@ raise SystemExit(cli.main([]))
 
 
 @pytest.mark.parametrize(
-    ("thread", "output"), [("swap", ""), (ABANDONED, ""), ("other", "cleared up\n")]
+    ("start", "output"), [("start_unjoined", ""), ("start_other", "cleared up\n")]
 )
-def test_what_is_still_being_loaded_or_compiled_does_not_spoil_the_exit(thread, output):
+def test_what_is_still_being_loaded_or_compiled_does_not_spoil_the_exit(start, output):
     """onnxruntime aborts the process when the interpreter goes while it loads."""
     done = subprocess.run(
-        [sys.executable, "-c", LEFT_BEHIND.replace("NAME", thread)],
+        [sys.executable, "-c", LEFT_BEHIND.replace("START", start)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (3, output)

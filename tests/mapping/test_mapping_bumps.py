@@ -41,7 +41,7 @@ def test_without_a_bump_nothing_is_to_be_forgotten():
     grid = RollingMap(SMALL)
     grid.bump(*PLACE, 0)  # before the first frame there is no map
     grid.expire_bumps(10**18)
-    grid.lift_bumps()
+    grid.open_bumps()
     assert grid.bumps_m == []
     look(grid, HOME, [])
     assert grid.state_at(*PLACE) == 0
@@ -65,7 +65,7 @@ def test_a_bump_closes_a_disc_that_no_ray_clears():
     "open_again",
     [
         lambda grid: grid.expire_bumps(MEMORY_NS),
-        lambda grid: grid.lift_bumps(),
+        lambda grid: grid.open_bumps(),
         lambda grid: look(grid, SE2(*PLACE, 0.0), []),
     ],
     ids=["time", "lifted", "the robot stands there"],
@@ -102,7 +102,7 @@ def test_a_known_obstacle_is_inflated_once():
     grid.bump(*PLACE, 0)
     look(grid, HOME, box)
     assert_consistent(grid)
-    grid.lift_bumps()
+    grid.open_bumps()
     look(grid, HOME, box)
     look(grid, HOME, box)
     assert_consistent(grid)
@@ -115,7 +115,7 @@ def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():
     sill = [(1.02, y) for y in (-0.8, -0.4, 0.0, 0.4)]
     for place in (*sill, (-1.0, 0.0)):
         grid.bump(*place, 0)
-    grid.lift_bumps()
+    grid.open_bumps()
     grid.bump(1.02, 0.2, 1)
     look(grid, HOME, [])
     assert all(grid.state_at(*place) == 100 for place in sill)
@@ -138,7 +138,7 @@ def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
     assert [bx for bx, _ in grid.bumps_m] == pytest.approx([left_m + strip_m + 0.075, 1.025])
     look(grid, SE2(x + 50.0, 0.0, 0.0), [])
     assert grid.bumps_m == []
-    grid.lift_bumps()
+    grid.open_bumps()
     assert_consistent(grid)
 
 

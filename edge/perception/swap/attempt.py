@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
+from edge.interruptible import start_unjoined
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.swap.trial import Unfit, failure, judge, median_ms, not_finite, sample
@@ -138,9 +139,7 @@ class Attempt:
         return self._thread.is_alive()
 
     def _begin(self, target: Callable[..., None], *args: object) -> threading.Thread:
-        thread = threading.Thread(target=target, args=args, name="swap", daemon=True)
-        thread.start()
-        return thread
+        return start_unjoined("swap", target, *args)
 
     def _try(self) -> None:
         with self._faults():

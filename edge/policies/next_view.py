@@ -8,7 +8,7 @@ from edge.mapping.grid import RollingMap
 from edge.types import Goal, GoalStatus
 
 
-class Survey:
+class NextBestView:
     """One view after another as a goal, until none is worth one; each is tried once.
 
     Args:
@@ -55,6 +55,11 @@ class Survey:
     def give_up(self) -> None:
         """The robot does not get to the present view."""
         self._given_up = True
+
+    def start_over(self) -> None:
+        """Another mission: no view of it has been seen."""
+        self.drop()
+        self.views = 0
 
     def drop(self) -> None:
         """Leave the present view; what it shows may be sought again."""

@@ -9,7 +9,7 @@ import pytest
 
 from edge.geometry import SE2
 from edge.mapping.coverage import View
-from edge.policies.survey import Survey
+from edge.policies.next_view import NextBestView
 from edge.types import GoalStatus
 
 LOOKS = 3
@@ -45,7 +45,7 @@ class Case:
     def __init__(self, *views: View, steps: int = 1) -> None:
         self.coverage = Coverage(*views, steps=steps)
         self.grid = SimpleNamespace(coverage=self.coverage, reach=None)
-        self.survey = Survey(LOOKS)
+        self.survey = NextBestView(LOOKS)
         self.looks = self.now_ns = 0
 
     def choose(self):
