@@ -28,7 +28,8 @@ class CandidatePool:
         anchor_m: (capacity, 2) float32, where the candidate was first seen.
         kind: (capacity,) int8, `FRONTIER` or `INSTANCE`.
         id: (capacity,) int64; frontiers count up, instances carry their instance's id.
-        first_seen_ns: (capacity,) int64.
+        first_seen_ns: (capacity,) int64, on the clock of `stamp_ns`.
+        stamp_ns: of the observation that `update` was last called for.
         vl: (channels, capacity) float32, S_VL of each target from first sight; NaN until a
             detector looked there. Instances have theirs in the active channel.
         channel: index of the target that is pursued now.
@@ -40,6 +41,7 @@ class CandidatePool:
     def __init__(self, capacity: int, r_assoc_m: float, channels: int = 1) -> None:
         self.n = 0
         self.channel = 0
+        self.stamp_ns = 0
         self.xy_m = np.zeros((capacity, 2), np.float32)
         self.anchor_m = np.zeros((capacity, 2), np.float32)
         self.kind = np.zeros(capacity, np.int8)
@@ -101,6 +103,10 @@ class CandidatePool:
             old["anchor_m"], old["id"], old["first_seen_ns"], self._old_vl,
             self.xy_m, self.anchor_m, self.id, self.first_seen_ns, self.vl,
         )  # fmt: skip
+        # Where the sensors' clock was set back, nothing was first seen in the future.
+        first_seen_ns = self.first_seen_ns[:n_new]
+        np.minimum(first_seen_ns, stamp_ns, out=first_seen_ns)
+        self.stamp_ns = stamp_ns
         for i, instance in enumerate(instances[:n_instances], start=n_new):
             self.xy_m[i] = instance.center_m[:2]
             self.anchor_m[i] = instance.center_m[:2]

@@ -65,10 +65,12 @@ def _leave(code: int) -> int:
     See `edge.interruptible`.
     """
     if any_unjoined():
-        logging.shutdown()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+        try:
+            logging.shutdown()
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:  # whatever breaks that off, a signal or a full disk
+            os._exit(code)
     return code
 
 

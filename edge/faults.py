@@ -12,6 +12,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from edge.errors import Stopped
 from edge.text import one_line
@@ -21,6 +22,8 @@ log = logging.getLogger("edge.faults")
 DEGRADED_AFTER = 30
 """So many failures in a row, of one step, are no bad moment: 1 s of ticks."""
 TICK, IDLE = "tick", "idle"
+
+T = TypeVar("T")
 
 
 class Faults:
@@ -57,6 +60,21 @@ class Faults:
             self.caught(step, error, now_ns)
         else:
             self.passed(step, now_ns)
+
+    def attempt(self, step: str, now_ns: int, work: Callable[[], T]) -> T | None:
+        """What the work returns, or None where it raised.
+
+        Returning nothing (None, an empty list, False) is no sign that the step goes well: there may
+        have been nothing to do.
+        """
+        try:
+            found = work()
+        except Exception as error:
+            self.caught(step, error, now_ns)
+            return None
+        if found:
+            self.passed(step, now_ns)
+        return found
 
     def caught(self, step: str, error: Exception, now_ns: int, where: str = "") -> None:
         """A step failed.

@@ -38,7 +38,7 @@ from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 from edge.stages import STAGES
 from edge.text import one_line
-from edge.types import GoalStatus, MissionStatus, Observation
+from edge.types import MissionStatus, Observation
 from edge.warmup import warm_up
 
 log = logging.getLogger("edge.runner")
@@ -254,51 +254,49 @@ def _later(now_ns: int, passed_ns: int) -> int:
 
 def _wait(running: Running, now_ns: int) -> bool:
     """Whether there is something new to hear, in lockstep."""
-    with running.service.faults.outlived("wait", now_ns):
-        return running.source.wait(_PATIENCE_S)
-    time.sleep(_PATIENCE_S)  # a source that fails at once must not have the loop spin
-    return False
+    wait = partial(running.source.wait, _PATIENCE_S)
+    came = running.service.faults.attempt("wait", now_ns, wait)
+    if came is None:
+        time.sleep(_PATIENCE_S)  # a source that fails at once must not have the loop spin
+    return bool(came)
 
 
 def _hear(running: Running, now_ns: int) -> Observation | None:
     """What the controller said, and what there is to be seen now."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    answers: list[GoalStatus] = []
-    with service.faults.outlived("goal_status", now_ns):
-        answers = running.inbox.poll()
-    for answer in answers:
+    for answer in service.faults.attempt("goal_status", now_ns, running.inbox.poll) or ():
         with service.faults.outlived("goal answer", now_ns):
             service.goal_answered(answer)
-    try:
-        observation = running.source.poll()
-    except Exception as error:
+    failed = service.faults.failed
+    observation = service.faults.attempt("source", now_ns, running.source.poll)
+    if service.faults.failed > failed:
         service.latency.abandon_tick(INGEST)
-        service.faults.caught("source", error, now_ns)
-        return None
-    service.faults.passed("source", now_ns)
     return observation
 
 
 def _obey(running: Running, now_ns: int) -> None:
     """Take the next orders from outside, if there are any, and the next step of a swap."""
     service = running.service
-    with service.faults.outlived("orders", now_ns):
-        _serve(running.desk, partial(requests.handle, service), now_ns)
-    with service.faults.outlived("model orders", now_ns):
-        _serve(running.models, partial(models_desk.handle, service.swapper), now_ns)
+    orders = partial(_serve, running.desk, partial(requests.handle, service), now_ns)
+    service.faults.attempt("orders", now_ns, orders)
+    orders = partial(_serve, running.models, partial(models_desk.handle, service.swapper), now_ns)
+    service.faults.attempt("model orders", now_ns, orders)
     with service.faults.outlived("swap", now_ns):
         service.swapper.step(now_ns)
 
 
-def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> None:
-    """Handle what waits at a desk; whoever gave an order is answered in any case."""
+def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> int:
+    """Handle what waits at a desk, and say how much that was; every order is answered."""
+    served = 0
     for request in _orders(desk):
         try:
             handle(request, now_ns)
         except Exception as error:
             request.refuse(f"internal error: {one_line(f'{type(error).__name__}: {error}')}")
             raise
+        served += 1
+    return served
 
 
 def _orders(desk: Desk) -> Iterator[Request]:
@@ -313,9 +311,9 @@ def _orders(desk: Desk) -> Iterator[Request]:
             return
 
 
-def _idle(running: Running, now_ns: int) -> None:
+def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> None:
     with running.service.faults.outlived(IDLE, now_ns):
-        running.service.idle(now_ns, running.source.pose)
+        running.service.idle(now_ns, running.source.pose, dropped)
 
 
 def _tick(running: Running, observation: Observation, now_ns: int) -> None:
@@ -329,19 +327,18 @@ def _tick(running: Running, observation: Observation, now_ns: int) -> None:
         service.latency.abandon_tick(service.stage)
         service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
         # No one has looked: where that goes on, the robot must not drive on.
-        _idle(running, now_ns)
+        _idle(running, now_ns, observation)
     else:
         service.faults.passed(TICK, now_ns)
         service.faults.passed(IDLE, now_ns)  # of which a whole tick does all
         service.latency.end_tick(perf_counter_ns())
+    finally:
+        observation.release()
 
 
 def _see(running: Running, observation: Observation, now_ns: int) -> None:
-    try:
-        # Before the tick, so that the map of the old frame does not take in the first of the new.
-        if running.source.epoch != running.epoch:
-            running.service.forget_places(now_ns)
-            running.epoch = running.source.epoch
-        running.service.tick(observation, now_ns)
-    finally:
-        observation.release()
+    # Before the tick, so that the map of the old frame does not take in the first of the new one.
+    if running.source.epoch != running.epoch:
+        running.service.forget_places(now_ns)
+        running.epoch = running.source.epoch
+    running.service.tick(observation, now_ns)

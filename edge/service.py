@@ -327,11 +327,13 @@ class Service:
         self._each_sink("answered", self._looked_ns, lambda sink: sink.answered(answer))
         self.pursuit.orders.answered(answer)
 
-    def idle(self, now_ns: int, pose: SE2 | None) -> None:
+    def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
         """No observation came: limits still hold, status still goes out, no one drives blind.
 
         Args:
             pose: from the newest odometry; None before there was any.
+            dropped: the observation that a stage failed on, if one came. It is dealt with, which
+                a simulator in lockstep waits to hear.
         """
         blind = self.pose is not None and now_ns - self._looked_ns > self._blind_ns
         if blind and pose is not None:
@@ -343,7 +345,7 @@ class Service:
         finally:  # whatever is the matter with the mission
             if self.pose is not None and (self.mission.done or self.mission.paused or blind):
                 self._stand(self.pose, now_ns)
-            self._report(None, now_ns)
+            self._report(dropped, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
         orders = self.pursuit.orders

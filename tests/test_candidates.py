@@ -79,6 +79,13 @@ def test_every_target_keeps_its_scores_when_the_plan_turns_to_another():
     assert ids(pool) == first
 
 
+def test_nothing_was_first_seen_in_the_future():
+    pool = CandidatePool(16, 0.5)
+    for stamp_ns, since_ns in [(10**18, 10**18), (50, 50), (60, 50)]:  # one wild stamp
+        pool.update(frontiers((1, 1)), [], stamp_ns, 0)
+        assert (pool.stamp_ns, pool.first_seen_ns[0]) == (stamp_ns, since_ns)
+
+
 def test_creeping_away_from_the_first_sight_is_a_new_frontier():
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers((0, 0)), [], 0, 0)

@@ -53,6 +53,19 @@ def test_a_part_of_a_step_is_named_but_the_step_is_what_recovers(faults):
     assert faults.state == "ok"
 
 
+@pytest.mark.parametrize("nothing", [None, [], False, 0])
+def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
+    def bad() -> None:
+        raise ValueError
+
+    for _ in range(DEGRADED_AFTER):
+        assert faults.attempt("source", 5, bad) is None
+        assert faults.attempt("source", 5, lambda: nothing) == nothing
+    assert faults.state == "degraded"
+    assert faults.attempt("source", 6, lambda: [7]) == [7]
+    assert faults.state == "ok"
+
+
 def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, told):
     fail(faults, DEGRADED_AFTER - 1)
     with faults.outlived("tick", 6):

@@ -231,16 +231,18 @@ def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
 
 
 class Sink(SinkBase):
-    """Notes the ticks it is told of; or fails at everything."""
+    """Notes the stamps of the ticks that it is told of."""
 
     def __init__(self) -> None:
-        self.ticks = 0
+        self.stamps_ns: list[int] = []
 
     def tick(self, service, observation, now_ns) -> None:
-        self.ticks += 1
+        self.stamps_ns.append(observation.stamp_ns)
 
 
 class BadSink(SinkBase):
+    """Fails at everything."""
+
     tick = goal = detections = event = answered = broken
 
 
@@ -251,12 +253,27 @@ def test_a_sink_that_fails_costs_the_others_nothing():
     )
     seen = blanks(closed, DEGRADED_AFTER)
     run_out(running_of(closed, seen), seen)
-    assert sinks[1].ticks == DEGRADED_AFTER
+    assert len(sinks[1].stamps_ns) == DEGRADED_AFTER
     said = closed.service.faults.status()
     assert said["state"] == "degraded"
     assert said["failures"]["BadSink.tick: ZeroDivisionError"] == DEGRADED_AFTER
     assert closed.service.latency.report().tick.drops == 0
     assert closed.notes.goals
+
+
+@pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
+def test_a_frame_that_a_stage_fails_on_is_told_as_dealt_with(stage, monkeypatch):
+    """In lockstep the simulator's clock stands still until it is."""
+    sink = Sink()
+    closed = ClosedLoop(
+        simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=[sink]
+    )
+    seen = blanks(closed, 3)
+    stamps_ns = [observation.stamp_ns for observation in seen]
+    run = running_of(closed, seen, jump_at=0 if stage == "ingest" else -1)
+    monkeypatch.setattr(*BREAKS[stage](run), broken)
+    run_out(run, seen)
+    assert sink.stamps_ns == stamps_ns
 
 
 def ticks(run: Running) -> int:

@@ -68,7 +68,7 @@ class GoalSelector:
         """
         order = ranked(pool, pose, self._policy.delta_reached_m)
         if self.exhausted:
-            lasting = pool.first_seen_ns[order] <= now_ns - _LASTING_NS
+            lasting = pool.first_seen_ns[order] <= pool.stamp_ns - _LASTING_NS
             order = order[lasting | (pool.kind[order] == INSTANCE)]
         present, goal = self._present(pool), self.goal
         choice = self._choose(order, present, pool, grid, instances, pose)

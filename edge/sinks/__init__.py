@@ -42,7 +42,7 @@ class SinkBase:
         """Something happened that a person would want to know."""
 
     def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
-        """A tick ended (`observation` is None when there was nothing to see)."""
+        """A tick ended; `observation` is None when there was nothing to see."""
 
     def close(self) -> None:
         """No more will come."""

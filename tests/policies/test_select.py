@@ -39,9 +39,9 @@ class Grid:
 class Case:
     """A selector, and the world it selects in."""
 
-    def __init__(self) -> None:
+    def __init__(self, sensors_ahead_ns: int = 0) -> None:
         self.selector, self.grid = GoalSelector(POLICY), Grid()
-        self.now_ns = 0
+        self.now_ns, self._ahead_ns = 0, sensors_ahead_ns
 
     def select(
         self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1, since_s: float = 0.0
@@ -53,11 +53,12 @@ class Case:
         for i, (kind, id, x, y, score) in enumerate(entries):
             pool.kind[i], pool.id[i], pool.xy_m[i], pool.score[i] = kind, id, (x, y), score
             pool.sure[i] = id in sure
-            pool.first_seen_ns[i] = int(since_s * S)
+            pool.first_seen_ns[i] = int(since_s * S) + self._ahead_ns
             if kind == INSTANCE:
                 points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
                 instances[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
         self.now_ns += int(after_s * S)
+        pool.stamp_ns = self.now_ns + self._ahead_ns
         return self.selector.select(pool, self.grid, instances, pose, self.now_ns, "chair")
 
 
@@ -218,8 +219,9 @@ def turn(case: Case, pose: SE2) -> Goal:
     return goal
 
 
-def test_with_nowhere_to_go_it_looks_around_three_times_and_is_exhausted():
-    case, pose = Case(), HERE
+@pytest.mark.parametrize("sensors_ahead_ns", [0, 10**18, -(10**18)])
+def test_with_nowhere_to_go_it_looks_around_three_times_and_is_exhausted(sensors_ahead_ns):
+    case, pose = Case(sensors_ahead_ns), HERE
     for _ in range(3):
         goal = turn(case, pose)
         turned = (goal.pose.yaw_rad - pose.yaw_rad) % (2 * math.pi)
