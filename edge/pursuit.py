@@ -16,11 +16,14 @@ from edge.orders import Orders
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import Policy
 from edge.policies.next_view import NextBestView
-from edge.policies.select import GoalSelector
+from edge.policies.select import LASTING_NS, GoalSelector
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
 # A controller that says that the robot is held up farther away than this mistakes the frame.
 _HELD_UP_M = 2.0
+# Where the robot was held up is tried once more for so long at least: a frontier that comes to
+# light there is gone to once it has lasted, and shows a tick or two after the opening.
+_RETRY_NS = LASTING_NS + 1_000_000_000
 
 
 class Pursuit:
@@ -55,10 +58,13 @@ class Pursuit:
         self._selector = GoalSelector(policy)
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._approach = Approach(config.mission)
-        self._stuck = StuckDetector(config.mission.stuck_s, config.motion.stuck_m)
+        self._stuck, self._stuck_far = (
+            StuckDetector(config.mission.stuck_s, config.motion.stuck_m) for _ in range(2)
+        )
         self._neighbours = Neighbours(config.mission.reach_m)
         self._discard_ns = int(config.mission.discard_s * 1e9)
         self._second_chance = False
+        self._retry: tuple[int, int] | None = None  # reach generation and time that end it
 
     @property
     def phase(self) -> MissionPhase:
@@ -94,6 +100,7 @@ class Pursuit:
             self._act_on(verdict, mission, now_ns)
         elif goal is not None:
             self._follow(goal, answer, pose, now_ns, looks)
+        self._notice_standstill(pose, now_ns)
 
     def set_out(self, target: str) -> None:
         """For another target: nothing that held for the last one does."""
@@ -114,7 +121,8 @@ class Pursuit:
         """Algorithm 2 of VL-Nav over the scored candidates; see `GoalSelector.select`.
 
         With none left, those that were given up come once more, and the ways on which the robot
-        was held up; then what the detector has seen badly is looked at again.
+        was held up, as soon as the reach field leads there; then what the detector has seen badly
+        is looked at again.
 
         Args:
             looks: how often the detector has answered so far.
@@ -127,9 +135,16 @@ class Pursuit:
         if not self._second_chance:
             self._second_chance = True
             self._pool.lift_discards()
-            grid.open_bumps()  # doors open, and people go
             self._tracker.forget_refuted(target)
+            opened = grid.open_bumps()  # doors open, and people go
+            # The reach field that is growing may have begun before; the one after it leads there.
+            self._retry = (grid.reach.generation + 2, now_ns + _RETRY_NS) if opened else None
             return None
+        if self._retry is not None:
+            generation, until_ns = self._retry
+            if grid.reach.generation < generation or now_ns < until_ns:
+                return None
+            self._retry = None
         return self._next_view.choose(grid, looks, now_ns, target)
 
     def rest(self) -> None:
@@ -141,7 +156,6 @@ class Pursuit:
     def give(self, goal: Goal | None, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Tell the controller, where it has not heard of this goal yet."""
         if goal is None:
-            self._stuck.reset()
             self.orders.give_none(pose, now_ns)
         elif self.orders.give(goal, now_ns):
             self._neighbours.look(goal, mission, self._tracker, now_ns)
@@ -166,6 +180,7 @@ class Pursuit:
         self.orders.withdraw(at_once=True)
         self._selector.start_over()
         self._stuck.reset()
+        self._stuck_far.reset()
         self._second_chance = False
 
     def _act_on(self, verdict: Verdict, mission: MissionRun, now_ns: int) -> None:
@@ -190,10 +205,7 @@ class Pursuit:
     def _follow(
         self, goal: Goal, answer: GoalStatus | None, pose: SE2, now_ns: int, looks: int
     ) -> None:
-        """Take up the controller's answers about frontiers, turns and views; notice standstill.
-
-        Where no controller answers, it is no candidate's fault that the robot stands.
-        """
+        """Take up the controller's answers about frontiers, turns and views."""
         if goal is self._next_view.goal:
             self._next_view.follow(answer, looks)
         elif goal.kind == "look":
@@ -210,12 +222,21 @@ class Pursuit:
             # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
             # turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
-        # Whichever goal it is: a robot that is held up may be given one after another.
-        moving = self.orders.heard and self.orders.driving
-        if self._stuck.update(pose, moving, now_ns) and self.goal is not None:
+
+    def _notice_standstill(self, pose: SE2, now_ns: int) -> None:
+        """Whichever goals they are: a robot that is held up may be given one after another.
+
+        Where no controller answers, it is no candidate's fault that the robot stands; and a robot
+        that was only to turn on the spot is not held up by what is ahead.
+        """
+        goal, orders = self.goal, self.orders
+        told = goal is not None and orders.heard and orders.driving
+        far = told and pose.distance_to(goal.pose.x_m, goal.pose.y_m) > self._radius_m
+        stuck = self._stuck.update(pose, told, now_ns)
+        if self._stuck_far.update(pose, far, now_ns):
+            self._held_up(pose.ahead(self._radius_m), now_ns)
+        if stuck:
             self._event("stuck: goal discarded", now_ns)
-            if pose.distance_to(goal.pose.x_m, goal.pose.y_m) > self._radius_m:
-                self._held_up(pose.ahead(self._radius_m), now_ns)
             self._discard(now_ns)
 
     def _leave_vanished(self, now_ns: int) -> None:

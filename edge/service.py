@@ -242,7 +242,7 @@ class Service:
         target, views = self.mission.target, self.pursuit.views
         found = "no way to" if target in self.mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        barred = _bumped_at(self.grid.bumps_m)
+        barred = _held_up_at(self.grid.held_up_m)
         return f"explored all that can be reached{again}, {found} {target}{barred}"
 
     def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
@@ -293,8 +293,12 @@ class Service:
                 tell(sink)
 
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
-        """No sensor shows what is there, so only driving can tell: the map closes."""
-        self.event(f"held up at ({place[0]:.2f}, {place[1]:.2f}): the map closes there", now_ns)
+        """Where no sensor shows what is there only driving can tell: the map closes."""
+        where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
+        if self.grid.shows_obstacle(self.pose, place, self.config.robot.radius_m):
+            self.event(f"{where} by what the map shows", now_ns)
+            return
+        self.event(f"{where}: the map closes there", now_ns)
         self.grid.bump(*place, now_ns)
 
     # -- what comes from outside --------------------------------------------------------------
@@ -404,7 +408,7 @@ class Service:
         return status_of(self, self._worker, self._advisers)
 
 
-def _bumped_at(places_m: list[tuple[float, float]]) -> str:
+def _held_up_at(places_m: list[tuple[float, float]]) -> str:
     """What held the robot up, for the end of a reason; empty where nothing did."""
     if not places_m:
         return ""

@@ -38,9 +38,9 @@ class Case:
             event=lambda text, now_ns: None,
         )
         coverage = SimpleNamespace(view=None, start_over=lambda: None, search=lambda reach: True)
-        reach = SimpleNamespace(nearest=lambda x, y, within_m: (x, y, 1.0))
+        reach = SimpleNamespace(nearest=lambda x, y, within_m: (x, y, 1.0), generation=7)
         self.grid = SimpleNamespace(
-            coverage=coverage, reach=reach, state_at=lambda x, y: 0, open_bumps=lambda: None
+            coverage=coverage, reach=reach, state_at=lambda x, y: 0, open_bumps=lambda: False
         )
         self.mission = SimpleNamespace(forbidden=())
         self.now_ns = S
@@ -76,6 +76,21 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
     assert case.pursuit.views == 0
     case.pursuit.set_out("sofa")
     assert not case.pursuit.exhausted
+
+
+@pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
+def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
+    case = Case()
+    case.grid.open_bumps = lambda: True
+    case.turn_round()
+    opened_ns = case.now_ns
+    while case.now_ns < opened_ns + max(reach_s, 2.5) * S:
+        case.grid.reach.generation = 7 + int((case.now_ns - opened_ns) / (0.6 * reach_s * S))
+        assert case.tick() is None
+        assert not case.pursuit.exhausted
+    case.grid.reach.generation = 9
+    case.tick(after_s=0.5)
+    assert case.pursuit.exhausted
 
 
 @pytest.mark.parametrize(("explored", "chances"), [(False, 4), (True, 1)])

@@ -11,13 +11,17 @@ import pytest
 from closed_loop import ClosedLoop
 from simulated import simulated
 
+from edge.geometry import SE2
+from edge.mapping import layers as ly
 from edge.types import GoalStatus
 
 # Over what the simulated robot drives across (0.05 m), under what the map shows (0.10 m).
 SILL_M = 0.085
 
 
-def closed_loop(folder: Path, way_round: bool, policy: str = "hvl") -> ClosedLoop:
+def closed_loop(
+    folder: Path, way_round: bool, policy: str = "hvl", reach_cells_per_tick: int = 8000
+) -> ClosedLoop:
     """A robot in one of two rooms, a bed in the other; the door between them has the sill.
 
     Args:
@@ -43,6 +47,7 @@ def closed_loop(folder: Path, way_round: bool, policy: str = "hvl") -> ClosedLoo
                 "loop": {"lockstep": True},
                 "sim": {"lockstep": True, "world": world},
                 "policy": {"kind": policy},
+                "mapping": {"reach_cells_per_tick": reach_cells_per_tick},
                 "mission": {"target": "bed"},
             }
         )
@@ -71,11 +76,16 @@ def test_where_no_other_way_leads_it_tries_once_more_and_says_why_it_ends(tmp_pa
     assert status.elapsed_s < 90
 
 
-def test_what_held_it_up_may_go(tmp_path):
-    """As a person does who stood in the only doorway, or a door that is opened."""
-    loop = closed_loop(tmp_path, way_round=False)
+@pytest.mark.parametrize("reach_cells_per_tick", [8000, 500])
+def test_what_held_it_up_may_go(tmp_path, reach_cells_per_tick):
+    """As a person does who stood in the only doorway, or a door that is opened.
+
+    All was looked at, so that no other view gives the reach field time to lead there.
+    """
+    loop = closed_loop(tmp_path, False, reach_cells_per_tick=reach_cells_per_tick)
     while not held_up(loop):
         loop.step()
+    loop.service.grid.coverage._looks[:] = 255
     plan = loop.world.plan
     rows, columns = ((at - plan.origin_m[k]) / plan.cell_m for k, at in ((1, 1.5), (0, 4.0)))
     sill = (slice(int(rows) - 19, int(rows) + 19), slice(int(columns) - 3, int(columns) + 4))
@@ -85,6 +95,14 @@ def test_what_held_it_up_may_go(tmp_path):
     loop.run(150)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert len(held_up(loop)) == 1
+
+
+def test_the_reason_tells_of_what_was_opened_and_not_tried(tmp_path):
+    loop = closed_loop(tmp_path, way_round=False)
+    while not held_up(loop):
+        loop.step()
+    loop.service.grid.open_bumps()
+    assert "; held up at (3.9, 1." in loop.service._why_given_up()
 
 
 @pytest.mark.parametrize(
@@ -105,19 +123,61 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
     assert len(held_up(loop)) == closes
 
 
-def test_a_robot_that_stands_under_a_controller_that_says_nothing_teaches_the_map(tmp_path):
+def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
+    """The robot stands under a controller that fails every goal so long after it came.
+
+    Returns:
+        how long it stood until the map closed somewhere, in nanoseconds; `seconds` at most.
+    """
+    service, seen = loop.service, loop.observe()
+    begun_ns, goal, given_ns = seen.stamp_ns, None, 0
+    for now_ns in range(begun_ns, begun_ns + int(seconds * 1e9), 500_000_000):
+        before, goal = goal, service.tick(replace(seen, stamp_ns=now_ns), now_ns)
+        if goal is not before:
+            given_ns = now_ns
+        if goal is not None:
+            late = now_ns - given_ns >= fails_after_s * 1e9
+            service.goal_answered(GoalStatus(goal.stamp_ns, "failed" if late else "accepted"))
+        if service.grid.bumps_m:
+            break
+    return now_ns - begun_ns
+
+
+@pytest.mark.parametrize(
+    ("fails_after_s", "within_s"),
+    [(1000.0, 3.0), (5.0, 18.0), (9.0, 18.0)],
+    ids=["says nothing", "fails soon", "fails late"],
+)
+def test_a_robot_that_stands_whatever_it_is_told_teaches_the_map(tmp_path, fails_after_s, within_s):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
-    service, seen = loop.service, loop.observe()
-    stuck_ns = int(loop.config.mission.stuck_s * 1e9)
-    for now_ns in range(seen.stamp_ns, seen.stamp_ns + 2 * stuck_ns, 500_000_000):
-        goal = service.tick(replace(seen, stamp_ns=now_ns), now_ns)
-        if goal is not None:
-            service.goal_answered(GoalStatus(goal.stamp_ns, "accepted"))
-        if service.grid.bumps_m:
-            break
-    ((x, y),) = service.grid.bumps_m
-    assert seen.pose.distance_to(x, y) == pytest.approx(loop.config.robot.radius_m, abs=0.05)
-    assert abs(seen.pose.bearing_to(x, y)) < 0.3
-    assert now_ns - seen.stamp_ns < stuck_ns + 3 * 10**9
+    pose, stuck_s = loop.drive.motion.odometry, loop.config.mission.stuck_s
+    stood_ns = stand(loop, fails_after_s, 100.0)
+    ((x, y),) = loop.service.grid.bumps_m
+    assert pose.distance_to(x, y) == pytest.approx(loop.config.robot.radius_m, abs=0.05)
+    assert abs(pose.bearing_to(x, y)) < 0.3
+    assert stuck_s - 1.0 <= stood_ns / 1e9 <= stuck_s + within_s
+
+
+def test_a_controller_that_finds_no_way_at_all_teaches_the_map_nothing(tmp_path):
+    loop = closed_loop(tmp_path, way_round=False)
+    while loop.drive.motion.v_mps < 0.2:
+        loop.step()
+    stand(loop, 0.0, 30.0)
+    assert held_up(loop) == []
+
+
+def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
+    """As a person for whom the controller waits: they go, and the way is open at once."""
+    loop = closed_loop(tmp_path, way_round=False)
+    while loop.drive.motion.v_mps < 0.2:
+        loop.step()
+    service, pose = loop.service, loop.drive.motion.odometry
+    person = SE2(*pose.ahead(0.4), 0.0)
+    for across_m in (-0.05, 0.0, 0.05):
+        service.grid._write(*service.grid._cell(person.x_m, person.y_m + across_m), ly.OCCUPIED)
+    service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
+    assert service.grid.bumps_m == []
+    (said,) = held_up(loop)
+    assert said.endswith("by what the map shows")

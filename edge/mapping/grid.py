@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,19 @@ _ROUNDING_CELLS = 2
 _TRAIL_STEP_CELLS = 10
 _MOST_BUMPS = 64
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
+
+
+class _Bump(NamedTuple):
+    """A cell that is closed by hand.
+
+    Attributes:
+        until_ns: when it opens.
+        raw, top: what the layers of these names held before.
+    """
+
+    until_ns: int
+    raw: int
+    top: int
 
 
 class RollingMap:
@@ -61,8 +75,8 @@ class RollingMap:
         self._scan = points.make_scan(self._polar, 1024)
         self._origin: tuple[int, int] | None = None
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
-        self._bumps: dict[tuple[int, int], int] = {}  # world cell: until when, oldest first
-        self._opened: set[tuple[int, int]] = set()
+        self._bumps: dict[tuple[int, int], _Bump] = {}  # by world cell, oldest first
+        self._opened: dict[tuple[int, int], int] = {}  # by `open_bumps`; until when remembered
         self._floor_z_m = 0.0
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
@@ -145,30 +159,75 @@ class RollingMap:
             cell = found.pop()
             # What was opened beside it is the same sill, and still there.
             beside = [c for c in self._opened if math.dist(c, cell) <= touching]
-            self._opened.difference_update(beside)
+            for c in beside:
+                del self._opened[c]
             found += beside
             if self._holds(*cell):
                 self._close(cell, until_ns)
 
     def expire_bumps(self, now_ns: int) -> None:
-        """Open what was closed by `bump` long enough ago."""
-        while self._bumps:
-            cell, until_ns = next(iter(self._bumps.items()))
+        """Open and forget what was closed by `bump` long enough ago."""
+        while self._opened:
+            cell, until_ns = next(iter(self._opened.items()))
             if now_ns < until_ns:
-                return
+                break
+            del self._opened[cell]
+        while self._bumps:
+            cell, bump = next(iter(self._bumps.items()))
+            if now_ns < bump.until_ns:
+                break
             self._open(cell)
 
-    def open_bumps(self) -> None:
-        """Open all that was closed by `bump`, to be tried once more."""
-        self._opened = set(self._bumps)
+    def open_bumps(self) -> bool:
+        """Open all that was closed by `bump`, to be tried once more; whether there was any."""
+        self._opened.update((cell, bump.until_ns) for cell, bump in self._bumps.items())
+        any_closed = bool(self._bumps)
         while self._bumps:
             self._open(next(iter(self._bumps)))
+        return any_closed
 
     @property
     def bumps_m(self) -> list[tuple[float, float]]:
         """Centres of the cells that are closed by `bump`, oldest first."""
-        res = self.resolution_m
-        return [((x + 0.5) * res, (y + 0.5) * res) for x, y in self._bumps]
+        return [self._centre_m(cell) for cell in self._bumps]
+
+    @property
+    def held_up_m(self) -> list[tuple[float, float]]:
+        """Like `bumps_m`, with those that `open_bumps` opened and the robot did not stand on."""
+        return [self._centre_m(cell) for cell in (*self._opened, *self._bumps)]
+
+    def shows_obstacle(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
+        """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
+
+        It does where it stands on the line from the robot through the place: from `radius_m`
+        before the place to the inflation behind it. Half the robot's width counts: what is
+        beside it, as the jambs of a door are beside its sill, does not hold it up.
+
+        Args:
+            radius_m: the robot's.
+        """
+        if self._origin is None:
+            return False
+        res, beyond_m = self.resolution_m, self.config.inflation_m
+        reach = math.ceil((max(radius_m, beyond_m) + radius_m) / res)
+        offset = np.arange(-reach, reach + 1)
+        at_x, at_y = self._cell(*place_m)
+        x, y = at_x + offset[None, :], at_y + offset[:, None]
+        dx, dy = (x + 0.5) * res - place_m[0], (y + 0.5) * res - place_m[1]
+        heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
+        c, s = math.cos(heading), math.sin(heading)
+        along, across = dx * c + dy * s, dy * c - dx * s
+        n, (ox, oy) = self._n, self._origin
+        raw = self._layers.raw[y % n, x % n]
+        return bool(
+            np.any(
+                (raw >= ly.OCCUPIED)
+                & (raw != ly.BUMPED)
+                & (-radius_m <= along) & (along <= beyond_m)
+                & (np.abs(across) <= 0.5 * radius_m)
+                & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
+            )
+        )  # fmt: skip
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -317,13 +376,18 @@ class RollingMap:
         )  # fmt: skip
         self._extend_trail(robot)
         if robot in self._bumps:
-            self._open(robot)
+            del self._bumps[robot]
+            self._write(*robot, ly.FREE)
+        self._opened.pop(robot, None)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
 
     def _cell(self, x_m: float, y_m: float) -> tuple[int, int]:
         """The world cell of a point."""
         return math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
+
+    def _centre_m(self, cell: tuple[int, int]) -> tuple[float, float]:
+        return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
 
     def _holds(self, x: int, y: int) -> bool:
         """Whether a world cell lies in the window."""
@@ -333,24 +397,27 @@ class RollingMap:
         return ox <= x < ox + self._n and oy <= y < oy + self._n
 
     def _close(self, cell: tuple[int, int], until_ns: int) -> None:
-        self._bumps.pop(cell, None)
-        self._bumps[cell] = until_ns
-        self._write(*cell, ly.BUMPED)
+        before = self._bumps.pop(cell, None)
+        if before is None:
+            at = cell[1] % self._n, cell[0] % self._n
+            before = _Bump(0, int(self._layers.raw[at]), int(self._layers.top[at]))
+            self._write(*cell, ly.BUMPED)
+        self._bumps[cell] = before._replace(until_ns=until_ns)
         if len(self._bumps) > _MOST_BUMPS:
             self._open(next(iter(self._bumps)))
 
     def _open(self, cell: tuple[int, int]) -> None:
-        """Open one cell that `bump` closed."""
-        del self._bumps[cell]
-        self._write(*cell, ly.FREE)
+        """Give one cell that `bump` closed back the state that it had."""
+        bump = self._bumps.pop(cell)
+        self._write(*cell, bump.raw, bump.top)
 
-    def _write(self, x: int, y: int, state: int) -> None:
+    def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""
         layers, n, (ox, oy) = self._layers, self._n, self._origin
         sx, sy, x, y = x % n, y % n, x - ox, y - oy
         before, after = layers.raw[sy, sx] >= ly.OCCUPIED, state >= ly.OCCUPIED
-        layers.raw[sy, sx], layers.top[sy, sx] = state, 0
-        ly.bit_set(layers.known, sy, sx, True)
+        layers.raw[sy, sx], layers.top[sy, sx] = state, top
+        ly.bit_set(layers.known, sy, sx, state != ly.UNSEEN)
         if after != before:
             by = 1 if after else -1
             clip = (0, 0, n, n)
@@ -418,7 +485,7 @@ class RollingMap:
                 rolled = True
         if rolled:
             self._tell_window()
-            self._bumps = {c: until_ns for c, until_ns in self._bumps.items() if self._holds(*c)}
+            self._bumps = {c: bump for c, bump in self._bumps.items() if self._holds(*c)}
         return rolled
 
     def _tell_window(self) -> None:

@@ -27,7 +27,7 @@ _LOOK_AFTER_NS = 1_000_000_000
 # from afar alone or is farther than it looks: then it is seen through, or left alone.
 _FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
 # From afar the rim of what is known flickers: a frontier that turns up later has to last.
-_LASTING_NS = 2_000_000_000
+LASTING_NS = 2_000_000_000
 
 
 class GoalSelector:
@@ -68,7 +68,7 @@ class GoalSelector:
         """
         order = ranked(pool, pose, self._policy.delta_reached_m)
         if self.exhausted:
-            lasting = pool.first_seen_ns[order] <= pool.stamp_ns - _LASTING_NS
+            lasting = pool.first_seen_ns[order] <= pool.stamp_ns - LASTING_NS
             order = order[lasting | (pool.kind[order] == INSTANCE)]
         present, goal = self._present(pool), self.goal
         choice = self._choose(order, present, pool, grid, instances, pose)

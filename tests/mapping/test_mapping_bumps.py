@@ -94,19 +94,93 @@ def test_the_same_place_again_is_remembered_afresh():
     assert_consistent(grid)
 
 
-def test_a_known_obstacle_is_inflated_once():
-    box = [(1.0, -0.1, 0.0, 1.2, 0.1, 1.0)]
+BOX = [(1.0, -0.1, 0.0, 1.2, 0.1, 1.0)]
+BEHIND_IT = (1.8, 0.0)
+
+
+def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, bool]:
+    """raw, top and known of the cell."""
+    x, y = (math.floor(v / grid.resolution_m) % grid._n for v in place)
+    layers = grid._layers
+    return int(layers.raw[y, x]), int(layers.top[y, x]), bool(ly.bit_get(layers.known, y, x))
+
+
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("open_again", [RollingMap.open_bumps, lambda g: g.expire_bumps(10**18)])
+@pytest.mark.parametrize(
+    ("place", "raw"),
+    [((0.6, 0.0), ly.FREE), (PLACE, ly.OCCUPIED), (BEHIND_IT, ly.UNSEEN)],
+    ids=["free", "occupied", "unseen"],
+)
+def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
     grid = RollingMap(SMALL)
-    look(grid, HOME, box)
-    assert grid.state_at(*PLACE) == 100
-    grid.bump(*PLACE, 0)
-    look(grid, HOME, box)
+    look(grid, HOME, BOX)
+    before = layers_at(grid, place)
+    everywhere = grid.snapshot(inflated=50).cells
+    assert before[0] == raw
+    assert (before[1] > 0, before[2]) == (raw == ly.OCCUPIED, raw != ly.UNSEEN)
+    for now_ns in range(times):
+        grid.bump(*place, now_ns)
+    look(grid, HOME, BOX)
+    assert layers_at(grid, place) == (ly.BUMPED, 0, True)
     assert_consistent(grid)
-    grid.open_bumps()
-    look(grid, HOME, box)
-    look(grid, HOME, box)
+    open_again(grid)
+    assert layers_at(grid, place) == before
+    look(grid, HOME, BOX)
     assert_consistent(grid)
-    assert grid.state_at(*PLACE) == 100
+    np.testing.assert_array_equal(grid.snapshot(inflated=50).cells, everywhere)
+
+
+@pytest.mark.parametrize("place", [PLACE, BEHIND_IT], ids=["occupied", "unseen"])
+def test_where_the_robot_stands_is_free_whatever_was_seen_there(place):
+    grid = RollingMap(SMALL)
+    look(grid, HOME, BOX)
+    grid.bump(*place, 0)
+    look(grid, SE2(*place, 0.0), [])
+    assert layers_at(grid, place) == (ly.FREE, 0, True)
+    assert_consistent(grid)
+
+
+def test_where_it_was_held_up_is_known_after_the_opening_too():
+    grid = seen_around()
+    assert grid.held_up_m == []
+    for k, place in enumerate([PLACE, (-1.0, 0.0), (0.0, 1.0)]):
+        grid.bump(*place, k)
+    assert grid.held_up_m == grid.bumps_m
+    held_up = grid.held_up_m
+    assert grid.open_bumps()
+    assert (grid.bumps_m, grid.held_up_m) == ([], held_up)
+    assert not grid.open_bumps()
+    look(grid, SE2(-1.0, 0.0, 0.0), [])  # nothing holds it up there
+    assert grid.held_up_m == [held_up[0], held_up[2]]
+    grid.bump(*PLACE, 5)
+    assert grid.held_up_m == [held_up[2], held_up[0]]
+    grid.expire_bumps(MEMORY_NS + 2)
+    assert grid.held_up_m == [held_up[0]]
+    grid.expire_bumps(MEMORY_NS + 5)
+    assert grid.held_up_m == []
+
+
+@pytest.mark.parametrize(
+    ("x_m", "yaw_rad", "shows"),
+    [
+        (0.75, 0.0, True),  # the box stands right before the robot
+        (0.65, 0.0, True),  # it begins where the inflation of the robot's front ends
+        (0.4, 0.0, False),
+        (0.75, math.pi, False),
+        (0.75, 1.2, False),  # beside the way
+    ],
+)
+def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, shows):
+    empty, grid = RollingMap(SMALL), RollingMap(SMALL)
+    look(grid, HOME, BOX)
+    pose = SE2(x_m, 0.0, yaw_rad)
+    place = pose.ahead(0.2)
+    assert not empty.shows_obstacle(pose, place, 0.2)
+    assert grid.shows_obstacle(pose, place, 0.2) == shows
+    beside = seen_around()
+    beside.bump(*place, 0)
+    assert not beside.shows_obstacle(pose, place, 0.2)  # a bump explains nothing
 
 
 def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():

@@ -52,14 +52,19 @@ def test_jitter_about_a_point_is_stuck():
     assert any(run(StuckDetector(2.0, 0.05), poses))
 
 
-def test_a_pause_starts_the_wait_afresh():
+@pytest.mark.parametrize("pause_s", [0.0, 0.1, 5.0])
+def test_a_pause_neither_counts_nor_starts_the_wait_afresh(pause_s):
+    detector, paused = StuckDetector(2.0, 0.05), int(10 * pause_s)
+    told = [True] * 16 + [False] * paused + [True] * 30
+    said = [detector.update(HERE, moving, k * S // 10) for k, moving in enumerate(told)]
+    assert [k for k, stuck in enumerate(said) if stuck] == [20 + paused, 40 + paused]
+
+
+def test_a_robot_that_moved_in_a_pause_is_not_stuck():
     detector = StuckDetector(2.0, 0.05)
-    assert not any(run(detector, [HERE] * 15))
-    assert not detector.update(HERE, False, 15 * S // 10)
-    assert not detector.update(HERE, True, 16 * S // 10)
-    assert not detector.update(HERE, True, 26 * S // 10)
-    assert not detector.update(HERE, True, 35 * S // 10)
-    assert detector.update(HERE, True, 36 * S // 10)
+    assert not any(run(detector, [HERE] * 16))
+    assert not detector.update(SE2(1.1, 2.0, 0.0), False, 16 * S // 10)
+    assert not any(detector.update(HERE, True, (17 + k) * S // 10) for k in range(20))
 
 
 def test_time_going_back_is_not_stuck():
