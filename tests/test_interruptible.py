@@ -25,15 +25,18 @@ def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
 
 
 def test_a_step_that_goes_on_for_ever_is_left_once_told_to_stop(stop):
-    over = threading.Event()
+    over, threads = threading.Event(), []
 
     def work() -> None:
+        threads.append(threading.current_thread())
         stop.set()
         over.wait()
 
     with pytest.raises(Stopped):
         unless_stopped(work, stop)
-    (thread,) = (thread for thread in threading.enumerate() if thread.name == ABANDONED)
+    (thread,) = threads
+    assert thread.is_alive()
     assert thread.daemon
+    assert thread.name == ABANDONED
     over.set()
     thread.join()
