@@ -71,7 +71,6 @@ def live(sections: dict) -> Iterator[Live]:
     """A service with the simulator's detector, and 30 frames a second of a sane robot."""
     config = simulated({
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
-        "perception": {"detector": {"kind": "sim"}, **sections.pop("perception", {})},
         "mission": {"target": "surfboard", "time_limit_s": 1e6},
         "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
         "report": {"status_hz": 20},
