@@ -20,7 +20,20 @@ settings.register_profile(
 )
 settings.load_profile("edge")
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+HERE = Path(__file__).resolve().parent
+SHARED = HERE.parents[1] / "shared"
+
+# Longer than a test of live processes waits for any one thing, so that it can say what did not
+# happen.
+LIVE = ("integration", "attacks")
+LIVE_LIMIT_S = 900
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    folders = {HERE / name for name in LIVE}
+    for item in items:
+        if folders & set(item.path.parents) and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(LIVE_LIMIT_S))
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-PATIENCE_S = 120.0  # only a failing test waits this long
+PATIENCE_S = 240.0  # only a failing test waits this long
 
 
 def eventually(what: Callable[[], T], otherwise: str = "it did not happen") -> T:

@@ -29,7 +29,7 @@ def test_no_number_breaks_decoding_or_a_tick(mode):
     config = simulated({
         "mission": {"target": "bed"},
         "mapping": {"input": mode},
-        "perception": {"detector": {"kind": "sim"}, "lift": mode, "min_hits": 1},
+        "perception": {"lift": mode, "min_hits": 1},
         "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
     })  # fmt: skip
     service, ticks = ClosedLoop(config).service, 0

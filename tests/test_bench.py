@@ -6,13 +6,13 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from simulated import simulated
 
 from edge import bench, recording
-from edge.config import parse
 from edge.errors import Stopped, UserError
 
 SMALL = {"width_px": 64, "height_px": 48, "rate_hz": 15}
-CONFIG = parse({"sensors": {"camera": SMALL}, "perception": {"detector": {"kind": "sim"}}})
+CONFIG = simulated({"sensors": {"camera": SMALL}})
 
 
 @pytest.fixture(autouse=True)

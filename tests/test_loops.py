@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from closed_loop import ClosedLoop, blank_observation
+from frames import Slot
 from simulated import simulated
 
 from edge import runner
@@ -24,19 +26,6 @@ from edge.runner import Running, loop
 from edge.sinks import SinkBase
 from edge.stages import STAGES
 from edge.types import GoalStatus, Observation
-
-
-class Slot:
-    """Counts who holds a frame; the source gives it out held once."""
-
-    def __init__(self) -> None:
-        self.holds = 1
-
-    def hold(self) -> None:
-        self.holds += 1
-
-    def release(self) -> None:
-        self.holds -= 1
 
 
 class Source:
@@ -78,7 +67,9 @@ def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
     ids = np.zeros(closed.rig.depth_m.shape, np.uint16)
     return [
         replace(
-            blank_observation(i, start_ns + i * 10**8, pose, closed), object_ids=ids, slot=Slot()
+            blank_observation(i, start_ns + i * 10**8, pose, closed),
+            object_ids=ids,
+            slot=Slot(holds=1),
         )
         for i in range(frames)
     ]
@@ -177,17 +168,18 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
     slots, states = [observation.slot for observation in seen], []
     run = running_of(closed, seen, jump_at=0 if stage == "ingest" else -1)
     service, stop = run.service, threading.Event()
-    repair = monkeypatch.context()
-    repair.__enter__().setattr(*BREAKS[stage](run), broken)
+    breaking = ExitStack()
+    breaking.enter_context(monkeypatch.context()).setattr(*BREAKS[stage](run), broken)
 
     def each() -> None:
         states.append(service.status_dict()["loop"]["state"])
         if len(seen) == passing and len(states) == failing:
-            repair.__exit__(None, None, None)
+            breaking.close()
         if not seen:
             stop.set()
 
-    loop(run, stop, each=each)
+    with breaking:
+        loop(run, stop, each=each)
     assert states.index("degraded") == DEGRADED_AFTER - 1
     assert states[-passing:] == ["ok"] * passing
     said = service.status_dict()["loop"]
@@ -218,7 +210,7 @@ def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeyp
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
 def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
-    run, slot = running(True, frames=1), Slot()
+    run, slot = running(True, frames=1), Slot(holds=1)
     run.source._observations[0] = replace(run.source._observations[0], slot=slot)
 
     def ends(*_) -> None:

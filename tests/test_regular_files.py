@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from simulated import simulated
 
 from edge import config, recording
 from edge.config import WorldHouse, WorldProcthor
@@ -66,7 +67,7 @@ def write(path: Path, content: bytes) -> Path:
     return path
 
 
-DEFAULTS = config.parse({"perception": {"detector": {"kind": "sim"}}})
+DEFAULTS = simulated()
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "configuration": ("c.yaml", lambda path: config.load(str(path))),

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 from simulated import simulated
 
 from edge import runner
@@ -27,7 +28,6 @@ UNFINISHED = Saved(
     "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
     False, 1.0, 0.5, None, 0, 0, (),
 )  # fmt: skip
-PATIENCE_S = 60.0  # only a failing test waits this long
 
 COMPILED_IN_THE_LOOP = """
 import json, sys

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 from closed_loop import START_NS, ClosedLoop, blank_observation
+from frames import Slot
 from simulated import simulated
 
 from edge.bus import open_session
@@ -241,18 +242,6 @@ class Late(InlineWorker):
     def poll(self) -> Detections | None:
         found, self.found = self.found, super().poll()
         return found
-
-
-class Slot:
-    """Counts who holds a frame."""
-
-    holds = 0
-
-    def hold(self) -> None:
-        self.holds += 1
-
-    def release(self) -> None:
-        self.holds -= 1
 
 
 def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():

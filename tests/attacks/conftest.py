@@ -1,10 +1,5 @@
-"""Attacks on real processes, which are those of `tests/integration`."""
+"""An address of a test's own, and `edge` commands that end with the test."""
 
 from __future__ import annotations
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
 
 from edge_processes import edge, endpoint  # noqa: F401, fixtures

@@ -1,7 +1,10 @@
-"""Sends valid messages without a pause: `python flooder.py ENDPOINT odometry | goal_status`."""
+"""Sends valid messages without a pause: `python flooder.py ENDPOINT odometry | goal_status`.
+
+At a low priority: what it floods is attacked by messages, not for want of a core."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
@@ -27,6 +30,7 @@ def goal_status() -> bytes:
 
 
 def main(endpoint: str, kind: str) -> None:
+    os.nice(10)
     topic, make = {
         "odometry": (topics.ODOMETRY, odometry),
         "goal_status": (topics.GOAL_STATUS, goal_status),
@@ -37,4 +41,5 @@ def main(endpoint: str, kind: str) -> None:
             publisher.put(make())
 
 
-main(*sys.argv[1:])
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -52,10 +52,17 @@ class Live:
         for topic, payload in said.items():
             self.peer.put(topic.under(self._prefix), payload)
 
-    def goes_on(self, ticks: int = 3) -> None:
-        """Waits until it has seen more, and answered an order."""
+    @property
+    def failures(self) -> dict[str, int]:
+        return dict(self.running.service.faults.failures)
+
+    def wait(self, ticks: int) -> None:
         enough = self.ticks + ticks
         eventually(lambda: self.ticks >= enough, "the loop does not tick")
+
+    def goes_on(self, ticks: int = 3) -> None:
+        """Waits until it has seen more, and answered an order."""
+        self.wait(ticks)
         assert "phase" in ask(self.peer, self._prefix, {"do": "status"}, PATIENCE_S)
 
 
@@ -64,7 +71,6 @@ def live(sections: dict) -> Iterator[Live]:
     """A service with the simulator's detector, and 30 frames a second of a sane robot."""
     config = simulated({
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
-        "perception": {"detector": {"kind": "sim"}, **sections.pop("perception", {})},
         "mission": {"target": "surfboard", "time_limit_s": 1e6},
         "sensors": {"lidar": {"z_m": 0.5}, "camera": {"width_px": WIDTH, "height_px": HEIGHT}},
         "report": {"status_hz": 20},
@@ -80,6 +86,7 @@ def live(sections: dict) -> Iterator[Live]:
         works = [pool.submit(loop, running, stop), pool.submit(_stand, service, stop)]
         try:
             service.goes_on()
+            eventually(lambda: service.statuses, "it never told its status")
             yield service
         finally:
             stop.set()

@@ -7,15 +7,11 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
-from edge_processes import Edge, write_config
-
-from edge.ports import free_port
+from edge_processes import write_config
 
 pytestmark = pytest.mark.slow
 
@@ -28,22 +24,8 @@ BECOME = (
 
 
 @pytest.fixture
-def config(tmp_path) -> Path:
-    return write_config(tmp_path, zenoh={"endpoint": f"tcp/127.0.0.1:{free_port()}"})
-
-
-@pytest.fixture
-def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
-    """Starts `edge` commands; all are killed at the end."""
-    started = []
-
-    def start(*arguments: object, **environ: str) -> Edge:
-        started.append(Edge(*arguments, cwd=tmp_path, **environ))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
+def config(endpoint, tmp_path) -> Path:
+    return write_config(tmp_path, zenoh={"endpoint": endpoint})
 
 
 @pytest.fixture

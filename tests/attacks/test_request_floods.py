@@ -15,7 +15,7 @@ from edge.bus import open_session
 from edge.config import Zenoh
 from edge.mission.order import ask
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.slow
 
 PREFIX, KEY = "edge", "edge/mission/request"
 FLOODERS = 3

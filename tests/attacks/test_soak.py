@@ -2,76 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-from pathlib import Path
-
 import pytest
-from closed_loop import START_NS, ClosedLoop
-from simulated import simulated
-
-from edge.mission.brief import prepare
+from fresh_process import run_fresh
 
 pytestmark = pytest.mark.slow
 
-# Kinds of the built-in house, and two that are not there.
-PRESENT = (
-    "toilet", "bed", "sofa", "television", "refrigerator", "desk", "wardrobe", "washing machine",
-    "bathtub", "microwave", "armchair", "laptop", "trash can", "houseplant",
-)  # fmt: skip
-ABSENT = ("surfboard", "piano")
-MISSIONS = (*PRESENT[:5], ABSENT[0], *PRESENT[5:10], ABSENT[1], *PRESENT[10:])
-SOAK_S = 1800.0
-SETTLED = 4  # missions after which caches are filled
-MAY_GROW_MB = 24
-
-
-def rss_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def descriptors() -> int:
-    return len(os.listdir("/proc/self/fd"))
-
-
-def start() -> ClosedLoop:
-    config = {
-        "loop": {"lockstep": True},
-        "sim": {"lockstep": True},
-        "sensors": {"camera": {"width_px": 160, "height_px": 128}},
-        "perception": {"detector": {"kind": "sim", "false_positive_rate": 0.001}},
-        "mission": {"target": MISSIONS[0], "time_limit_s": 600.0, "path_limit_m": 300.0},
-    }
-    return ClosedLoop(simulated(config))
-
-
-def run(loop: ClosedLoop, target: str, first: bool) -> str:
-    """One mission to its end; "" or what is wrong with that end."""
-    if not first:
-        brief = prepare(loop.config.mission.model_copy(update={"target": target}))
-        loop.service.begin(brief, loop.drive.motion.stamp_ns)
-    while not loop.service.status.done:
-        loop.step()
-    status = loop.service.status
-    if target in ABSENT:
-        told = status.reason.startswith("explored all that can be reached, looked again at ")
-        return "" if told and status.reason.endswith(f"found no {target}") else str(status)
-    there = status.phase == "reached" and loop.distance_m(target) <= 1.0
-    return "" if there else str(status)
+MAY_GROW_MB = 25
 
 
 def test_every_present_thing_is_found_and_nothing_grows():
-    loop, wrong, settled = start(), [], (0.0, 0)
-    for count, target in enumerate(itertools.cycle(MISSIONS), start=1):
-        if trouble := run(loop, target, count == 1):
-            wrong.append(trouble)
-        if count == SETTLED:
-            settled = rss_mb(), descriptors()
-        soaked_s = (loop.drive.motion.stamp_ns - START_NS) * 1e-9
-        if count >= len(MISSIONS) and soaked_s >= SOAK_S:
-            break
-    assert wrong == []
-    assert loop.drive.motion.collisions == 0
-    assert rss_mb() <= settled[0] + MAY_GROW_MB
-    assert descriptors() == settled[1]
+    told = run_fresh("mission_soak.py")
+    assert told["wrong"] == []
+    assert told["collisions"] == 0
+    settled_mb, end_mb = told["resident_mb"]
+    assert end_mb <= settled_mb + MAY_GROW_MB
+    settled, end = told["descriptors"]
+    assert end == settled

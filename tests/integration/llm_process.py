@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 SERVER = Path(__file__).with_name("llm_server.py")
-PATIENCE_S = 120.0  # only a failing test waits this long
 
 
 @contextlib.contextmanager

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from closed_loop import ClosedLoop
-from llm_process import PATIENCE_S, serving_llm
-from patience import eventually
+from llm_process import serving_llm
+from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.chat import ChatError

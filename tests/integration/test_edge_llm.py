@@ -10,7 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from llm_process import PATIENCE_S, serving_llm
+from llm_process import serving_llm
+from patience import PATIENCE_S
 
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm

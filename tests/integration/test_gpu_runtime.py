@@ -18,7 +18,7 @@ from edge.perception.model_file import ModelError
 ort = pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.slow
 
 CUDA = "CUDAExecutionProvider"
 HW, CHANNELS, CELLS = (64, 80), 16, 32 * 40

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,10 +16,13 @@ from edge.mapping.grid import RollingMap
 CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
 T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
 SMALL = config.Mapping(extent_m=9.0, range_m=3.0, inflation_m=0.2)
+ORIGIN = SE2(0.0, 0.0, 0.0)
 Box = tuple[float, float, float, float, float, float]
 
 
-def render(camera: CameraModel, T: np.ndarray, boxes: list[Box], floor: bool = True) -> np.ndarray:
+def render(
+    camera: CameraModel, T: np.ndarray, boxes: Sequence[Box], floor: bool = True
+) -> np.ndarray:
     """Depth image (h, w) float32 of axis-aligned boxes (x0, y0, z0, x1, y1, z1) and the floor."""
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     optical = np.stack(
@@ -43,10 +47,30 @@ def render(camera: CameraModel, T: np.ndarray, boxes: list[Box], floor: bool = T
     return depth.astype(np.float32)
 
 
-def look(grid: RollingMap, pose: SE2, boxes: list[Box], camera: CameraModel = CAMERA):
+def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel = CAMERA):
     """One update from what a camera on a robot at `pose` sees."""
     T = pose.matrix() @ T_BASE_CAMERA
     return grid.update_depth(render(camera, T, boxes), camera, T, pose)
+
+
+def seen_around(
+    boxes: Sequence[Box] = (), pose: SE2 = ORIGIN, settings: config.Mapping = SMALL
+) -> RollingMap:
+    """What a robot has seen that turned once all round on the spot."""
+    grid = RollingMap(settings)
+    for yaw in np.arange(0.0, 2 * math.pi, 0.4):
+        look(grid, SE2(pose.x_m, pose.y_m, yaw), boxes)
+    return grid
+
+
+def complete(grid: RollingMap, pose: SE2) -> None:
+    """Step until a field that begins with the first step is in use."""
+    wanted = grid.reach.generation + 2
+    for _ in range(10000):
+        grid.reach.step(pose)
+        if grid.reach.generation >= wanted:
+            return
+    raise AssertionError("no field was completed")
 
 
 def room(half_m: float, height_m: float = 2.5) -> list[Box]:

@@ -7,8 +7,7 @@ import math
 import mapping_twins as twins
 import numpy as np
 import pytest
-from mapping_twins import SMALL, look
-from test_mapping_reach import complete
+from mapping_twins import SMALL, complete, look, seen_around
 
 from edge.geometry import SE2
 from edge.mapping import grid as grid_module
@@ -18,14 +17,6 @@ from edge.mapping.grid import RollingMap
 HOME = SE2(0.0, 0.0, 0.0)
 PLACE = (1.02, 0.03)
 MEMORY_NS = int(SMALL.bump_memory_s * 1e9)
-
-
-def seen_around() -> RollingMap:
-    """An empty floor all around the origin."""
-    grid = RollingMap(SMALL)
-    for yaw in np.arange(0, 6.4, 0.4):
-        look(grid, SE2(0.0, 0.0, yaw), [])
-    return grid
 
 
 def assert_consistent(grid: RollingMap) -> None:

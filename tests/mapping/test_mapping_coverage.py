@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, room
+from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, complete, look, room, seen_around
 
 from edge.geometry import SE2, camera_mount
 from edge.mapping import coverage as cv
@@ -26,17 +26,9 @@ def seen_from(pose: SE2, mount: np.ndarray = T_BASE_CAMERA, camera=CAMERA) -> Ob
 
 def explored(half_m: float = 2.0) -> RollingMap:
     """A square room, seen all round from its middle."""
-    grid = RollingMap(SMALL)
-    for yaw in np.arange(0.0, 2 * math.pi, 0.4):
-        look(grid, SE2(0.0, 0.0, yaw), room(half_m))
+    grid = seen_around(room(half_m))
     complete(grid, SE2(0.0, 0.0, 0.0))
     return grid
-
-
-def complete(grid: RollingMap, pose: SE2) -> None:
-    wanted = grid.reach.generation + 2
-    while grid.reach.generation < wanted:
-        grid.reach.step(pose)
 
 
 def searched(grid: RollingMap) -> View | None:

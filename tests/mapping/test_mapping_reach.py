@@ -9,35 +9,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_twins import SMALL, look, room
+from mapping_twins import SMALL, complete, look, room, seen_around
 
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
 from edge.mapping.reach import DIAGONAL, STRAIGHT
 
 
-def complete(grid: RollingMap, pose: SE2) -> None:
-    """Step until a field that began now is in use."""
-    wanted = grid.reach.generation + 2
-    for _ in range(10000):
-        grid.reach.step(pose)
-        if grid.reach.generation >= wanted:
-            return
-    raise AssertionError("no field was completed")
-
-
 def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
     rng = np.random.default_rng(seed)
-    grid = RollingMap(SMALL.model_copy(update={"reach_cells_per_tick": per_tick}))
     x, y = rng.uniform(-20, 20, 2)
     boxes = []
     for _ in range(4):
         bx, by = x + rng.uniform(-2, 2), y + rng.uniform(-2, 2)
         if math.hypot(bx - x, by - y) > 0.9:
             boxes.append((bx, by, 0.0, bx + 0.3, by + 0.3, 1.0))
-    for yaw in np.arange(0, 6.4, 0.4):
-        look(grid, SE2(x, y, yaw), boxes)
-    return grid, SE2(x, y, 0.0)
+    settings = SMALL.model_copy(update={"reach_cells_per_tick": per_tick})
+    pose = SE2(x, y, 0.0)
+    return seen_around(boxes, pose, settings), pose
 
 
 @settings(max_examples=10)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_twins import SMALL, look
-from test_mapping_reach import complete
+from mapping_twins import SMALL, complete, look
 
 from edge.geometry import SE2
 from edge.mapping import layers as ly

@@ -59,6 +59,13 @@ def assert_safe(error: UserError) -> None:
     assert len(str(error)) <= LONGEST
 
 
+def assert_refused(text: str, formula: bool, says: str) -> None:
+    with pytest.raises(UserError) as caught:
+        explained(text, formula)
+    assert_safe(caught.value)
+    assert says in str(caught.value)
+
+
 @given(texts, st.booleans())
 def test_any_text_is_explained_or_refused_in_one_line(text, formula):
     try:
@@ -109,10 +116,7 @@ def test_any_text_is_a_target_or_refused_by_the_configuration(text):
     ids=lambda value: value[:20],
 )
 def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
-    with pytest.raises(UserError) as caught:
-        explained(text, formula=True)
-    assert_safe(caught.value)
-    assert says in str(caught.value)
+    assert_refused(text, formula=True, says=says)
 
 
 @pytest.mark.parametrize(
@@ -130,10 +134,7 @@ def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
     ids=lambda value: value[:20],
 )
 def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
-    with pytest.raises(UserError) as caught:
-        explained(text, formula=False)
-    assert_safe(caught.value)
-    assert says in str(caught.value)
+    assert_refused(text, formula=False, says=says)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import threading
@@ -12,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import zenoh
+from fake_zenoh import Flooded
 from patience import PATIENCE_S
 from simulated import simulated
 
@@ -243,29 +245,9 @@ def test_parse_tick():
     assert process.parse_tick(b'{"stamp": 12}') == 12
 
 
-class _Rings:
-    """A session whose subscribers hold given payloads."""
-
-    def __init__(self, payloads: list[bytes]) -> None:
-        self.payloads = payloads
-
-    def declare_subscriber(self, key: str, _: object) -> _Rings:
-        return self if key.endswith("/odom") else _Rings([])
-
-    def declare_publisher(self, *_: object, **__: object) -> None:
-        return None
-
-    def try_recv(self) -> object | None:
-        if not self.payloads:
-            return None
-        sample = type("Sample", (), {})()
-        sample.payload = zenoh.ZBytes(self.payloads.pop(0))
-        return sample
-
-
 def test_answers_are_what_the_service_reads():
     answers = [GoalStatus(-5, "accepted", blocked=(1.5, -2.0)), GoalStatus(6, "failed", "stuck")]
-    bus, said = process.Bus(_Rings([]), simulated()), []
+    bus, said = process.Bus(Flooded("edge/odom", []), simulated()), []
     bus._answers = SimpleNamespace(put=said.append)
     bus.answer(answers)
     assert [parse_goal_status(payload) for payload in said] == answers
@@ -273,7 +255,7 @@ def test_answers_are_what_the_service_reads():
 
 def test_malformed_messages_are_counted_and_logged_once(caplog):
     good = messages.encode_odometry(5, np.eye(4), 0.1, 0.2)
-    bus = process.Bus(_Rings([b"", b"junk", good, good[:50], good]), simulated())
+    bus = process.Bus(Flooded("edge/odom", [b"", b"junk", good, good[:50], good]), simulated())
     read = bus.read(topics.ODOMETRY, messages.decode_odometry)
     assert [o.stamp_ns for o in read] == [5, 5]
     assert bus.malformed == {"odom": 3}
@@ -281,8 +263,8 @@ def test_malformed_messages_are_counted_and_logged_once(caplog):
 
 
 def test_a_look_takes_no_more_than_the_ring_holds():
-    flood = [messages.encode_odometry(n, np.eye(4), 0.0, 0.0) for n in range(1, 1001)]
-    bus = process.Bus(_Rings(flood), simulated())
+    flood = (messages.encode_odometry(n, np.eye(4), 0.0, 0.0) for n in itertools.count(1))
+    bus = process.Bus(Flooded("edge/odom", flood), simulated())
     for look in range(3):
         read = bus.read(topics.ODOMETRY, messages.decode_odometry)
         assert [o.stamp_ns for o in read] == list(range(64 * look + 1, 64 * look + 65))

@@ -6,25 +6,12 @@ import threading
 from typing import NamedTuple
 
 import pytest
+from frames import Slot
 from patience import PATIENCE_S, eventually
 
 from edge.chat import ChatError
 from edge.perception.scorer_worker import MAX_DOUBLINGS, InlineScorer, ScorerWorker
 from edge.types import Observation
-
-
-class Slot:
-    """Counts holds as a frame pool does."""
-
-    def __init__(self):
-        self.holds = 0
-
-    def hold(self):
-        self.holds += 1
-
-    def release(self):
-        assert self.holds > 0
-        self.holds -= 1
 
 
 class Question(NamedTuple):

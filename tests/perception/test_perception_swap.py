@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from frames import Slot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -465,20 +465,6 @@ def test_a_detector_that_still_detects_is_not_closed_under_its_hands(bench):
     assert b.worker.stats.failed == 0
 
 
-class Slot:
-    """Counts holds as a frame pool does."""
-
-    def __init__(self):
-        self.holds = Counter()
-
-    def hold(self):
-        self.holds["n"] += 1
-
-    def release(self):
-        assert self.holds["n"] > 0
-        self.holds["n"] -= 1
-
-
 def test_the_exchange_while_the_old_one_detects(make_observation):
     """Its result still counts, its observation is let go, and it is in use until then."""
     old, new = Fake("old"), Fake("new")
@@ -498,7 +484,7 @@ def test_the_exchange_while_the_old_one_detects(make_observation):
     assert not worker.uses(old)
     assert (old.images, new.images) == (1, 1)
     worker.close()
-    assert [f.slot.holds["n"] for f in frames] == [0, 0]
+    assert [f.slot.holds for f in frames] == [0, 0]
     assert (old.closed, new.closed) == (0, 1)
 
 

@@ -5,25 +5,12 @@ import threading
 
 import numpy as np
 import pytest
+from frames import Slot
 from patience import PATIENCE_S
 
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import LONGEST_ERROR, DetectorWorker, WorkerStats
 from edge.types import Detections
-
-
-class Slot:
-    """Counts holds as a frame pool does."""
-
-    def __init__(self):
-        self.holds = 0
-
-    def hold(self):
-        self.holds += 1
-
-    def release(self):
-        assert self.holds > 0
-        self.holds -= 1
 
 
 class Fake:

@@ -28,9 +28,9 @@ CLOUD = {
 class Robot:
     """Feeds an assembler on a clock that only the test moves."""
 
-    def __init__(self, data: dict | None = None) -> None:
+    def __init__(self, data: dict = ONNX) -> None:
         self.now_ns = 0
-        self.assembler = Assembler(simulated(data or ONNX), clock=lambda: self.now_ns)
+        self.assembler = Assembler(simulated(data), clock=lambda: self.now_ns)
 
     def send(self, topic, payload: bytes) -> Robot:
         self.assembler.offer(topic, payload)
@@ -214,7 +214,7 @@ def test_images_of_the_wrong_size(rgb_shape, depth_shape, reason):
     [(b"", "empty"), (b"junk", "malformed"), (b"\0\1\0\0" + b"\xff" * 40, "malformed")],
 )
 def test_junk_is_counted_and_the_next_frame_is_taken(topic, payload, reason):
-    robot = Robot({"perception": {"detector": {"kind": "sim"}}}).info().odom(0)
+    robot = Robot({}).info().odom(0)
     robot.send(topic, payload)
     assert robot.poll() is None
     assert robot.drops == {reason: 1}
@@ -332,7 +332,7 @@ def test_cloud_without_a_lidar_is_a_configuration_error():
 
 
 def test_labels_are_remembered():
-    robot = Robot({"perception": {"detector": {"kind": "sim"}}}).info().odom(1000)
+    robot = Robot({}).info().odom(1000)
     robot.send(topics.OBJECT_LABELS, json.dumps(["chair", "bed"]).encode())
     robot.send(topics.OBJECT_LABELS, b'["a", 3]').send(topics.OBJECT_LABELS, b"{}")
     for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201):

@@ -2,37 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import count
+from itertools import count, repeat
 
 import numpy as np
 import pytest
-import zenoh
+from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 from edge.wire import messages
-
-
-class Flooded:
-    """A session that always has one more message under one key."""
-
-    def __init__(self, key: str, make) -> None:
-        self.key, self.make, self.sent = key, make, count(1)
-
-    def declare_subscriber(self, key: str, ring: object) -> Flooded:
-        return self if key == self.key else Flooded(self.key, lambda n: None)
-
-    def undeclare(self) -> None: ...
-
-    def try_recv(self) -> object | None:
-        payload = self.make(next(self.sent))
-        return None if payload is None else Sample(zenoh.ZBytes(payload))
-
-
-class Sample:
-    def __init__(self, payload: zenoh.ZBytes) -> None:
-        self.payload = payload
 
 
 def odometry(n: int) -> bytes:
@@ -42,7 +21,7 @@ def odometry(n: int) -> bytes:
 @pytest.mark.parametrize("ring", [64, 256])
 def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
     config = simulated({"source": {"odometry_ring": ring}, "mission": {"target": "bed"}})
-    source = ZenohSource(Flooded("edge/odom", odometry), config)
+    source = ZenohSource(Flooded("edge/odom", map(odometry, count(1))), config)
     for look in range(1, 4):
         assert source.poll() is None
         assert source.counters["received"] == look * ring
@@ -54,12 +33,12 @@ def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
 
 def test_a_look_takes_no_more_answers_than_the_ring_holds():
     accepted = b'{"stamp": %d, "state": "accepted"}'
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", lambda n: accepted % n), "edge")
+    inbox = GoalStatusInbox(Flooded("edge/goal_status", (accepted % n for n in count(1))), "edge")
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(1, 65))
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(65, 129))
 
 
 def test_a_flood_of_no_answers_is_as_bounded():
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", lambda n: b"[]"), "edge")
+    inbox = GoalStatusInbox(Flooded("edge/goal_status", repeat(b"[]")), "edge")
     assert inbox.poll() == []
     assert inbox.malformed == 64

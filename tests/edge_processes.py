@@ -13,12 +13,12 @@ from pathlib import Path
 
 import psutil
 import pytest
+from patience import PATIENCE_S
 
 from edge.ports import free_port
 
-# Only a failing test waits this long: for something to be said, for a mission to end, and for a
-# process that is told to end, which first writes its report.
-PATIENCE_S = 240.0
+# Only a failing test waits this long: for a mission to end, and for a process that is told to end,
+# which first writes its report.
 MISSION_S = 600.0
 STOP_S = 60.0
 
