@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Columns are the optical axes seen from a body frame (x forward, y left, z up).
 FARTHEST_M = 1e6
 """The map takes no sensor and no point beyond it: a step of its float32 is 6 cm there."""
 
+# Columns are the optical axes seen from a body frame (x forward, y left, z up).
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
 
 # What a pinhole camera can be, in lengths of its image's longer side: one side focal length is
 # 53 degrees, the limits are 178.9 and 0.6. A small cut-out may lie far from the principal point.

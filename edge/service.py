@@ -34,7 +34,7 @@ from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.pursuit import Pursuit
 from edge.sinks import Sink
-from edge.status import status_of
+from edge.status import detector_health, status_of
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.service")
@@ -103,6 +103,7 @@ class Service:
         self._sinks = sinks
         self._lifter = Lifter(config.perception)
         self._seen: Detections | None = None
+        self._detector_degraded = False  # known to be, and told
         self.pose: SE2 | None = None
         self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation was dealt with
@@ -278,10 +279,21 @@ class Service:
         self._report(observation, now_ns)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
+        self._look_after_detector(now_ns)
         if self.keeper is not None:
             with self.faults.outlived("checkpoint", now_ns):
                 self.keeper.note(self, now_ns)
         self._each_sink("tick", now_ns, lambda sink: sink.tick(self, observation, now_ns))
+
+    def _look_after_detector(self, now_ns: int) -> None:
+        """Tell once that it has become degraded, and once that it is well again."""
+        health, name = detector_health(self._worker), self._worker.detector.name
+        if health.state == "degraded" and not self._detector_degraded:
+            self._detector_degraded = True
+            self.event(f"detector {name}: degraded: {health.detail}", now_ns)
+        elif health.state == "ok" and self._detector_degraded:
+            self._detector_degraded = False
+            self.event(f"detector {name}: goes well again", now_ns)
 
     def _tell(self, goal: Goal) -> None:
         self._each_sink("goal", goal.stamp_ns, lambda sink: sink.goal(goal))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from edge.faults import DEGRADED_AFTER
+from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
@@ -59,13 +61,21 @@ def status_of(
         "checkpoint": None if service.keeper is None else service.keeper.status(),
         "detector": {
             "model": worker.detector.name,
-            **worker.detector.health()._asdict(),
+            **detector_health(worker)._asdict(),
             "invalid_boxes": worker.detector.invalid_boxes,
             **asdict(worker.stats),
         },
         "swap": service.swapper.status(),
         "scorers": {} if advisers is None else advisers.status(),
     }
+
+
+def detector_health(worker: DetectorWorker | InlineWorker) -> Health:
+    """How the detector is by its own account, and if that is well, by what comes of its images."""
+    own = worker.detector.health()
+    if own.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
+        return Health("degraded", f"fails at every image: {worker.stats.last_error}")
+    return own
 
 
 def mission_of(mission: MissionRun) -> dict[str, object]:

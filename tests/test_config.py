@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from simulated import simulated
 
 from edge import config, resources
 from edge.config import Config, ConfigError, load, parse
+from edge.geometry import MIN_FOCAL
 
 READY = sorted(resources.data_dir("config").glob("*.yaml"))
 
@@ -105,6 +107,10 @@ FAULTS = [
         "f.yaml: mapping: extent_m 500 at resolution_m 0.05: more than 4096 cells a side; "
         "take extent_m up to 204, or resolution_m from 0.123",
     ),
+    (
+        {"sensors": {"camera": {"width_px": 16, "height_px": 4096}}},
+        "f.yaml: sensors.camera: hfov_deg 75 at width_px 16, height_px 4096: not a camera: ",
+    ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
@@ -113,6 +119,23 @@ FAULTS = [
 @pytest.mark.parametrize("mapping", [{"extent_m": 204}, {"extent_m": 500, "resolution_m": 0.123}])
 def test_the_largest_map_that_an_error_offers_is_taken(mapping):
     assert simulated({"mapping": mapping}).mapping.extent_m == mapping["extent_m"]
+
+
+@pytest.mark.parametrize("width_px", [16, 320, 4096])
+@pytest.mark.parametrize("height_px", [16, 256, 4096])
+@pytest.mark.parametrize("hfov_deg", [10.1, 22.0, 75.0, 149.9])
+def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
+    data = {
+        "sensors": {"camera": {"width_px": width_px, "height_px": height_px, "hfov_deg": hfov_deg}}
+    }
+    focal = 0.5 * width_px / math.tan(0.5 * math.radians(hfov_deg))
+    if focal < MIN_FOCAL * max(width_px, height_px):
+        with pytest.raises(ConfigError, match=r"take a smaller hfov_deg, or a wider image$"):
+            simulated(data)
+    else:
+        model = simulated(data).sensors.camera.intrinsics()
+        assert (model.width_px, model.height_px) == (width_px, height_px)
+        assert model.hfov_rad == pytest.approx(math.radians(hfov_deg))
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from closed_loop import ClosedLoop, blank_observation
 from frames import Slot
+from patience import eventually
 from simulated import simulated
 
 from edge import runner
@@ -22,6 +23,8 @@ from edge.desk import Request
 from edge.errors import Stopped
 from edge.faults import DEGRADED_AFTER
 from edge.geometry import SE2
+from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker, WorkerBase
 from edge.runner import Running, loop
 from edge.sinks import SinkBase
 from edge.stages import STAGES
@@ -75,10 +78,15 @@ def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
     ]
 
 
-def running_of(closed: ClosedLoop, seen: list[Observation], jump_at: int = -1) -> Running:
+def running_of(
+    closed: ClosedLoop, seen: list[Observation], jump_at: int = -1, worker: WorkerBase | None = None
+) -> Running:
+    """The loop over these frames, with another worker in place of the closed loop's if need be."""
     inbox = SimpleNamespace(poll=list)
     desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
     service, source = closed.service, Source(seen, jump_at)
+    if worker is not None:
+        service._worker = worker
     return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
 
 
@@ -220,6 +228,38 @@ def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
     with pytest.raises(error):
         loop(run, threading.Event())
     assert slot.holds == 0
+
+
+@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
+def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(make, monkeypatch):
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    failing, passing = DEGRADED_AFTER + 2, 3
+    seen = blanks(closed, failing + passing)
+    detector = closed.service._worker.detector
+    run = running_of(closed, seen, worker=make(detector))
+    service, stop, states = run.service, threading.Event(), []
+    whole = detector.detect
+    monkeypatch.setattr(detector, "detect", broken)
+
+    def each() -> None:
+        if make is DetectorWorker:
+            eventually(run.worker.idle)
+        states.append(service.status_dict()["detector"])
+        if len(states) == failing:
+            monkeypatch.setattr(detector, "detect", whole)
+        if not seen:
+            stop.set()
+
+    loop(run, stop, each=each)
+    run.worker.close()
+    well, ill = ("ok", ""), ("degraded", "fails at every image: ZeroDivisionError: oh no")
+    assert [(s["state"], s["detail"]) for s in states] == [
+        *[well] * (DEGRADED_AFTER - 1), *[ill] * 3, *[well] * passing
+    ]  # fmt: skip
+    name = f"detector {detector.name}: "
+    told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
+    assert told == [f"degraded: {ill[1]}", "goes well again"]
+    assert service.status_dict()["loop"]["state"] == "ok"
 
 
 class Sink(SinkBase):

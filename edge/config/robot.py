@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
+from edge.geometry import CameraModel
 
 
 class Robot(Section):
@@ -31,6 +33,21 @@ class Camera(Section):
     rate_hz: Positive = 30.0
     depth_min_m: NonNegative = 0.1
     depth_max_m: Positive = 8.0
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Camera:
+        try:
+            self.intrinsics()
+        except ValueError as error:
+            raise ValueError(
+                f"hfov_deg {self.hfov_deg:g} at width_px {self.width_px}, height_px "
+                f"{self.height_px}: {error}; take a smaller hfov_deg, or a wider image"
+            ) from None
+        return self
+
+    def intrinsics(self) -> CameraModel:
+        """The camera as the simulator has it: square pixels, the principal point in the middle."""
+        return CameraModel.from_hfov(self.width_px, self.height_px, math.radians(self.hfov_deg))
 
 
 class Lidar(Section):

@@ -269,6 +269,11 @@ def how_to_get(card: FileCard) -> str:
     return f"run `edge models export {card.name}`"
 
 
+def expected_sha256(card: FileCard) -> str | None:
+    """What the model's file hashes to when it is sound; None where nothing says so."""
+    return _expected(card, card.path)[0]
+
+
 def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
     """(sha256, size in bytes) from the card, else from what the export put beside the file."""
     if card.sha256 is not None:

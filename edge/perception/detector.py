@@ -20,7 +20,7 @@ class Health(NamedTuple):
 
     Attributes:
         state: `ok`; `building engine` (TensorRT, takes minutes); `restarting` (its process ended);
-            `degraded` (it ended too often, nothing is detected).
+            `degraded` (it ended too often, or fails at every image: nothing is detected).
         detail: one line for a person, empty when there is nothing to say.
     """
 

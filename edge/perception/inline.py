@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.perception.detector import Detector
-from edge.perception.worker import WorkerBase, log_failure
+from edge.perception.worker import WorkerBase
 from edge.types import Detections, Observation
 
 
@@ -28,13 +28,11 @@ class InlineWorker(WorkerBase):
         self._drop()
         outcome = self._detect(observation)
         if isinstance(outcome, Exception):
-            if self.stats.count_failure(outcome):
-                log_failure(self.detector, outcome)
+            self._failed(outcome)
             return
         observation.hold()
         self._result = outcome
-        self.stats.done += 1
-        self.stats.last_latency_ns = outcome.latency_ns
+        self.stats.count_result(outcome)
 
     def poll(self) -> Detections | None:
         """The detections of the last `submit`, once."""

@@ -78,6 +78,19 @@ def remembered_sha256(path: Path) -> str:
     return known_sha256(path) or fresh_sha256(path)
 
 
+def check_unchanged(path: Path, sha256: str) -> None:
+    """Raise ModelError unless a file, hashed anew, has this hash.
+
+    For what is to be made of the file and kept: it must not outlive the damage of a file whose
+    hash was only remembered.
+    """
+    if fresh_sha256(path) != sha256:
+        raise ModelError(
+            f"{path}: damaged or another model: sha256 is not {sha256[:12]}…; pull or export it "
+            "again"
+        )
+
+
 def _unreadable(path: Path, error: OSError) -> ModelError:
     return ModelError(f"{path}: cannot be read ({error.strerror}); make it readable, or remove it")
 

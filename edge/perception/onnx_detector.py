@@ -20,7 +20,13 @@ from edge.perception.backends.runtime import (
     open_session,
 )
 from edge.perception.card_types import ImageCard
-from edge.perception.cards import DetectCard, ModelError, load_detector_card, loading
+from edge.perception.cards import (
+    DetectCard,
+    ModelError,
+    expected_sha256,
+    load_detector_card,
+    loading,
+)
 from edge.perception.detector import Health, Progress, check_rgb, log_progress
 from edge.perception.text import PromptError, make_text_encoder, words_for
 from edge.types import Detections, Observation
@@ -42,7 +48,7 @@ def engine_options(
         few, usual, many = ((1, n, card.text_dim) for n in (1, USUAL_COLUMNS, MAX_COLUMNS))
         shapes["txt_feats"] = (few, usual, many)
     cache = None if detector.engine_cache is None else resources.expand(detector.engine_cache)
-    return EngineOptions(card.name, card.precision, shapes, cache, progress)
+    return EngineOptions(card.name, card.precision, shapes, cache, progress, expected_sha256(card))
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ class WorkerStats:
         last_latency_ns: image to boxes of the newest result.
         last_error: the newest failure in words, one line, empty when there was none.
         failures: type of failure → how many; replaced by another dict, never changed.
+        in_a_row: failures since the newest result, but for those while the detector itself was not
+            `ok` (see `Detector.health`).
     """
 
     submitted: int = 0
@@ -37,11 +39,23 @@ class WorkerStats:
     last_latency_ns: int = 0
     last_error: str = ""
     failures: dict[str, int] = field(default_factory=dict)
+    in_a_row: int = 0
 
-    def count_failure(self, error: Exception) -> bool:
-        """Count what a model raised; whether it is the first of its kind."""
+    def count_result(self, detections: Detections) -> None:
+        """Count what a model found."""
+        self.done += 1
+        self.last_latency_ns = detections.latency_ns
+        self.in_a_row = 0
+
+    def count_failure(self, error: Exception, expected: bool = False) -> bool:
+        """Count what a model raised; whether it is the first of its kind.
+
+        Args:
+            expected: the detector itself says that it is not `ok`.
+        """
         kind = type(error).__name__
         self.failed += 1
+        self.in_a_row += not expected
         self.last_error = one_line(f"{kind}: {error}", LONGEST_ERROR)
         self.failures = {**self.failures, kind: self.failures.get(kind, 0) + 1}
         return self.failures[kind] == 1
@@ -122,6 +136,13 @@ class WorkerBase:
         self._using = None
         return outcome
 
+    def _failed(self, error: Exception) -> None:
+        """Count a failure, and say once what kind of failure a detector has."""
+        detector = self.detector
+        if self.stats.count_failure(error, expected=detector.health().state != "ok"):
+            reason = one_line(f"{type(error).__name__}: {error}", LONGEST_ERROR)
+            log.error("detector %s: %s (more of these are only counted)", detector.name, reason)
+
 
 class DetectorWorker(WorkerBase):
     """Runs a detector beside the loop.
@@ -187,9 +208,8 @@ class DetectorWorker(WorkerBase):
                 continue
             with self._wake:
                 unread, self._result = self._result, outcome
-                self.stats.done += 1
                 self.stats.unread += unread is not None
-                self.stats.last_latency_ns = outcome.latency_ns
+                self.stats.count_result(outcome)
             if unread is not None:
                 unread.observation.release()
 
@@ -203,15 +223,3 @@ class DetectorWorker(WorkerBase):
             observation, self._pending = self._pending, None
             self._busy = True
             return observation
-
-    def _failed(self, error: Exception) -> None:
-        with self._wake:
-            first = self.stats.count_failure(error)
-        if first:
-            log_failure(self.detector, error)
-
-
-def log_failure(detector: Detector, error: Exception) -> None:
-    """Say once what kind of failure a detector has."""
-    reason = one_line(f"{type(error).__name__}: {error}", LONGEST_ERROR)
-    log.error("detector %s: %s (more of these are only counted)", detector.name, reason)

@@ -10,7 +10,7 @@ import numpy as np
 
 from edge import topics
 from edge.config import Config
-from edge.geometry import SE2, CameraModel, camera_mount, se3
+from edge.geometry import SE2, camera_mount, se3
 from edge.sim.base import Fan, World
 from edge.sim.robot import Motion
 from edge.topics import Topic
@@ -25,9 +25,7 @@ class CameraRig:
 
     def __init__(self, config: Config, world: World) -> None:
         camera, self._world = config.sensors.camera, world
-        self.model = CameraModel.from_hfov(
-            camera.width_px, camera.height_px, math.radians(camera.hfov_deg)
-        )
+        self.model = camera.intrinsics()
         self.T_base_camera = camera_mount(camera.x_m, camera.z_m, math.radians(camera.pitch_deg))
         shape = (camera.height_px, camera.width_px)
         self.rgb = np.empty((*shape, 3), np.uint8)

@@ -20,15 +20,17 @@ import numpy as np
 import pytest
 from fake_gpu import FakeCuda, FakeTensorrt, OnnxContext
 from patience import PATIENCE_S, eventually
-from test_perception_onnx import tiny  # noqa: F401
+from test_perception_cards import flip_a_byte
+from test_perception_onnx import BOXES, tiny  # noqa: F401
 
-from edge import resources
+from edge import config, resources
 from edge.perception.backends import binding, cuda, engine_cache, tensorrt
 from edge.perception.backends.building import Building
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.backends.runtime import EngineOptions, open_session
 from edge.perception.backends.tensorrt_report import Phases
-from edge.perception.model_file import ModelError
+from edge.perception.detector import make_detector
+from edge.perception.model_file import TRUST_CACHE, ModelError
 from edge.perception.text import PromptError
 
 KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "Orin", "fp16", "()", 1)
@@ -401,6 +403,31 @@ def test_a_detector_sees_the_same_through_tensorrt(
     detector.close()
     gc.collect()
     assert not fake.cuda.memory
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_no_engine_is_built_of_a_damaged_file(
+    monkeypatch,
+    tiny,  # noqa: F811
+    trusted,
+):
+    """Else it would be found under the sound file's hash once that is repaired."""
+    if trusted:
+        monkeypatch.setenv(TRUST_CACHE, "1")
+    fake = FakeTensorrt(FakeCuda(), OnnxContext)
+    monkeypatch.setitem(sys.modules, "tensorrt", fake)
+    monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    first = tiny(card={"precision": "fp32"})
+    card, on_gpu = first.card, first.config.model_copy(update={"providers": ("tensorrt",)})
+    settings = config.Perception(detector=on_gpu)
+    at = card.path.read_bytes().index(BOXES.tobytes()) + 1
+    flip_a_byte(card.path, at)
+    with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):
+        make_detector(settings, ("chair",))
+    assert (fake.built, engine_folders()) == ([], [])
+    flip_a_byte(card.path, at)
+    make_detector(settings, ("chair",)).close()
+    assert len(fake.built) == len(engine_folders()) == 1
 
 
 def engine_folders():

@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 import yaml
-from test_perception_cards import CARD
+from test_perception_cards import CARD, flip_a_byte
 
 from edge import config, resources
 from edge.perception import model_file
@@ -89,10 +89,7 @@ def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(ti
     detector = tiny()
     settings = config.Perception(detector=detector.config)
     path = detector.card.path
-    written, content = path.stat().st_mtime_ns, bytearray(path.read_bytes())
-    content[content.index(BOXES.tobytes()) + 1] ^= 1
-    path.write_bytes(content)
-    os.utime(path, ns=(written, written))
+    flip_a_byte(path, path.read_bytes().index(BOXES.tobytes()) + 1)
     with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):
         make_detector(settings, ("chair",))
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_perception_cards import flip_a_byte
 
 from edge import resources
 from edge.perception.backends import binding, runtime
@@ -25,7 +27,7 @@ from edge.perception.backends.runtime import (
     open_session,
     provider_options,
 )
-from edge.perception.model_file import ModelError
+from edge.perception.model_file import ModelError, fresh_sha256
 
 ort = pytest.importorskip("onnxruntime")
 
@@ -184,6 +186,24 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
         monkeypatch.setattr(runtime, name, other)
         open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert len(told) == 3
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
+    fake_ort, tmp_path, monkeypatch, known
+):
+    """Whether the file's hash is the caller's or was remembered."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    path, options = tmp_path / "tiny.onnx", engine("fp16", cache=tmp_path / "engines")
+    path.write_bytes(b"model")
+    sound = fresh_sha256(path)
+    if known:
+        options = replace(options, sha256=sound)
+    flip_a_byte(path)
+    with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model: .*again$"):
+        open_session(path, [ORT_TENSORRT], 1, engine=options)
+    assert not fake_ort.sessions
+    assert not list((tmp_path / "engines").rglob("*.engine"))
 
 
 @pytest.mark.parametrize("providers", [(ORT_TENSORRT,), ("tensorrt",)])

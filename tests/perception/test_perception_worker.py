@@ -8,6 +8,7 @@ import pytest
 from frames import Slot
 from patience import PATIENCE_S
 
+from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import LONGEST_ERROR, DetectorWorker, WorkerStats
 from edge.types import Detections
@@ -19,6 +20,7 @@ class Fake:
     name = "fake"
     prompts = ("chair",)
     boxes = 1
+    own = Health()
 
     def __init__(self, bad=()):
         self.gate = threading.Semaphore(0)
@@ -40,6 +42,9 @@ class Fake:
             self.prompts,
             latency_ns=7,
         )  # fmt: skip
+
+    def health(self):
+        return self.own
 
     def close(self):
         self.closed = True
@@ -134,6 +139,23 @@ def test_inline_a_failure_is_counted_told_once_a_kind_and_outlived(frames, caplo
     ]
     assert worker.poll().observation is frames[3]
     assert [f.slot.holds for f in frames[:4]] == [0, 0, 0, 1]
+    worker.close()
+
+
+@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
+def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that_is_down(
+    frames, make
+):
+    worker, rows = make(fake := Fake(bad=(0, 1, 3))), []
+    fake.gate.release(len(frames))
+    for frame in frames:
+        fake.own = Health("restarting", "it ended") if frame.seq == 1 else Health()
+        worker.submit(frame)
+        if make is DetectorWorker:
+            wait_for(worker, worker.idle)
+        rows.append(worker.stats.in_a_row)
+    assert rows == [1, 1, 0, 1, 0]
+    assert worker.stats.failed == 3
     worker.close()
 
 

@@ -20,7 +20,7 @@ from edge.errors import UserError
 from edge.perception.backends.building import Building
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.detector import Progress, log_progress
-from edge.perception.model_file import ModelError, remembered_sha256
+from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256
 from edge.text import one_line
 
 TENSORRT = "tensorrt"
@@ -43,6 +43,7 @@ class EngineOptions:
         shapes: least, usual and largest shape of every input whose shape may change.
         cache: folder for engines, None: `engines` in the service's cache.
         progress: told while an engine is built.
+        sha256: of the file when it is sound, None: of what it was when it was last looked at.
     """
 
     model: str
@@ -50,6 +51,7 @@ class EngineOptions:
     shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
     cache: Path | None = None
     progress: Progress = log_progress
+    sha256: str | None = None
 
     @property
     def folder(self) -> Path:
@@ -126,7 +128,7 @@ def _open_onnxruntime(
         return load(engine.folder)
     key = EngineKey(
         engine.model,
-        remembered_sha256(path),
+        engine.sha256 or remembered_sha256(path),
         f"onnxruntime {ort.__version__}",
         tensorrt_version(),
         compute_capability(device_id),
@@ -137,6 +139,7 @@ def _open_onnxruntime(
     )
 
     def build(folder: Path) -> None:
+        check_unchanged(path, key.sha256)
         with Building(engine.model, engine.progress):
             load(folder)
 

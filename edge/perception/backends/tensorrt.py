@@ -21,7 +21,7 @@ from edge.perception.backends.building import Building
 from edge.perception.backends.cuda import Device
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.backends.tensorrt_report import make_logger, make_monitor
-from edge.perception.model_file import ModelError, remembered_sha256
+from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
     trt, device = load(), Device(device_id)
     key = EngineKey(
         options.model,
-        remembered_sha256(path),
+        options.sha256 or remembered_sha256(path),
         "tensorrt",
         str(trt.__version__),
         device.sm,
@@ -65,6 +65,7 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
     )
 
     def build(folder: Path) -> None:
+        check_unchanged(path, key.sha256)
         with Building(options.model, options.progress) as building:
             plan = build_plan(trt, path, options.shapes, building.note)
         (folder / _PLAN).write_bytes(plan)
