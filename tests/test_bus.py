@@ -49,13 +49,15 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
 
 
 class Flood:
-    """A subscriber whose sender is always faster: there is no end of messages but by `left`."""
+    """A session, and what it receives by: the sender is always faster, and ends with `left`."""
 
     def __init__(self, left: float) -> None:
         self.left = left
 
     def declare_subscriber(self, key: str, ring: object) -> Flood:
         return self
+
+    declare_queryable = declare_subscriber
 
     def try_recv(self) -> object | None:
         if self.left <= 0:
@@ -64,6 +66,7 @@ class Flood:
         return object()
 
 
+@pytest.mark.parametrize("kind", [bus.Ring, bus.QueryRing])
 @pytest.mark.parametrize(
     ("kept", "sent", "taken", "overruns"),
     [
@@ -76,8 +79,8 @@ class Flood:
         (1, math.inf, [1, 1, 1], 0),
     ],
 )
-def test_a_look_takes_a_rings_worth_and_notices_a_flood(kept, sent, taken, overruns, caplog):
-    ring = bus.Ring(Flood(sent), "edge/odom", kept)
+def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken, overruns, caplog):
+    ring = kind(Flood(sent), "edge/odom", kept)
     assert [len(ring.take()) for _ in taken] == taken
     assert ring.overruns == overruns
     assert len([r for r in caplog.records if "edge/odom" in r.getMessage()]) == min(overruns, 1)
