@@ -166,8 +166,8 @@ class Desk:
 
     @property
     def overruns(self) -> int:
-        """How often more orders came than are received, so that some were lost unanswered
-        (see `Ring.overruns`)."""
+        """Looks that found more orders come than are received, so that some may have been let go
+        unanswered (see `Ring.overruns`)."""
         return self._ring.overruns
 
     def poll(self) -> Request | None:
