@@ -174,13 +174,13 @@ class Ring:
         self.overruns = 0
         self._full = False
         self._key, self._kept = key, kept
-        self._subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
+        self._arriving = self._declare(session, key, zenoh.handlers.RingChannel(kept))
 
     def take(self) -> list[zenoh.Sample]:
         """What came since the last look, oldest first, `kept` at most; the rest can wait."""
         samples: list[zenoh.Sample] = []
         while len(samples) < self._kept:
-            if (sample := self._subscriber.try_recv()) is None:
+            if (sample := self._arriving.try_recv()) is None:
                 break
             samples.append(sample)
         was_full, self._full = self._full, len(samples) == self._kept > 1
@@ -189,13 +189,27 @@ class Ring:
         return samples
 
     def close(self) -> None:
-        self._subscriber.undeclare()
+        self._arriving.undeclare()
+
+    def _declare(
+        self, session: zenoh.Session, key: str, ring: zenoh.handlers.RingChannel
+    ) -> zenoh.Subscriber:
+        return session.declare_subscriber(key, ring)
 
     def _overrun(self) -> None:
         self.overruns += 1
         if self.overruns == 1:
             log.warning("%s: messages come faster than they are taken: %d a look, others are lost "
                         "(further such looks are only counted)", self._key, self._kept)  # fmt: skip
+
+
+class QueryRing(Ring):
+    """The same for the queries of one key; one that is let go ends without an answer."""
+
+    def _declare(
+        self, session: zenoh.Session, key: str, ring: zenoh.handlers.RingChannel
+    ) -> zenoh.Queryable:
+        return session.declare_queryable(key, ring)
 
 
 def _explain(endpoint: str, role: Role, reason: str) -> str:

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 def handle(service: Service, request: Request, now_ns: int) -> None:
-    """Do what is asked and answer how the mission stands, or refuse and change nothing."""
+    """Do what is asked and answer how the mission stands, or refuse and change nothing.
+
+    How many new missions a stop kept from beginning is in its answer, as `overtaken`; if there are
+    any, it is no mistake to give it when no mission is under way.
+    """
     mission = service.mission
     if request.do == "new":
         assert isinstance(request.prepared, Brief)
@@ -24,11 +28,13 @@ def handle(service: Service, request: Request, now_ns: int) -> None:
             request.refuse(str(error))
             return
     elif request.do != "status" and mission.done:
-        request.refuse(f"no mission is under way: the last one {service.status.phase}")
-        return
+        if not request.overtaken:
+            request.refuse(f"no mission is under way: the last one {service.status.phase}")
+            return
     elif request.do == "cancel":
         mission.fail("cancelled", now_ns)
     elif request.do in ("pause", "resume"):
         mission.pause(request.do == "pause")
         service.event(f"mission: {request.do}d", now_ns)
-    request.answer(answer_of(service))
+    overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
+    request.answer({**answer_of(service), **overtaken})

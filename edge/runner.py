@@ -141,7 +141,9 @@ def open_service(
         stack.callback(desk.close)
         models = ModelsDesk(session, config.zenoh.prefix)
         stack.callback(models.close)
-        yield Running(config, session, service, worker, source, inbox, desk, models, every)
+        running = Running(config, session, service, worker, source, inbox, desk, models, every)
+        service.overruns = partial(_overruns, running)
+        yield running
 
 
 def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
@@ -182,9 +184,19 @@ def loop(
 def _count_drops(running: Running) -> None:
     """What never became an observation, and the observations that the detector never saw."""
     counters, latency = running.source.counters, running.service.latency
-    taken = counters["received"] + counters["observations"]
+    taken = counters["received"] + counters["observations"] + counters["overrun"]
     latency.set_drops(INGEST, sum(counters.values()) - taken)
     latency.set_drops(DETECT, running.worker.stats.replaced)
+
+
+def _overruns(running: Running) -> dict[str, int]:
+    """Looks that found a ring full once more (see `edge.bus.Ring`)."""
+    return {
+        "sensors": running.source.counters["overrun"],
+        "goal_status": running.inbox.overruns,
+        "mission/request": running.desk.overruns,
+        "models/request": running.models.overruns,
+    }
 
 
 def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:

@@ -59,6 +59,7 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
+        overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and orders raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
@@ -96,6 +97,7 @@ class Service:
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self.faults = Faults(self.event)
+        self.overruns: Callable[[], dict[str, int]] = dict
         self.stage = INGEST
         self._worker = worker
         self._advisers = advisers

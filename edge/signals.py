@@ -5,6 +5,7 @@ from __future__ import annotations
 import faulthandler
 import logging
 import os
+import queue
 import signal
 import threading
 from collections.abc import Callable
@@ -33,14 +34,23 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
             not stop its children.
     """
     stop = threading.Event()
+    told: queue.SimpleQueue[int] = queue.SimpleQueue()
+    numbers: list[int] = []
 
     def handle(signum: int, frame: object) -> None:
-        if stop.is_set():
+        if numbers or stop.is_set():
             signal.signal(signum, signal.SIG_DFL)
             _break_off(signum, frame)
-        log.info("%s: stopping", signal.Signals(signum).name)
+        numbers.append(signum)
+        # The event has a lock, and the thread that is interrupted here may be holding it, about to
+        # wait for the event: setting it would wait for ever. This queue may be put to anywhere.
+        told.put(signum)
+
+    def obey() -> None:
+        log.info("%s: stopping", signal.Signals(told.get()).name)
         stop.set()
 
+    threading.Thread(target=obey, name="stop", daemon=True).start()
     _handle(handle)
     if parent is not None:
         threading.Thread(target=_watch_parent, args=(parent, stop), daemon=True).start()

@@ -44,7 +44,7 @@ def status_of(
             "answer": "" if orders.answer is None else orders.answer.state,
         },
         "controller": "answers" if orders.heard else "silent",
-        "loop": service.faults.status(),
+        "loop": {**service.faults.status(), "overruns": service.overruns()},
         "frontiers": service.grid.frontiers.n,
         "instances": [
             {

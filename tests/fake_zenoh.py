@@ -22,6 +22,8 @@ class Flooded:
     def declare_subscriber(self, key: str, ring: object) -> Flooded:
         return self if key == self._key else Flooded(key, ())
 
+    declare_queryable = declare_subscriber
+
     def declare_publisher(self, *_: object, **__: object) -> None:
         return None
 

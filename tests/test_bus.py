@@ -49,6 +49,7 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
     assert value(config, "connect/exit_on_failure") is False
 
 
+@pytest.mark.parametrize("kind", [bus.Ring, bus.QueryRing])
 @pytest.mark.parametrize(
     ("kept", "sent", "taken", "overruns"),
     [
@@ -61,9 +62,9 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
         (1, None, [1, 1, 1], 0),
     ],
 )
-def test_a_look_takes_a_rings_worth_and_notices_a_flood(kept, sent, taken, overruns, caplog):
+def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken, overruns, caplog):
     payloads = repeat(b"") if sent is None else repeat(b"", sent)
-    ring = bus.Ring(Flooded("edge/odom", payloads), "edge/odom", kept)
+    ring = kind(Flooded("edge/odom", payloads), "edge/odom", kept)
     assert [len(ring.take()) for _ in taken] == taken
     assert ring.overruns == overruns
     assert len([r for r in caplog.records if "edge/odom" in r.getMessage()]) == min(overruns, 1)

@@ -62,8 +62,8 @@ def test_driving_distances_can_be_the_weights():
 class Asked:
     """An order and what came back."""
 
-    def __init__(self, do: str, brief=None) -> None:
-        self.do, self.prepared = do, brief
+    def __init__(self, do: str, brief=None, overtaken: int = 0) -> None:
+        self.do, self.prepared, self.overtaken = do, brief, overtaken
         self.answers: list[dict] = []
         self.errors: list[str] = []
 
@@ -74,8 +74,8 @@ class Asked:
         self.errors.append(reason)
 
 
-def order(loop: ClosedLoop, do: str, brief=None) -> Asked:
-    asked = Asked(do, brief)
+def order(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0) -> Asked:
+    asked = Asked(do, brief, overtaken)
     handle(loop.service, asked, loop.drive.motion.stamp_ns)
     assert len(asked.answers) + len(asked.errors) == 1
     return asked
@@ -186,11 +186,22 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
 
 def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
     loop = ClosedLoop(config("F bed")).run(3)
-    assert order(loop, "cancel").answers[0]["phase"] == "failed"
+    answer = order(loop, "cancel").answers[0]
+    assert (answer["phase"], "overtaken" in answer) == ("failed", False)
     loop.step()
     assert loop.service.status.reason == "cancelled"
     assert "no mission" in order(loop, "pause").errors[0]
     assert order(loop, "status").answers[0]["phase"] == "failed"
+
+
+@pytest.mark.parametrize("do", ["pause", "cancel"])
+def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
+    loop = ClosedLoop(config("F bed"))
+    order(loop, "cancel")
+    assert "no mission is under way" in order(loop, do).errors[0]
+    answer = order(loop, do, overtaken=2).answers[0]
+    assert (answer["phase"], answer["paused"], answer["overtaken"]) == ("failed", False, 2)
+    loop.service.close()
 
 
 def test_a_stop_beside_what_must_not_be_reached_is_reported_before():

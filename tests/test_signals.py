@@ -11,6 +11,7 @@ import pytest
 from edge.signals import SHOW, STOP
 
 # Says "stopped" at the first signal of STOP and waits for another; without `stop`, for the first.
+# With `held`, the first comes when the main thread is just about to wait for it.
 PROGRAM = """
 import signal, sys, threading
 from edge.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
@@ -18,6 +19,9 @@ break_off_on_signals()
 show_stacks_on_signals()
 stop = stop_on_signals() if "stop" in sys.argv else threading.Event()
 try:
+    if "held" in sys.argv:
+        with stop._cond:  # as `wait` does before it waits
+            signal.raise_signal(signal.SIGTERM)
     print("ready", flush=True)
     stop.wait()
     print("stopped", flush=True)
@@ -55,6 +59,11 @@ def test_the_first_stops_and_the_second_breaks_off(number, start):
     process.send_signal(number)
     assert process.stdout.readline() == f"broken off by {int(number)}\n"
     assert process.wait() == 0
+
+
+def test_a_stop_that_comes_when_it_is_about_to_be_waited_for_is_no_deadlock(start):
+    process = start("stop", "held")
+    assert process.stdout.readline() == "stopped\n"
 
 
 @pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)

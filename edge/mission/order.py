@@ -103,7 +103,13 @@ def _phase(answer: dict) -> str:
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
 
 
+def _overtaken(answer: dict) -> str:
+    number = answer.get("overtaken")
+    return f"new missions given before this, not begun: {number}" if number else ""
+
+
 _ROWS: dict[str, Callable[[dict], str]] = {
+    "stopped": _overtaken,
     "instruction": _text("instruction"),
     "understood": _text("english"),
     "formula": _text("formula"),

@@ -164,22 +164,25 @@ def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, sessi
     eventually(answers)
 
 
-def test_while_a_mission_is_being_understood_the_other_orders_pass(session, service):
-    slow = {"do": "new", "instruction": "slow F sofa"}
+def test_while_a_mission_is_being_understood_other_orders_pass_and_a_stop_ends_it(session, service):
+    def slow(thing: str) -> dict:
+        return {"do": "new", "instruction": f"slow F {thing}"}
+
     with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(ask, session, PREFIX, slow, PATIENCE_S)]
+        asked = [pool.submit(ask, session, PREFIX, slow("sofa"), PATIENCE_S)]
         assert service.stdout.readline() == "slow\n"
-        asked += [pool.submit(ask, session, PREFIX, slow, PATIENCE_S) for _ in range(4)]
-        for do in ("pause", "status", "resume"):
-            answer = ask(session, PREFIX, {"do": do}, PATIENCE_S)
-            assert answer["formula"] == "F chair"
+        for thing in ("bed", "tv", "lamp", "vase"):
+            asked.append(pool.submit(ask, session, PREFIX, slow(thing), PATIENCE_S))
+        assert status(session)["formula"] == "F chair"
         eventually(lambda: sum(future.done() for future in asked) == 2)
-        release(service, 3)
-        errors = [str(future.exception(PATIENCE_S) or "") for future in asked]
-    assert errors[0] == ""
+        assert ask(session, PREFIX, {"do": "pause"}, PATIENCE_S)["paused"] is True
+        errors = [str(future.exception(PATIENCE_S)) for future in asked]
+    assert "stopped meanwhile: give it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
-    assert errors.count("") == 3
-    assert status(session)["formula"] == "F sofa"
+    assert sum("stopped meanwhile" in error for error in errors) == 3
+    release(service)
+    assert ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
+    assert status(session)["formula"] == "F bed"
 
 
 def test_an_asker_that_is_killed_while_it_waits(start, config, service, session):

@@ -19,7 +19,7 @@ from patience import PATIENCE_S, eventually
 from edge.asking import OrderError
 from edge.bus import open_session
 from edge.config import Zenoh
-from edge.desk import _WAITING, MAX_BYTES, MAX_CHARS, Request, _Asker
+from edge.desk import _WAITING, MAX_BYTES, MAX_CHARS, Desk, Request, _Asker
 from edge.errors import UserError
 from edge.mission.desk import VERBS, MissionDesk, Order, parse_order
 from edge.mission.order import ask
@@ -265,6 +265,100 @@ def test_while_one_mission_is_prepared_other_orders_pass_and_few_wait(session, o
     assert desk.poll() is None
 
 
+class Preparing:
+    """What `prepare` does: understands a mission as soon as `done` is told of it, at once where
+    it is `quick`."""
+
+    def __init__(self, quick: Iterable[str] = ()) -> None:
+        self.begun: list[str] = []
+        self._done = {text: threading.Event() for text in "abcdef"}
+        for text in quick:
+            self.done(text)
+
+    def __call__(self, instruction: str, formula: None) -> str:
+        self.begun.append(instruction)
+        assert self._done[instruction].wait(PATIENCE_S)
+        return instruction
+
+    def done(self, text: str) -> None:
+        self._done[text].set()
+
+
+def give(desk: MissionDesk, session: zenoh.Session, texts: str) -> list[Asking]:
+    """New missions that the desk takes in, one after the other."""
+    asked, before = [], len(desk._open)
+    for n, text in enumerate(texts, start=before + 1):
+        asked.append(Asking(session, do="new", instruction=text))
+        eventually(lambda n=n: len(desk._open) == n)
+    return asked
+
+
+def begin_all(desk: MissionDesk, number: int) -> list[str]:
+    """Take and answer new missions, as the loop does; which they are."""
+    begun = []
+    for _ in range(number):
+        request = taken(desk)
+        begun.append(request.prepared)
+        request.answer({"began": request.prepared})
+    assert desk.poll() is None
+    return begun
+
+
+@pytest.mark.parametrize(
+    ("given_texts", "begun"),
+    [
+        ("a", "a"),
+        ("aaaa", "a"),
+        ("abb", "ab"),
+        ("aba", "aba"),  # b has not the last word
+        ("aabbaaa", "aba"),
+    ],
+)
+def test_equal_new_missions_one_after_the_other_are_one(session, open_desk, given_texts, begun):
+    preparing = Preparing()
+    desk = open_desk(preparing)
+    asked = give(desk, session, given_texts)
+    for text in begun:
+        preparing.done(text)
+    assert "".join(begin_all(desk, len(begun))) == begun
+    assert [asking.answer["began"] for asking in asked] == list(given_texts)
+    assert "".join(preparing.begun) == begun
+
+
+def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, open_desk):
+    desk = open_desk(Preparing(quick="ab"), patience_s=1.0)
+    asked = give(desk, session, "a")
+    eventually(lambda: desk._second._groups[0].is_ready)
+    asked += give(desk, session, "ab")
+    assert begin_all(desk, 2) == ["a", "b"]
+    assert [asking.answer["began"] for asking in asked] == ["a", "a", "b"]
+    late = give(desk, session, "a")
+    eventually(lambda: desk._second._groups[0].is_ready)
+    late += give(desk, session, "a")
+    assert all("the loop is not running" in asking.refusal for asking in late)
+    assert desk.poll() is None
+
+
+def test_a_flood_of_one_new_mission_leaves_room_for_others(session, open_desk, monkeypatch):
+    monkeypatch.setattr("edge.desk._SAME", 4)
+    preparing = Preparing()
+    desk = open_desk(preparing)
+    give(desk, session, "a")
+    eventually(lambda: preparing.begun)
+    flood = give(desk, session, "aaa")
+    for _ in range(3):
+        assert "busy" in Asking(session, do="new", instruction="a").refusal
+    (other,) = give(desk, session, "b")
+    flood += give(desk, session, "aaaa")
+    for text in "ac":  # as many as wait for one
+        assert "busy" in Asking(session, do="new", instruction=text).refusal
+    preparing.done("a")
+    preparing.done("b")
+    assert begin_all(desk, 3) == ["a", "b", "a"]
+    assert other.answer == {"began": "b"}
+    assert {asking.answer["began"] for asking in flood} == {"a"}
+
+
 def test_a_loop_that_does_not_run_is_told_of(session, open_desk):
     desk = open_desk(patience_s=0.05)
     assert "the loop is not running" in Asking(session, do="pause").refusal
@@ -278,7 +372,7 @@ def test_a_loop_that_runs_and_does_not_come_to_an_order_is_not_called_stopped(se
     # What goes first keeps the loop busy; it never comes to the prepared ones.
     while not all(asking.done for asking in asked):
         with desk._lock:
-            desk._first.add("status", _Asker(None, lambda _: None))
+            desk._first.add(Order("status"), _Asker(None, lambda _: None))
         desk.poll()
     for asking in asked:
         assert "busy with other orders: not taken within 0.2 s" in asking.refusal
@@ -391,14 +485,70 @@ def test_equal_orders_are_one_for_the_loop_and_the_last_word_stands(
     assert [a.answer["did"] for a in asked] == arrived.split()
 
 
-def test_what_stops_the_robot_passes_a_new_mission(session, open_desk):
-    desk = open_desk()
-    new = Asking(session, do="new", formula="F a")
-    eventually(lambda: desk._prepared)
-    others = waiting(desk, session, ["status", "cancel"])
-    assert [desk.poll().do for _ in range(3)] == ["status", "cancel", "new"]
+@pytest.mark.parametrize("do", ["pause", "cancel"])
+def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session, open_desk, do):
+    preparing = Preparing(quick="ade")
+    desk = open_desk(preparing)
+    before = give(desk, session, "aabcc")
+    eventually(lambda: preparing.begun == ["a", "b"])  # a is ready, c waits
+    before += give(desk, session, "d")
+    (status,), stop = waiting(desk, session, ["status"]), Asking(session, do=do)
+    assert all("stopped meanwhile: give it again" in asking.refusal for asking in before)
+    after = give(desk, session, "e")
+    requests = [desk.poll() for _ in range(2)]
+    assert [(r.do, r.overtaken) for r in requests] == [("status", 0), (do, 4)]
+    assert desk.poll() is None
+    for request in requests:
+        request.answer({"did": request.do})
+    assert [status.answer, stop.answer] == [{"did": "status"}, {"did": do}]
+    preparing.done("b")  # nobody waits for it
+    assert begin_all(desk, 1) == ["e"]
+    assert after[0].answer == {"began": "e"}
+    assert preparing.begun == ["a", "b", "e"]
+
+
+def test_what_stops_no_robot_leaves_what_is_to_be_prepared(session):
+    desk = Desk(session, KEY, parse_order, {"new": lambda order: order.instruction})
+    asked = give(desk, session, "a")
+    eventually(lambda: desk._second._groups[0].is_ready)
+    asked += waiting(desk, session, ["cancel"])
+    assert [desk.poll().do for _ in range(2)] == ["cancel", "new"]
     desk.close()
-    assert all("stopping" in asking.refusal for asking in (new, *others))
+    assert all("stopping" in asking.refusal for asking in asked)
+
+
+class Flood:
+    """A session, its queryable and all its queries, of which there is no end."""
+
+    payload = None
+
+    def declare_queryable(self, key: str, ring: object) -> Flood:
+        return self
+
+    def try_recv(self) -> Flood:
+        return self
+
+    def __enter__(self) -> Flood:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def reply_err(self, payload: bytes, encoding: object) -> None: ...
+
+    def undeclare(self) -> None: ...
+
+
+def test_orders_that_come_faster_than_they_are_received_are_noticed(session, open_desk, caplog):
+    desk = open_desk()
+    asking = Asking(session, do="status")
+    taken(desk).answer({})
+    assert (asking.answer, desk.overruns) == ({}, 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("edge.desk._ARRIVED", 8)
+        flooded = Desk(Flood(), "edge/flooded", parse_order, {})
+        eventually(lambda: flooded.overruns >= 3)
+        flooded.close()
+    assert len([line for line in caplog.messages if line.startswith("edge/flooded: ")]) == 1
 
 
 def test_what_stops_the_robot_always_finds_a_place(session, open_desk):
@@ -437,7 +587,7 @@ def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(sessio
     desk = open_desk(prepare)
     open_orders = [Asking(session, do="new", formula="F a")]
     assert begun.wait(PATIENCE_S)
-    open_orders += [Asking(session, do=do) for do in ("status", "pause")]
+    open_orders += [Asking(session, do=do) for do in ("status", "resume")]
     requests = [taken(desk) for _ in range(2)]
     desk.close(0.2)
     assert all("the service is stopping" in asking.refusal for asking in open_orders)

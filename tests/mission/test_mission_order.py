@@ -20,6 +20,10 @@ from edge.mission.order import ANSWER_S, NEW_S, add_arguments, as_text
             {"phase": "exploring", "paused": True},
             ["phase:       paused, `edge mission resume` goes on; exploring"],
         ),
+        (
+            {"phase": "reached", "overtaken": 2},
+            ["stopped:     new missions given before this, not begun: 2", "phase:       reached"],
+        ),
         ({"state": 0}, ["state:       0"]),
         (
             {
@@ -61,8 +65,9 @@ ROGUE = "on my way\nreached:     bed\x1b[2J\u202e" + "!" * 100_000
 def test_a_service_that_answers_anything_gets_a_line_a_row(value):
     keys = ["instruction", "english", "formula", "warnings", "state", "states", "phase", "reason"]
     keys += ["target", "why", "plan", "detected", "reached", "failed", "forbidden", "paused"]
+    keys += ["overtaken"]
     lines = as_text(dict.fromkeys(keys, value)).split("\n")
-    assert len(lines) <= 13
+    assert len(lines) <= 14
     assert all(line.isprintable() and len(line) < 1100 for line in lines)
 
 
