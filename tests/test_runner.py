@@ -129,6 +129,16 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
     assert told == ["stopped before it was ready"]
 
 
+def test_the_status_tells_of_every_ring_that_was_overrun():
+    with open_service(config(target="bed"), []) as running:
+        running.inbox._ring.overruns = 3
+        running.desk._ring.overruns = 2
+        running.source.counters["overrun"] = 1
+        assert running.service.status_dict()["loop"]["overruns"] == {
+            "sensors": 1, "goal_status": 3, "mission/request": 2, "models/request": 0,
+        }  # fmt: skip
+
+
 def test_after_a_formula_orders_are_read_by_the_configured_translator():
     settings, stop = config(target="bed"), threading.Event()
     request = {"do": "new", "instruction": "go to the sofa"}

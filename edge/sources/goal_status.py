@@ -67,6 +67,11 @@ class GoalStatusInbox:
         self.malformed = 0
         self._ring = Ring(session, topics.GOAL_STATUS.under(prefix), _KEPT)
 
+    @property
+    def overruns(self) -> int:
+        """See `edge.bus.Ring`."""
+        return self._ring.overruns
+
     def poll(self) -> list[GoalStatus]:
         answers = []
         for sample in self._ring.take():
