@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import faulthandler
 import logging
 import os
-import queue
 import signal
+import socket
+import sys
 import threading
+import traceback
 from collections.abc import Callable
 
 log = logging.getLogger("edge")
@@ -16,7 +17,12 @@ STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 SHOW = (signal.SIGUSR1, signal.SIGUSR2)
 
 _PARENT_LOOK_S = 1.0
-_STDERR = 2
+
+# What is done on a thread of its own as soon as a signal comes. A handler runs in the main thread,
+# when that gets to it: a signal that the kernel gave to another thread does not end what the main
+# thread waits for; and a handler may take no lock, for the main thread may be holding it.
+_actions: dict[int, Callable[[int], None]] = {}
+_written: socket.socket | None = None  # kept open: the interpreter writes to its descriptor
 
 
 def break_off_on_signals() -> None:
@@ -34,23 +40,19 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
             not stop its children.
     """
     stop = threading.Event()
-    told: queue.SimpleQueue[int] = queue.SimpleQueue()
     numbers: list[int] = []
 
     def handle(signum: int, frame: object) -> None:
-        if numbers or stop.is_set():
+        if numbers:
             signal.signal(signum, signal.SIG_DFL)
             _break_off(signum, frame)
         numbers.append(signum)
-        # The event has a lock, and the thread that is interrupted here may be holding it, about to
-        # wait for the event: setting it would wait for ever. This queue may be put to anywhere.
-        told.put(signum)
 
-    def obey() -> None:
-        log.info("%s: stopping", signal.Signals(told.get()).name)
+    def obey(signum: int) -> None:
+        log.info("%s: stopping", signal.Signals(signum).name)
         stop.set()
 
-    threading.Thread(target=obey, name="stop", daemon=True).start()
+    _act(dict.fromkeys(STOP, obey))
     _handle(handle)
     if parent is not None:
         threading.Thread(target=_watch_parent, args=(parent, stop), daemon=True).start()
@@ -59,8 +61,9 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
 
 def show_stacks_on_signals() -> None:
     """Have any signal of `SHOW` write to stderr where every thread is, and change nothing else."""
+    _act(dict.fromkeys(SHOW, _show_stacks))
     for number in SHOW:
-        faulthandler.register(number, file=_STDERR)
+        signal.signal(number, lambda signum, frame: None)
 
 
 def _handle(handler: Callable[[int, object], None]) -> None:
@@ -72,6 +75,35 @@ def _handle(handler: Callable[[int, object], None]) -> None:
 
 def _break_off(signum: int, _frame: object) -> None:
     raise KeyboardInterrupt(signum)
+
+
+def _act(actions: dict[int, Callable[[int], None]]) -> None:
+    """Have these done when their signals come that have a handler, too."""
+    global _written
+    _actions.update(actions)
+    if _written is None:
+        read, _written = socket.socketpair()
+        _written.setblocking(False)
+        signal.set_wakeup_fd(_written.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=_serve, args=(read,), name="signals", daemon=True).start()
+
+
+def _serve(numbers: socket.socket) -> None:
+    while True:
+        number = numbers.recv(1)[0]
+        if (action := _actions.get(number)) is not None:
+            action(number)
+
+
+def _show_stacks(_signum: int) -> None:
+    # Not by `faulthandler`: it looks at threads that run, and was seen to crash over that.
+    names = {thread.ident: thread.name for thread in threading.enumerate()}
+    parts = []
+    for ident, frame in sys._current_frames().items():
+        parts.append(f"thread {names.get(ident, ident)} (most recent call last):\n")
+        parts += traceback.format_stack(frame)
+    sys.stderr.write("".join(parts))
+    sys.stderr.flush()
 
 
 def _watch_parent(parent: int, stop: threading.Event) -> None:

@@ -98,7 +98,7 @@ def test_a_hang_up_and_a_quit_stop_in_order_and_a_look_at_the_threads_stops_noth
         report = tmp_path / number.name
         service = edge("run", config, "--report", report).says("ready:")
         service.process.send_signal(signal.SIGUSR1)
-        service.says("most recent call first")
+        service.says("most recent call last")
         assert service.stop(number) == 0, service.output
         assert f"{number.name}: stopping" in service.output
         assert (report / "report.html").exists()
