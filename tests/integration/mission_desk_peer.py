@@ -50,7 +50,8 @@ def service(endpoint: str) -> None:
         print("ready", flush=True)
         while True:
             time.sleep(0.02)
-            if (request := desk.poll()) is not None:
+            # All that waits, as the loop does: one a tick would let orders that pass starve others.
+            while (request := desk.poll()) is not None:
                 act(request, state)
 
 
