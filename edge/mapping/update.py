@@ -74,8 +74,6 @@ def _update_obstacle(
     layers, sy, sx, state, code, scan, polar, cy, cx, sensor_z, obstacle_max_m, clear_after
 ):
     """Update a cell that is or was occupied; whether it became so or ceased to be."""
-    if state == BUMPED:
-        return False
     sector, ring = polar.sector_of[cy, cx], polar.ring_of[cy, cx]
     slope = scan.pass_slope[sector, ring] if scan.reach_m[sector] > 0.0 else np.float32(np.inf)
     # Height over the ground at which the lowest ray flew over this cell.
@@ -87,11 +85,12 @@ def _update_obstacle(
             # Taller than what was hit now, unless a ray has just flown through there.
             lid = LOWEST_OBSTACLE + int(min(max(below_m / metres, 0.0), 252.0))
             code = max(code, min(top, lid))
-        layers.top[sy, sx] = code
-        layers.raw[sy, sx] = OCCUPIED
+        if state != BUMPED:
+            layers.top[sy, sx] = code
+            layers.raw[sy, sx] = OCCUPIED
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
-    if below_m >= (top - LOWEST_OBSTACLE) * metres:
+    if below_m >= (top - LOWEST_OBSTACLE) * metres or state == BUMPED:
         return False
     if state - OCCUPIED + 1 < clear_after:
         layers.raw[sy, sx] = state + 1
