@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.files import open_regular
+from edge.host.files import open_regular
 
 
 class ExportError(Exception):

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edge.files import open_regular, read_regular
+from edge.host.files import open_regular, read_regular
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}

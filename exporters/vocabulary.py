@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.files import open_regular, read_regular
+from edge.host.files import open_regular, read_regular
 from exporters.files import ExportError, replace_atomically
 
 DIM = 512

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from edge.latency import LatencyRing
-from edge.stages import STAGES
+from edge.loop.latency import LatencyRing
+from edge.loop.stages import STAGES
 
 IN_TICK = tuple(i for i, stage in enumerate(STAGES) if stage.in_tick)
 

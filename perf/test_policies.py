@@ -9,8 +9,8 @@ import pytest
 from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map
 
 from edge import config
-from edge.candidates import CandidatePool
 from edge.geometry import SE2
+from edge.loop.candidates import CandidatePool
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.policies import make_policy

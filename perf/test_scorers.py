@@ -6,9 +6,9 @@ import numpy as np
 from test_mapping import CAMERA, T_BASE_CAMERA
 
 from edge import config
-from edge.advice import Advisers
-from edge.candidates import CandidatePool
 from edge.geometry import SE2
+from edge.loop.advice import Advisers
+from edge.loop.candidates import CandidatePool
 from edge.mapping.results import Frontiers
 from edge.perception.instances import InstanceTracker
 from edge.types import Observation

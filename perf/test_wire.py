@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.wire import messages
 from edge.config import parse
 from edge.geometry import SE2, CameraModel
 from edge.sources.assembler import Assembler
-from edge.wire import messages
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
 PERIOD_NS = 33_333_333

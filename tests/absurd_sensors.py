@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
 from edge.geometry import CameraModel
-from edge.topics import Topic
-from edge.wire import messages
 
 WIDTH, HEIGHT, STAMP_NS = 64, 48, 10**18
 ABSURD = (

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from edge.advice import make_advisers
 from edge.config import Config
 from edge.geometry import SE2
+from edge.loop.advice import make_advisers
+from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
-from edge.service import Service
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig

@@ -15,7 +15,7 @@ import psutil
 import pytest
 from patience import PATIENCE_S
 
-from edge.ports import free_port
+from edge.host.ports import free_port
 
 # Only a failing test waits this long: for a mission to end, and for a process that is told to end,
 # which first writes its report.

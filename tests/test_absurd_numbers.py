@@ -17,11 +17,11 @@ from absurd_sensors import ABSURD, HEIGHT, STAMP_NS, WIDTH, batches, changed
 from closed_loop import ClosedLoop
 from simulated import simulated
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.wire import DecodeError, messages
 from edge.geometry import se2_of
 from edge.motion.controller import Controller
 from edge.sources.assembler import PATIENCE_NS, Assembler
-from edge.wire import DecodeError, messages
 
 
 @pytest.mark.parametrize("mode", ["depth", "cloud"])

@@ -10,9 +10,10 @@ import yaml
 from pydantic import ValidationError
 from simulated import simulated
 
-from edge import config, resources
+from edge import config
 from edge.config import Config, ConfigError, load, parse
 from edge.geometry import MIN_FOCAL
+from edge.host import resources
 
 READY = sorted(resources.data_dir("config").glob("*.yaml"))
 

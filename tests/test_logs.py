@@ -30,14 +30,18 @@ def test_human_lines():
 def test_json_lines():
     out = io.StringIO()
     logs.setup("debug", as_json=True, stream=out)
-    log = logging.getLogger("edge.service")
+    log = logging.getLogger("edge.loop.service")
     log.debug("a\nb", extra={"stage": "map", "odd": {1}})
     try:
         raise ValueError("bad")
     except ValueError:
         log.exception("failed")
     first, second = map(json.loads, out.getvalue().splitlines())
-    assert (first["level"], first["logger"], first["message"]) == ("debug", "edge.service", "a\nb")
+    assert (first["level"], first["logger"], first["message"]) == (
+        "debug",
+        "edge.loop.service",
+        "a\nb",
+    )
     assert (first["stage"], first["odd"]) == ("map", "{1}")
     assert "ValueError: bad" in second["exception"]
 
@@ -51,7 +55,7 @@ SAID = (
 def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
     out = io.StringIO()
     logs.setup("info", as_json, stream=out)
-    logging.getLogger("edge.orders").warning("%s", SAID)
+    logging.getLogger("edge.loop.orders").warning("%s", SAID)
     line = out.getvalue().removesuffix("\n")
     assert line.isprintable()
     if as_json:

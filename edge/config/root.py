@@ -7,7 +7,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from edge import resources
 from edge.config.explain import explain
 from edge.config.loop import Loop, Report, Source, Zenoh
 from edge.config.mapping import Mapping
@@ -17,9 +16,10 @@ from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import ConfigError, Section
 from edge.config.sim import Sim
-from edge.files import read_regular
+from edge.config.yaml_text import parse_yaml
+from edge.host import resources
+from edge.host.files import read_regular
 from edge.text import without_secrets
-from edge.yaml_text import parse_yaml
 
 ENV_PREFIX = "EDGE__"
 

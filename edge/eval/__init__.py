@@ -1,0 +1,1 @@
+"""Measures the whole: episodes in houses, task planners, translations, recorded runs."""

@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
-from edge import names, topics
-from edge.bus import Ring
-from edge.children import python_module
+from edge import names
+from edge.bus import topics
+from edge.bus.session import Ring
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
-from edge.signals import stop_on_signals
+from edge.host.children import python_module
+from edge.host.signals import stop_on_signals
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -124,11 +125,11 @@ def run_episode(
     Raises:
         Stopped: `stop` was set before the service was ready.
     """
-    from edge.commands import children
-    from edge.ports import free_port
-    from edge.runner import loop, open_service
+    from edge.cli.commands import children
+    from edge.cli.console import RecorderSink
+    from edge.host.ports import free_port
+    from edge.loop.runner import loop, open_service
     from edge.sim.worlds import load_world
-    from edge.sinks.console import RecorderSink
 
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = config.model_copy(

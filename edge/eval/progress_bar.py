@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import TextIO, TypeVar
 
+from edge.cli.progress import LOG_PERIOD_S, TERMINAL_PERIOD_S
 from edge.logs import CLEAR_LINE
-from edge.progress import LOG_PERIOD_S, TERMINAL_PERIOD_S
 
 WIDTH = 24
 

@@ -10,7 +10,7 @@ from edge import names
 from edge.errors import UserError
 from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
-from edge.files import read_regular, write_atomically
+from edge.host.files import read_regular, write_atomically
 from edge.mission.ltl import parse, propositions, to_text
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}

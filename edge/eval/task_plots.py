@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from edge.eval.intervals import Interval
 from edge.eval.task_report import Row
-from edge.files import write_atomically
+from edge.host.files import write_atomically
 from edge.report import palette
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ JSON_NAME = "results.json"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `edge eval tasks`; all have defaults."""
-    from edge.parsers import count
+    from edge.cli.parsers import count
 
     whole = parser.add_argument
     whole("--tasks", type=Path, metavar="FILE", help="tasks from there (JSON lines) instead")
@@ -87,7 +87,7 @@ def _report(
     """Print the figures, write them and the plots."""
     from edge.eval import task_report
     from edge.eval.task_plots import write_plots
-    from edge.files import write_atomically
+    from edge.host.files import write_atomically
 
     rows = task_report.rows_of(results)
     print(task_report.legend(results.planners), end="\n\n")
@@ -110,7 +110,7 @@ def _writable(directory: Path) -> Path:
     Raises:
         UserError: they cannot.
     """
-    from edge.files import write_atomically
+    from edge.host.files import write_atomically
 
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from edge.bus.topics import Topic
 from edge.config import Config, WorldHouse
 from edge.motion.controller import Controller
 from edge.sim.base import World, free_poses
 from edge.sim.robot import DriveTrain, Motion
 from edge.sim.sensors import CameraRig, odometry_message
 from edge.sim.worlds import load_world
-from edge.topics import Topic
 
 _START_NS = 1_000_000_000
 _STOPS = 40

@@ -25,7 +25,7 @@ from edge.errors import FileError, UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.progress_bar import ProgressBar
 from edge.eval.task_templates import generate
-from edge.files import open_regular
+from edge.host.files import open_regular
 from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
 from edge.text import one_line

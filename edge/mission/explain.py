@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from edge import resources
 from edge.errors import FileError, UserError
+from edge.host import resources
 from edge.text import one_line
 
 _DRAWINGS = (".svg", ".png", ".dot")
@@ -48,8 +48,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, automaton, steps: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
-    from edge.files import write_atomically
-    from edge.mission import drawing
+    from edge.host.files import write_atomically
+    from edge.report import automaton as drawing
 
     content = {
         ".svg": lambda: drawing.draw_svg(automaton, 0, steps).encode(),

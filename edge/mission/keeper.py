@@ -18,8 +18,8 @@ from edge.mission.translate import Translation
 from edge.text import one_line
 
 if TYPE_CHECKING:
+    from edge.loop.service import Service
     from edge.mission.run import MissionRun
-    from edge.service import Service
     from edge.types import Observation
 
 log = logging.getLogger("edge.mission")

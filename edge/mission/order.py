@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from edge import asking
+from edge.bus import asking
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge mission new | pause | resume | cancel | status`.
 
     Raises:
-        OrderError: no service is there, it does not answer, or it refuses (`edge.asking`).
+        OrderError: no service is there, it does not answer, or it refuses (`edge.bus.asking`).
         ConfigError: the configuration cannot be read.
     """
     from edge.config import load
@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def ask(session: zenoh.Session, prefix: str, request: dict, timeout_s: float) -> dict:
-    """Give an order to the service under `prefix`; its answer. See `edge.asking.ask` for errors."""
-    from edge import topics
+    """Give an order to the service under `prefix`; its answer. See `edge.bus.asking.ask`."""
+    from edge.bus import topics
 
     return asking.ask(session, f"{prefix}/{topics.MISSION_REQUEST}", request, timeout_s, "mission")
 

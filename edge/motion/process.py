@@ -1,6 +1,6 @@
 """The reference motion controller as a process of its own on the Zenoh bus.
 
-Reads `map`, `goal` and `odom`, writes `cmd_vel` and `goal_status` (`edge/topics.py`). Any other
+Reads `map`, `goal` and `odom`, writes `cmd_vel` and `goal_status` (`edge/bus/topics.py`). Any other
 controller that does so can take its place.
 """
 
@@ -18,16 +18,16 @@ from typing import Any, TypeVar
 import numpy as np
 import zenoh
 
-from edge import topics
-from edge.bus import Ring, declare_publisher, zenoh_session
+from edge.bus import topics
+from edge.bus.session import Ring, declare_publisher, zenoh_session
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2, se2_of
-from edge.interruptible import unless_stopped
+from edge.host.interruptible import unless_stopped
 from edge.motion.controller import Controller
 from edge.motion.pursuit import STOP, Command
-from edge.topics import Topic
 from edge.types import GoalStatus
-from edge.wire import messages
 
 log = logging.getLogger("edge.motion")
 T = TypeVar("T")

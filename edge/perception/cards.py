@@ -17,8 +17,9 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from edge import resources
-from edge.files import read_regular
+from edge.config.yaml_text import parse_yaml
+from edge.host import resources
+from edge.host.files import read_regular
 from edge.perception.card_types import (
     BaseCard,
     Card,
@@ -32,7 +33,6 @@ from edge.perception.card_types import (
 from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.text import one_line
-from edge.yaml_text import parse_yaml
 
 log = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ import json
 import os
 from pathlib import Path
 
-from edge import resources
 from edge.errors import UnavailableError
-from edge.files import open_regular, read_regular, write_atomically
+from edge.host import resources
+from edge.host.files import open_regular, read_regular, write_atomically
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
 """Variable of the environment; not empty, remembered hashes are not computed again."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from edge import config, names, resources
+from edge import config, names
+from edge.host import resources
 from edge.perception import kernels
 from edge.perception.backends.binding import Bound, bind
 from edge.perception.backends.runtime import (

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from edge.files import open_regular
+from edge.host.files import open_regular
 
 MAX_DEPTH = 40
 MAX_FIELDS = 2_000_000

@@ -19,9 +19,10 @@ from typing import Protocol
 
 import numpy as np
 
-from edge import names, resources
+from edge import names
 from edge.errors import UserError
-from edge.files import open_regular
+from edge.host import resources
+from edge.host.files import open_regular
 from edge.perception.card_types import DetectCard, TextCard
 from edge.perception.cards import ModelError, card_names, load_card, load_text_card
 

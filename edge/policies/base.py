@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from edge.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.geometry import SE2
+from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.types import Detections
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.candidates import CandidatePool
 from edge.config import PolicyHvl
 from edge.geometry import SE2
+from edge.loop.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.policies.kernels import hvl_scores, vl_scores
 from edge.types import Detections

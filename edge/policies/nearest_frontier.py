@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.candidates import FRONTIER, CandidatePool
 from edge.config import PolicyNearest
 from edge.geometry import SE2
+from edge.loop.candidates import FRONTIER, CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.types import Detections
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.geometry import SE2
+from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.policies.base import Policy, bearing, ranked
 from edge.types import CandidateKind, Goal, Instance

@@ -6,9 +6,19 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
-from edge.drawing.shapes import Box, Curve, Disc, Group, Picture, Polygon, Shape, Text, shorten
 from edge.report import palette
-from edge.sinks.record import RunRecord
+from edge.report.drawing.shapes import (
+    Box,
+    Curve,
+    Disc,
+    Group,
+    Picture,
+    Polygon,
+    Shape,
+    Text,
+    shorten,
+)
+from edge.report.record import RunRecord
 from edge.types import Step
 
 WIDTH = 1100.0

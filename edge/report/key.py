@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from edge.report import palette, way
 from edge.report.marks import dart
-from edge.sinks.record import RunRecord
+from edge.report.record import RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

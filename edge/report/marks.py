@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edge import names
-from edge.drawing.shapes import shorten
 from edge.report import palette, raster
-from edge.sinks.record import RunRecord
+from edge.report.drawing.shapes import shorten
+from edge.report.record import RunRecord
 from edge.types import Instance, Step
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ import cv2
 import yaml
 
 import edge
-from edge import resources
 from edge.errors import FileError
-from edge.files import write_atomically
-from edge.latency import LatencyReport, StageLatency
+from edge.host import resources
+from edge.host.files import write_atomically
+from edge.loop.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, story
+from edge.report.record import Frame, RunRecord
 from edge.report.style import CSS
-from edge.sinks.record import Frame, RunRecord
 
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"

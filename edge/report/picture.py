@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edge.files import write_atomically
+from edge.host.files import write_atomically
 from edge.report import key, marks, palette, raster, way
-from edge.sinks.record import RunRecord
+from edge.report.record import RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.report import palette
-from edge.sinks.record import MapSnapshot
+from edge.report.record import MapSnapshot
 
 MAX_SIDE_PX = 1600
 Box = tuple[float, float, float, float]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
-from edge.drawing.shapes import shorten, svg
-from edge.mission.drawing import draw_svg
 from edge.report import gantt
-from edge.sinks.record import RunRecord, Story
+from edge.report.automaton import draw_svg
+from edge.report.drawing.shapes import shorten, svg
+from edge.report.record import RunRecord, Story
 
 MAX_TEXT = 4000
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.drawing.shapes import shorten
 from edge.report import gantt, palette
-from edge.sinks.record import RunRecord
+from edge.report.drawing.shapes import shorten
+from edge.report.record import RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

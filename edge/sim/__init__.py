@@ -1,0 +1,1 @@
+"""Simulated houses and robots, which speak to the service as real sensors do."""

@@ -14,11 +14,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from edge import names, resources
+from edge import names
 from edge.config import Config, Section, WorldHouse
 from edge.config.section import Positive
-from edge.files import read_regular
 from edge.geometry import SE2
+from edge.host import resources
+from edge.host.files import read_regular
 from edge.sim import assemblies, kernels, shading
 from edge.sim.base import WorldError, WorldObject
 from edge.sim.boxworld import BoxWorld, Part

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from edge import names, resources
+from edge import names
 from edge.config import Config, WorldMesh
-from edge.files import read_regular
 from edge.geometry import SE2, CameraModel
+from edge.host import resources
+from edge.host.files import read_regular
 from edge.sim import mesh_kernels
 from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
 

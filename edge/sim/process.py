@@ -16,13 +16,14 @@ from dataclasses import replace
 
 import zenoh
 
-from edge import bus, topics
+from edge.bus import topics
+from edge.bus.session import Ring, declare_publisher, zenoh_session
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain, Motion
 from edge.sim.sensors import CameraRig, LidarRig, Message, odometry_message, truth_message
 from edge.sim.worlds import load_world
-from edge.wire import messages
 
 log = logging.getLogger("edge.sim")
 
@@ -44,7 +45,7 @@ def main(config: Config, stop: threading.Event) -> int:
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
-    with bus.zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
+    with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
         link = Link(session, config)
         log.info("simulating %s in %s", config.robot.name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time
@@ -62,11 +63,11 @@ class Link:
         # In lockstep the service waits for every message: none may be dropped.
         change = {"qos": "block"} if config.sim.lockstep else {}
         self._publishers = {
-            topic.key: bus.declare_publisher(session, replace(topic, **change), prefix)
+            topic.key: declare_publisher(session, replace(topic, **change), prefix)
             for topic in topics.ALL
             if topic.writer == "sensors"
         }
-        self._commands = bus.Ring(session, topics.CMD_VEL.under(prefix), 16)
+        self._commands = Ring(session, topics.CMD_VEL.under(prefix), 16)
         self._malformed = 0
 
     def send(self, batch: Iterable[Message]) -> None:

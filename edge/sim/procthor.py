@@ -12,10 +12,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from edge import names, resources
+from edge import names
 from edge.config import Config, WorldProcthor
-from edge.files import open_regular
 from edge.geometry import SE2
+from edge.host import resources
+from edge.host.files import open_regular
 from edge.sim import kernels, shading
 from edge.sim.base import WorldError, WorldObject
 from edge.sim.boxworld import BoxWorld, Part

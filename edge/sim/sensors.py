@@ -8,13 +8,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2, camera_mount, se3
 from edge.sim.base import Fan, World
 from edge.sim.robot import Motion
-from edge.topics import Topic
-from edge.wire import messages
 
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 Message = tuple[Topic, bytes]

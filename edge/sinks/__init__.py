@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 from edge.types import Detections, Goal, GoalStatus, Observation
 
 if TYPE_CHECKING:
-    from edge.service import Service
+    from edge.loop.service import Service
 
 
 class Sink(Protocol):

@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import zenoh
 
-from edge import topics
-from edge.bus import declare_publisher
+from edge.bus import topics
+from edge.bus.session import declare_publisher
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.sinks import SinkBase
 from edge.sinks.mailbox import Mailbox
 from edge.types import Goal, GoalStatus, MissionStatus, Observation
-from edge.wire import messages
 
 if TYPE_CHECKING:
-    from edge.service import Service
+    from edge.loop.service import Service
 
 UNANSWERED_S = 0.5
 UNSETTLED_S = 1.0

@@ -1,0 +1,1 @@
+"""What yields observations: sensor messages joined by stamp, live or recorded."""

@@ -17,15 +17,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from edge import names, topics
+from edge import names
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import DecodeError, messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel, camera_mount, se3
 from edge.sources.odometry import OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
 from edge.sources.streams import Message, Stream
-from edge.topics import Topic
 from edge.types import Observation
-from edge.wire import DecodeError, messages
 
 log = logging.getLogger("edge.sources")
 
@@ -115,7 +116,7 @@ class Assembler:
     # -- messages in --------------------------------------------------------------------------
 
     def offer(self, topic: Topic, payload: bytes) -> None:
-        """Take one message of any topic in `edge.topics` that sensors write."""
+        """Take one message of any topic in `edge.bus.topics` that sensors write."""
         self.counters["received"] += 1
         if not payload:
             self.count(topic, "empty")

@@ -7,8 +7,8 @@ import logging
 
 import zenoh
 
-from edge import topics
-from edge.bus import Ring
+from edge.bus import topics
+from edge.bus.session import Ring
 from edge.geometry import FARTHEST_M
 from edge.text import one_line
 from edge.types import GoalStatus
@@ -69,7 +69,7 @@ class GoalStatusInbox:
 
     @property
     def overruns(self) -> int:
-        """See `edge.bus.Ring`."""
+        """See `edge.bus.session.Ring`."""
         return self._ring.overruns
 
     def poll(self) -> list[GoalStatus]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from edge.bus.topics import Topic
 from edge.sources.odometry import StampGuard
-from edge.topics import Topic
 
 KEPT = 4
 

@@ -10,13 +10,13 @@ import time
 
 import zenoh
 
-from edge import topics
-from edge.bus import Ring
+from edge.bus import topics
+from edge.bus.session import Ring
+from edge.bus.topics import Topic
 from edge.config import Config
 from edge.geometry import SE2
 from edge.sources.assembler import Assembler
 from edge.sources.streams import KEPT
-from edge.topics import Topic
 from edge.types import Observation
 
 _PAUSE_S = 0.0003

@@ -10,10 +10,10 @@ import time
 
 import numpy as np
 
-from edge import topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.bus.wire import messages
 from edge.config import Zenoh
-from edge.wire import messages
 
 PREFIX = "edge"
 

@@ -17,12 +17,12 @@ from absurd_sensors import HEIGHT, WIDTH, Batch, batch
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
-from edge import topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
 from edge.config import Config
+from edge.host.ports import free_port
+from edge.loop.runner import Running, loop, open_service
 from edge.mission.order import ask
-from edge.ports import free_port
-from edge.runner import Running, loop, open_service
 
 FRAME_S = 1 / 30
 

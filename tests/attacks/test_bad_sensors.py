@@ -10,9 +10,9 @@ from absurd_sensors import ABSURD, NUMBERS, STAMPS_NS, batch, changed, scan
 from live_service import Live, live
 from patience import eventually
 
-from edge import topics
-from edge.faults import DEGRADED_AFTER
-from edge.topics import Topic
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.loop.faults import DEGRADED_AFTER
 
 pytestmark = pytest.mark.slow
 

@@ -16,13 +16,13 @@ from collections.abc import Callable, Iterator
 import pytest
 import yaml
 
-from edge import resources
 from edge.chat import ChatClient, ChatError
+from edge.host import resources
+from edge.models.download import download, read_page
+from edge.models.pace import Limits
+from edge.models.part import FetchError, Part
+from edge.models.pull import Where, pull
 from edge.perception.cards import load_card
-from edge.store.download import download, read_page
-from edge.store.pace import Limits
-from edge.store.part import FetchError, Part
-from edge.store.pull import Where, pull
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -11,7 +11,7 @@ import pytest
 from edge_processes import write_config
 from patience import PATIENCE_S
 
-from edge.bus import open_session
+from edge.bus.session import open_session
 from edge.config import Zenoh
 from edge.mission.order import ask
 

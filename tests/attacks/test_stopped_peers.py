@@ -18,11 +18,11 @@ from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 from viewer_peer import ALIVE
 
-from edge import desk as desk_module
-from edge import topics
-from edge.bus import declare_publisher, open_session
+from edge.bus import desk as desk_module
+from edge.bus import topics
+from edge.bus.session import declare_publisher, open_session
 from edge.config import Zenoh
-from edge.mission.desk import MissionDesk
+from edge.loop.mission_desk import MissionDesk
 from edge.mission.order import ask
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from fresh_process import run_fresh
 
-from edge import resources
+from edge.host import resources
 
 pytest.importorskip("onnxruntime")
 pytestmark = pytest.mark.slow

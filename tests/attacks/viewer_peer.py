@@ -10,7 +10,7 @@ import sys
 
 import zenoh
 
-from edge.bus import open_session
+from edge.bus.session import open_session
 from edge.config import Zenoh
 
 ALIVE = "viewer/alive"

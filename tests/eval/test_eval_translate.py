@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.chat import ChatError
+from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
 from edge.errors import UserError
 from edge.eval import translate
@@ -18,7 +19,6 @@ from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.mission.automaton import NOTHING, CompileError, compile_formula
 from edge.mission.ltl import Formula, ap, conj, disj, holds, neg, parse
 from edge.mission.translate import Translation, make_translator
-from edge.parsers import make_parser
 
 LANG2LTL = Path(__file__).parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"
 

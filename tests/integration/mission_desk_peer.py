@@ -6,12 +6,12 @@ import argparse
 import sys
 import time
 
-from edge.bus import open_session
+from edge.bus.desk import Request
+from edge.bus.session import open_session
 from edge.config import Zenoh
-from edge.desk import Request
 from edge.errors import UserError
+from edge.loop.mission_desk import MissionDesk
 from edge.mission import order
-from edge.mission.desk import MissionDesk
 from edge.mission.ltl import parse, to_text
 
 PREFIX = "edge"

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from edge_processes import Edge
 
-from edge import config, resources
+from edge import config
+from edge.host import resources
 from edge.perception.cards import ModelError, load_card, verify_model
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]

@@ -10,7 +10,7 @@ import socket
 import pytest
 from edge_processes import LOCKSTEP, write_config
 
-from edge.cli import main
+from edge.cli.main import main
 
 WORDS = "Clean either the chair or the sofa, then turn on the tv; don't go to the bed before that."
 

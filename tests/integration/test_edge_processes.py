@@ -16,11 +16,11 @@ import psutil
 import pytest
 from edge_processes import LOCKSTEP, STOP_S, write_config
 
-from edge import topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.bus.wire import messages
 from edge.config import Zenoh
 from edge.geometry import SE2
-from edge.wire import messages
 
 SIGNALS = pytest.mark.parametrize(
     "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]

@@ -22,8 +22,8 @@ from fake_model_process import __file__ as fake
 from edge.config import ModelProcess, parse
 from edge.errors import Stopped
 from edge.geometry import CameraModel
+from edge.loop.runner import Running, loop, open_service
 from edge.perception.process import link
-from edge.runner import Running, loop, open_service
 from edge.types import Observation
 
 TICKS = 10  # with an image each, that the loop makes while there is no model

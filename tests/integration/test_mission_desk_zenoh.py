@@ -17,8 +17,8 @@ import zenoh
 from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 
-from edge.asking import OrderError
-from edge.bus import open_session
+from edge.bus.asking import OrderError
+from edge.bus.session import open_session
 from edge.config import Zenoh
 from edge.mission.order import add_arguments, ask
 

@@ -15,10 +15,11 @@ import pytest
 import zenoh
 from patience import PATIENCE_S
 
-from edge import bus, topics
+from edge.bus import topics
+from edge.bus.session import declare_publisher, open_session
+from edge.bus.wire import messages
 from edge.config import Config, parse
-from edge.ports import free_port
-from edge.wire import messages
+from edge.host.ports import free_port
 
 SIMULATE = """
 import json, signal, sys, threading
@@ -60,7 +61,7 @@ class Peer:
         self._all = session.declare_subscriber(
             f"{self._prefix}/**", zenoh.handlers.FifoChannel(4096)
         )
-        self._commands = bus.declare_publisher(session, topics.CMD_VEL, self._prefix)
+        self._commands = declare_publisher(session, topics.CMD_VEL, self._prefix)
 
     def drive(self, stamp_ns: int, v_mps: float, w_radps: float) -> None:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, v_mps, w_radps))
@@ -82,7 +83,7 @@ class Peer:
 def run_lockstep(data: dict, steps: int) -> list[dict[str, bytes]]:
     """The messages of each instant, by topic; every instant is answered with a command."""
     config, instants, seen = parse(data), [], {}
-    with bus.open_session(config.zenoh, "listen") as session:
+    with open_session(config.zenoh, "listen") as session:
         peer = Peer(session, config)
         with simulator(data):
             for key, payload in peer.read():
@@ -138,7 +139,7 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
 def test_lockstep_repeats_the_first_instant_until_somebody_answers():
     data = settings(lockstep=True)
     config = parse(data)
-    with bus.open_session(config.zenoh, "listen") as session:
+    with open_session(config.zenoh, "listen") as session:
         peer, stamps = Peer(session, config), []
         with simulator(data):
             for key, payload in peer.read():
@@ -158,7 +159,7 @@ def test_lockstep_repeats_the_first_instant_until_somebody_answers():
 def test_real_time_drives_on_command_and_stops_when_commands_stop():
     data = settings()
     config, fastest, stamps = parse(data), 0.0, []
-    with bus.open_session(config.zenoh, "listen") as session:
+    with open_session(config.zenoh, "listen") as session:
         peer = Peer(session, config)
         with simulator(data):
             for key, payload in peer.read():

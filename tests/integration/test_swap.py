@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from onnx_bytes import DETECTOR, field, graph, interface, model, tensor
 from test_perception_cards import CARD
 
-from edge import resources
-from edge.asking import OrderError
+from edge.bus.asking import OrderError
 from edge.config import load
 from edge.geometry import CameraModel
-from edge.runner import loop, open_service
-from edge.store import use
+from edge.host import resources
+from edge.loop.runner import loop, open_service
+from edge.models import use
 from edge.types import Observation
 
 pytest.importorskip("onnxruntime")
@@ -227,8 +227,8 @@ def test_no_service_is_one_line(config):
 
 LEFT_BEHIND = """
 import atexit, threading, types
-from edge import cli
-from edge.interruptible import start_unjoined
+from edge.cli import main as cli
+from edge.host.interruptible import start_unjoined
 
 def start_other(name, work):
     threading.Thread(target=work, name=name, daemon=True).start()

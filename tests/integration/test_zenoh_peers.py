@@ -16,16 +16,17 @@ import pytest
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
-from edge import recording, topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2, CameraModel
-from edge.ports import free_port
+from edge.host.ports import free_port
 from edge.sinks.zenoh import ZenohSink
+from edge.sources import recording
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 from edge.types import Goal, GoalStatus, Observation
-from edge.wire import messages
 
 PEER = Path(__file__).with_name("zenoh_peer.py")
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)

@@ -8,11 +8,11 @@ import time
 import numpy as np
 import zenoh
 
-from edge import topics
-from edge.bus import BusError, declare_publisher, open_session
+from edge.bus import topics
+from edge.bus.session import BusError, declare_publisher, open_session
+from edge.bus.wire import messages
 from edge.config import Zenoh
 from edge.geometry import SE2, CameraModel
-from edge.wire import messages
 
 PREFIX = "edge"
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)

@@ -11,13 +11,13 @@ from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.config import Config
+from edge.loop.service import Service
+from edge.loop.status import mission_of
 from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.mission.keeper import Keeper
 from edge.perception.detector import make_detector
 from edge.perception.inline import InlineWorker
-from edge.service import Service
-from edge.status import mission_of
 from edge.text import MAX_CHARS
 
 

@@ -17,15 +17,15 @@ from fake_zenoh import Flooded
 from patience import PATIENCE_S
 from simulated import simulated
 
-from edge import topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import SE2
+from edge.host.ports import free_port
 from edge.motion import process
-from edge.ports import free_port
 from edge.sources.goal_status import parse_goal_status
 from edge.types import GoalStatus
-from edge.wire import messages
 
 GOAL = SE2(2.0, 1.0, 0.5)
 CELLS = np.zeros((60, 80), np.int8)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge import resources
 from edge.geometry import CameraModel, camera_mount
+from edge.host import resources
 from edge.types import Observation
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `twins`, `tiny_clip`

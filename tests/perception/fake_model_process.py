@@ -18,7 +18,7 @@ import numpy as np
 import onnxruntime
 from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 
-from edge import resources
+from edge.host import resources
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health, make_detector
 from edge.perception.process import messages, serve

@@ -9,9 +9,9 @@ import onnx_bytes
 import pytest
 import yaml
 
-from edge import resources
+from edge.host import resources
+from edge.models import listing
 from edge.perception import cards, model_file
-from edge.store import listing
 
 CARD = {
     "name": "tiny",
@@ -401,7 +401,7 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
 def test_edge_run_says_in_one_line_why_it_cannot_detect(
     tmp_path, capsys, monkeypatch, target, detector, message, code
 ):
-    from edge import cli
+    from edge.cli import main as cli
 
     path = tmp_path / "robot.yaml"
     path.write_text(f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n")

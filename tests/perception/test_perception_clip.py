@@ -9,7 +9,7 @@ import pytest
 import tiny_clip
 from tiny_clip import CONTEXT, DIM, SIDE, WORDS
 
-from edge import resources
+from edge.host import resources
 from edge.perception import clip
 from edge.perception.cards import ModelError, load_image_card, load_text_card
 from edge.perception.clip import ClipImageEncoder, ClipTextEncoder, fit

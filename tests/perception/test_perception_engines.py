@@ -23,7 +23,8 @@ from patience import PATIENCE_S, eventually
 from test_perception_cards import flip_a_byte
 from test_perception_onnx import BOXES, tiny  # noqa: F401
 
-from edge import config, resources
+from edge import config
+from edge.host import resources
 from edge.perception.backends import binding, cuda, engine_cache, tensorrt
 from edge.perception.backends.building import Building
 from edge.perception.backends.engine_cache import EngineKey, obtain

@@ -11,13 +11,14 @@ import pytest
 import yaml
 from test_perception_cards import CARD, flip_a_byte
 
-from edge import config, resources
+from edge import config
+from edge.host import resources
+from edge.models.check import check_model
 from edge.perception import model_file
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import make_detector
 from edge.perception.model_file import TRUST_CACHE
 from edge.perception.text import PromptError, TextEmbeddings
-from edge.store.check import check_model
 
 pytest.importorskip("onnxruntime")
 onnx = pytest.importorskip("onnx")

@@ -19,7 +19,8 @@ import pytest
 from fake_model_process import ENGINE, EXIT, FAILURE, HANG, NAN, NO_MEMORY, SEGFAULT, TOO_MANY
 from patience import PATIENCE_S, eventually
 
-from edge import config, resources
+from edge import config
+from edge.host import resources
 from edge.perception.cards import ModelError, card_names
 from edge.perception.detector import Health, log_progress, make_detector
 from edge.perception.process import detector as process_detector

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from test_perception_cards import flip_a_byte
 
-from edge import resources
+from edge.host import resources
 from edge.perception.backends import binding, runtime
 from edge.perception.backends.runtime import (
     ORT_TENSORRT,

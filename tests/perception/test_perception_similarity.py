@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import tiny_clip
 
-from edge import resources
 from edge.config import Perception
 from edge.errors import UserError
+from edge.host import resources
 from edge.perception import clip
 from edge.perception.backends import runtime
 from edge.perception.cards import ModelError, load_similarity_card

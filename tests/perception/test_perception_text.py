@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 
+from edge.models.export import keep_vocabulary
 from edge.perception.text import (
     PromptError,
     TextEmbeddings,
@@ -12,7 +13,6 @@ from edge.perception.text import (
     make_text_encoder,
     words_for,
 )
-from edge.store.export import keep_vocabulary
 
 
 def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):

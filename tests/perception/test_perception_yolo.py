@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from edge import config
+from edge.models.check import check_model
 from edge.perception.cards import ModelError, load_card, verify_model
 from edge.perception.detector import make_detector
 from edge.perception.text import PromptError, find_vocabulary
-from edge.store.check import check_model
 
 pytestmark = pytest.mark.weights
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.config import PolicyHvl, PolicyNearest
 from edge.geometry import SE2, wrap_angle
+from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.policies import make_policy
 from edge.policies.base import ranked
 from edge.policies.kernels import hvl_scores, vl_scores

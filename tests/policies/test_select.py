@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edge.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.geometry import SE2
+from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.policies.select import GoalSelector
 from edge.types import Goal, Instance
 

@@ -6,9 +6,9 @@ import pytest
 from report_runs import flat_run, mission_run
 from simulated import simulated
 
-from edge.latency import LatencyRing
-from edge.sinks.record import RunRecord
-from edge.sinks.recorder import Recorder
+from edge.loop.latency import LatencyRing
+from edge.report.record import RunRecord
+from edge.report.recorder import Recorder
 from edge.types import MissionStatus
 
 

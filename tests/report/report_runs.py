@@ -11,12 +11,12 @@ import numpy as np
 from simulated import simulated
 
 from edge.geometry import SE2
-from edge.latency import LatencyRing
+from edge.loop.latency import LatencyRing
+from edge.loop.stages import STAGES
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
-from edge.sinks.record import MapSnapshot, RunRecord, Story
-from edge.sinks.recorder import Recorder
-from edge.stages import STAGES
+from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.recorder import Recorder
 from edge.types import Detections, Goal, Instance, MissionStatus, Observation, Step
 
 MS = 1_000_000

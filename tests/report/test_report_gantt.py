@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import pytest
 from report_runs import FORMULA, S, story_of
 
-from edge.drawing.shapes import Box, Disc, svg
 from edge.report import gantt, palette
+from edge.report.drawing.shapes import Box, Disc, svg
 
 BAD = "<script>alert('x')</script>"
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge.report import page
-from edge.sinks.record import Frame
+from edge.report.record import Frame
 from edge.types import Instance, MissionStatus
 
 BAD = '<script>alert("x")</script>&\'"'

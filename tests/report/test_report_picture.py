@@ -10,7 +10,7 @@ import pytest
 
 from edge.geometry import SE2
 from edge.report import marks, palette, picture, raster
-from edge.sinks.record import MapSnapshot
+from edge.report.record import MapSnapshot
 from edge.types import Goal
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.wire import messages
 from edge.geometry import SE2
 from edge.sim.process import next_frame
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig, LidarRig, odometry_message, truth_message
 from edge.sim.worlds import load_world
-from edge.wire import messages
 
 POSE = SE2(3.0, 2.0, 0.3)
 

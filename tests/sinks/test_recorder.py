@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2
-from edge.latency import LatencyRing
+from edge.loop.latency import LatencyRing
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
-from edge.sinks.album import MAX_FRAME_PX
-from edge.sinks.record import MapSnapshot, RunRecord, Story
-from edge.sinks.recorder import STEP_M, Ends, Recorder, Trail, detector_name
+from edge.report.album import MAX_FRAME_PX
+from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.recorder import STEP_M, Ends, Recorder, Trail, detector_name
 from edge.types import Detections, Goal, MissionStatus, Observation
 
 S = 1_000_000_000

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from simulated import simulated
 
+from edge.cli.console import _ahead, story_of
 from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
-from edge.sinks.console import _ahead, story_of
 
 S = 1_000_000_000
 

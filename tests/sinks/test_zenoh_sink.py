@@ -12,16 +12,16 @@ import zenoh
 from patience import eventually
 from simulated import simulated
 
-from edge import topics
-from edge.bus import open_session
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.bus.wire import messages
 from edge.config import Zenoh
 from edge.geometry import SE2
-from edge.latency import LatencyRing
-from edge.ports import free_port
+from edge.host.ports import free_port
+from edge.loop.latency import LatencyRing
 from edge.sinks import zenoh as zenoh_sink
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Goal, GoalStatus, MissionStatus, Observation
-from edge.wire import messages
 
 PAUSE_S = 0.3  # for what must not come: on a slow machine the test sees less, and passes
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from edge import topics
+from edge.bus import topics
+from edge.bus.wire import messages
 from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources.assembler import PATIENCE_NS, Assembler
-from edge.wire import messages
 
 MS = 1_000_000
 FRAME_NS = 33_333_333

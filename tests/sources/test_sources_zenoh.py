@@ -9,9 +9,9 @@ import pytest
 from fake_zenoh import Flooded
 from simulated import simulated
 
+from edge.bus.wire import messages
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
-from edge.wire import messages
 
 
 def odometry(n: int) -> bytes:

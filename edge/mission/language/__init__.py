@@ -1,0 +1,1 @@
+"""From words to formulas of linear temporal logic: a grammar of English, or a language model."""

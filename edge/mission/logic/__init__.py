@@ -1,0 +1,1 @@
+"""Linear temporal logic over finite traces: formulas, normal forms, automata. No robot in it."""

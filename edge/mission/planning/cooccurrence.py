@@ -24,7 +24,7 @@ import numpy as np
 
 from edge import names
 from edge.errors import UserError
-from edge.files import open_regular
+from edge.host.files import open_regular
 
 _FILE = Path(__file__).with_name("cooccurrence.json")
 _RARE = 5

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from edge.files import read_regular
+from edge.host.files import read_regular
 from edge.perception.detector import Health, Progress
 from edge.perception.model_file import ModelError, sha256_of
 

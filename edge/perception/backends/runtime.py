@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from edge import resources
 from edge.errors import UserError
+from edge.host import resources
 from edge.perception.backends.building import Building
 from edge.perception.backends.engine_cache import EngineKey, obtain
 from edge.perception.detector import Progress, log_progress

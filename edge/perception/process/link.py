@@ -18,13 +18,13 @@ import numpy as np
 import zmq
 
 from edge import config
-from edge.children import python_module
+from edge.host.children import python_module
+from edge.host.private_folder import private_folder
 from edge.logs import LEVELS, JsonFormatter
 from edge.perception.detector import Progress
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
-from edge.private_folder import private_folder
 
 log = logging.getLogger(__name__)
 

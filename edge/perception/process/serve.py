@@ -17,10 +17,10 @@ import numpy as np
 import zmq
 
 from edge import config, logs
+from edge.host.signals import show_stacks_on_signals
 from edge.perception.detector import Detector, Health, Progress, make_detector
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameView
-from edge.signals import show_stacks_on_signals
 from edge.types import Observation
 
 log = logging.getLogger(__name__)

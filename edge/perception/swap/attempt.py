@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
-from edge.interruptible import start_unjoined
+from edge.host.interruptible import start_unjoined
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.swap.trial import Unfit, failure, judge, median_ms, not_finite, sample

@@ -125,7 +125,7 @@ class Swapper:
         """The worker's detector stays; whatever else is open is closed.
 
         A model that takes longer than `_CLOSE_S` to load is left to its thread; the process must
-        then end without the interpreter's clearing up (see `edge.cli`).
+        then end without the interpreter's clearing up (see `edge.cli.main`).
         """
         if (attempt := self._attempt) is not None:
             self._end(attempt, attempt.previous if attempt.switched else None)

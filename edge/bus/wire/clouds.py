@@ -1,0 +1,153 @@
+"""sensor_msgs/PointCloud2 and LaserScan, decoded into preallocated points."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.bus.wire import kernels
+from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+
+_HEIGHT_WIDTH = struct.Struct("<II")
+_SCAN = struct.Struct("<7f")
+_FLOAT32 = 7
+_MAX_FIELDS = 64
+
+
+def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
+    """sensor_msgs/PointCloud2 of (n, 3) float32 points: x, y, z and nothing else."""
+    points = np.ascontiguousarray(points_m, dtype=np.float32)
+    n = len(points)
+    writer = Writer().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
+    for i, name in enumerate("xyz"):
+        writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
+    writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
+    is_dense = b"\x01"
+    return b"".join((writer.bytes(memoryview(points.reshape(-1).view(np.uint8))), is_dense))
+
+
+def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:
+    """Where x, y and z lie in a point, from the message's list of fields."""
+    (count,) = reader.read(U32, 4)
+    if count > _MAX_FIELDS:
+        raise DecodeError(f"cloud with {count} fields")
+    offsets = {}
+    for _ in range(count):
+        name = reader.string()
+        (offset,) = reader.read(U32, 4)
+        (datatype,) = reader.read(U8, 1)
+        reader.read(U32, 4)
+        if datatype == _FLOAT32:
+            offsets[name] = offset
+    if not offsets.keys() >= {"x", "y", "z"}:
+        raise DecodeError("cloud without float32 fields x, y, z")
+    return offsets["x"], offsets["y"], offsets["z"]
+
+
+def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
+    """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
+
+    Any layout of fields with float32 x, y, z is taken; points with NaN or inf are left out.
+
+    Returns:
+        How many points were written.
+
+    Raises:
+        DecodeError: malformed, or more points than `cap`.
+    """
+    reader = Reader(payload)
+    reader.header()
+    height, width = reader.read(_HEIGHT_WIDTH, 4)
+    offsets = _xyz_offsets(reader)
+    (big_endian,) = reader.read(U8, 1)
+    point_step, row_step = reader.read(_HEIGHT_WIDTH, 4)
+    size, begin = reader.sequence(1)
+    n = height * width
+    if n == 0:
+        return 0
+    if n > len(out_m):
+        raise DecodeError(f"cloud of {n} points, at most {len(out_m)} are taken")
+    if height == 1:
+        row_step = width * point_step
+    if max(offsets) + 4 > point_step or row_step < width * point_step or height * row_step > size:
+        raise DecodeError(
+            f"cloud {width}x{height}, steps {point_step}, {row_step}, in {size} bytes"
+        )
+    dtype = np.dtype(">f4" if big_endian else "<f4")
+    target = out_m[:n].reshape(height, width, 3)
+    for axis, offset in enumerate(offsets):
+        source = np.ndarray((height, width), dtype, payload, begin + offset, (row_step, point_step))
+        np.copyto(target[..., axis], source)
+    return kernels.keep_finite(out_m, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
+
+    `ranges_m` (n,) float32 is a read-only view of the payload; a hit lies in
+    [range_min, range_max), anything else is no return.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    angle_min_rad: float
+    angle_increment_rad: float
+    range_min_m: float
+    range_max_m: float
+    ranges_m: np.ndarray
+
+
+def encode_laser_scan(
+    stamp_ns: int,
+    frame_id: str,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    range_max_m: float,
+    ranges_m: np.ndarray,
+) -> bytes:
+    """sensor_msgs/LaserScan of (n,) ranges; `range_max_m` or more means no return."""
+    ranges = np.ascontiguousarray(ranges_m, dtype=np.float32)
+    last = angle_min_rad + max(len(ranges) - 1, 0) * angle_increment_rad
+    writer = Writer().header(stamp_ns, frame_id)
+    writer.write(_SCAN, 4, angle_min_rad, last, angle_increment_rad, 0.0, 0.0, 0.0, range_max_m)
+    writer.write(U32, 4, len(ranges))
+    no_intensities = U32.pack(0)
+    return b"".join((writer.bytes(memoryview(ranges.view(np.uint8))), no_intensities))
+
+
+def decode_laser_scan(payload: bytes) -> LaserScan:
+    """A sensor_msgs/LaserScan; its intensities are not read."""
+    reader = Reader(payload)
+    stamp_ns, frame_id = reader.header()
+    first, last, increment, _, _, range_min, range_max = reader.read(_SCAN, 4)
+    count, begin = reader.sequence(4)
+    reader.sequence(4)
+    if not np.isfinite((first, last, increment, range_min)).all() or np.isnan(range_max):
+        raise DecodeError("scan with angles or limits that are NaN or inf")
+    ranges = np.ndarray((count,), "<f4", payload, begin)
+    return LaserScan(stamp_ns, frame_id, first, increment, range_min, range_max, ranges)
+
+
+def decode_scan_points_into(payload: bytes, out_m: np.ndarray) -> int:
+    """Write the hits of a sensor_msgs/LaserScan into `out_m` (cap, 3) float32, in its own plane.
+
+    Returns:
+        How many points were written.
+
+    Raises:
+        DecodeError: malformed, or more beams than `cap`.
+    """
+    scan = decode_laser_scan(payload)
+    if len(scan.ranges_m) > len(out_m):
+        raise DecodeError(f"scan of {len(scan.ranges_m)} beams, at most {len(out_m)} are taken")
+    return kernels.scan_points(
+        scan.ranges_m,
+        scan.angle_min_rad,
+        scan.angle_increment_rad,
+        scan.range_min_m,
+        scan.range_max_m,
+        out_m,
+    )

@@ -1,0 +1,118 @@
+"""sensor_msgs/Image, decoded straight into preallocated arrays."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from edge.bus.wire.cdr import U8, U32, DecodeError, Reader, Writer
+
+_HEIGHT_WIDTH = struct.Struct("<II")
+
+# Encoding: bytes a pixel, and channels.
+_LAYOUTS = {
+    "rgb8": (3, 3), "bgr8": (3, 3), "rgba8": (4, 4), "bgra8": (4, 4), "mono8": (1, 1),
+    "16UC1": (2, 1), "mono16": (2, 1), "32FC1": (4, 1),
+}  # fmt: skip
+_TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "rgba8": cv2.COLOR_RGBA2RGB,
+    "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+}
+_ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
+_M_PER_MM = np.float32(0.001)
+
+
+@dataclass(frozen=True, slots=True)
+class ImageHeader:
+    """What an image message says of itself, checked against the payload's size."""
+
+    stamp_ns: int
+    frame_id: str
+    height: int
+    width: int
+    encoding: str
+    step: int
+    data_offset: int
+    big_endian: bool
+
+
+def encode_image(stamp_ns: int, frame_id: str, array: np.ndarray) -> bytes:
+    """sensor_msgs/Image of (h, w, 3) uint8 (rgb8), (h, w) uint16 (16UC1) or float32 (32FC1).
+
+    Raises:
+        ValueError: an array of another kind.
+    """
+    encoding = _ENCODING_OF.get((array.dtype.name, array.ndim))
+    if encoding is None or (array.ndim == 3 and array.shape[2] != 3):
+        raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
+    height, width = array.shape[:2]
+    step = width * _LAYOUTS[encoding][0]
+    writer = Writer().header(stamp_ns, frame_id)
+    writer.write(_HEIGHT_WIDTH, 4, height, width).string(encoding)
+    writer.write(U8, 1, 0).write(U32, 4, step).write(U32, 4, height * step)
+    pixels = np.ascontiguousarray(array).reshape(-1)
+    return writer.bytes(memoryview(pixels.view(np.uint8)))
+
+
+def decode_image_header(payload: bytes) -> ImageHeader:
+    """The header of a sensor_msgs/Image; the pixels are known to lie inside the payload."""
+    reader = Reader(payload)
+    stamp_ns, frame_id = reader.header()
+    height, width = reader.read(_HEIGHT_WIDTH, 4)
+    encoding = reader.string()
+    (big_endian,) = reader.read(U8, 1)
+    (step,) = reader.read(U32, 4)
+    size, offset = reader.sequence(1)
+    layout = _LAYOUTS.get(encoding)
+    if layout is None:
+        raise DecodeError(f"image encoding {encoding[:20]!r} (known: {', '.join(_LAYOUTS)})")
+    if step < width * layout[0] or height * step > size:
+        raise DecodeError(f"image {width}x{height} {encoding}, step {step}, in {size} bytes")
+    return ImageHeader(stamp_ns, frame_id, height, width, encoding, step, offset, bool(big_endian))
+
+
+def decode_image_into(payload: bytes, header: ImageHeader, out: np.ndarray) -> None:
+    """Write the pixels into `out`, converted; nothing as large as an image is allocated.
+
+    Args:
+        payload: what `decode_image_header` was given.
+        out: (h, w, 3) uint8 takes rgb8, bgr8, rgba8, bgra8, mono8 as RGB; (h, w) float32 takes
+            16UC1 (millimetres) and 32FC1 (metres) as metres; (h, w) uint16 takes 16UC1 as it is.
+
+    Raises:
+        DecodeError: the encoding or the size does not fit `out`.
+    """
+    encoding = header.encoding
+    if out.shape[:2] != (header.height, header.width):
+        height, width = out.shape[:2]
+        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+    if out.dtype == np.uint8 and encoding in ("rgb8", *_TO_RGB):
+        pixels = _pixels(payload, header, "u1")
+        if encoding == "rgb8":
+            np.copyto(out, pixels)
+        elif out.size:
+            cv2.cvtColor(pixels, _TO_RGB[encoding], dst=out)
+    elif out.dtype == np.float32 and encoding in ("16UC1", "mono16"):
+        np.multiply(_pixels(payload, header, "u2"), _M_PER_MM, out=out)
+    elif out.dtype == np.float32 and encoding == "32FC1":
+        np.copyto(out, _pixels(payload, header, "f4"))
+    elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):
+        np.copyto(out, _pixels(payload, header, "u2"))
+    else:
+        raise DecodeError(f"image encoding {encoding} where {out.dtype} pixels are expected")
+
+
+def _pixels(payload: bytes, header: ImageHeader, code: str) -> np.ndarray:
+    """The pixels as a view of the payload, row padding left out."""
+    bytes_px, channels = _LAYOUTS[header.encoding]
+    dtype = np.dtype((">" if header.big_endian else "<") + code)
+    shape = (header.height, header.width)
+    strides = (header.step, bytes_px)
+    if channels > 1:
+        shape, strides = (*shape, channels), (*strides, 1)
+    return np.ndarray(shape, dtype, payload, header.data_offset, strides)

@@ -1,0 +1,231 @@
+"""The ROS 2 messages that cross the wire, encoded and decoded (CDR little-endian).
+
+Every decoder raises `DecodeError` with one line for a payload that is not what it says; sizes
+are checked against the payload before anything is touched, so that a lying one allocates nothing.
+Layouts: sensor_msgs, nav_msgs and geometry_msgs of ROS 2 Humble to Jazzy (they are equal).
+Images and clouds are in `edge.bus.wire.images` and `edge.bus.wire.clouds`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.bus.wire.cdr import STAMP, U32, DecodeError, Reader, Writer
+from edge.bus.wire.clouds import (
+    LaserScan,
+    decode_laser_scan,
+    decode_point_cloud_into,
+    decode_scan_points_into,
+    encode_laser_scan,
+    encode_point_cloud,
+)
+from edge.bus.wire.images import (
+    ImageHeader,
+    decode_image_header,
+    decode_image_into,
+    encode_image,
+)
+from edge.geometry import (
+    FARTHEST_M,
+    SE2,
+    CameraModel,
+    quaternion_of,
+    se2_of,
+    se3_from_quaternion,
+)
+
+__all__ = [
+    "BASE_FRAME",
+    "MAP_FRAME",
+    "DecodeError",
+    "ImageHeader",
+    "LaserScan",
+    "Odometry",
+    "decode_camera_info",
+    "decode_image_header",
+    "decode_image_into",
+    "decode_laser_scan",
+    "decode_occupancy_grid",
+    "decode_odometry",
+    "decode_point_cloud_into",
+    "decode_pose_stamped",
+    "decode_scan_points_into",
+    "decode_twist_stamped",
+    "encode_camera_info",
+    "encode_image",
+    "encode_laser_scan",
+    "encode_occupancy_grid",
+    "encode_odometry",
+    "encode_point_cloud",
+    "encode_pose_stamped",
+    "encode_twist_stamped",
+    "peek_stamp_ns",
+]
+
+MAP_FRAME = "map"
+BASE_FRAME = "base_link"
+
+# A sensor on a robot here still lies where the map takes it.
+_FARTHEST_M = 0.9 * FARTHEST_M
+_POSE = struct.Struct("<7d")
+_TWIST = struct.Struct("<6d")
+_COVARIANCE = struct.Struct("<36d")
+_K = struct.Struct("<9d")
+_P = struct.Struct("<12d")
+_HEIGHT_WIDTH = struct.Struct("<II")
+_ROI = struct.Struct("<IIIIIIB")
+_GRID_INFO = struct.Struct("<fII")
+_IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def peek_stamp_ns(payload: bytes) -> int:
+    """The stamp of any message that begins with a std_msgs/Header."""
+    return Reader(payload).stamp_ns()
+
+
+def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
+    if not all(map(math.isfinite, values)):
+        raise DecodeError(f"{what} holds NaN or inf")
+    return values
+
+
+def _write_pose(writer: Writer, T: np.ndarray) -> Writer:
+    return writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T))
+
+
+def _read_pose(reader: Reader) -> np.ndarray:
+    """geometry_msgs/Pose as a (4, 4) transform."""
+    values = _finite(reader.read(_POSE, 8), "pose")
+    if max(map(abs, values[:3])) >= _FARTHEST_M:
+        raise DecodeError(
+            f"pose ({values[0]:g}, {values[1]:g}, {values[2]:g}) m is too far from the origin of "
+            "`map` for float32: use a local frame"
+        )
+    try:
+        return se3_from_quaternion(values[:3], values[3:])
+    except ValueError as error:
+        raise DecodeError(str(error)) from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """nav_msgs/Odometry: where the base is in `map`, and how it moves in its own frame."""
+
+    stamp_ns: int
+    T_map_base: np.ndarray
+    v_mps: float
+    w_radps: float
+
+
+def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps: float) -> bytes:
+    """nav_msgs/Odometry; covariances are zero (unknown)."""
+    writer = Writer().header(stamp_ns, MAP_FRAME).string(BASE_FRAME)
+    _write_pose(writer, T_map_base).write(_COVARIANCE, 8, *(0.0,) * 36)
+    writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps)
+    return writer.write(_COVARIANCE, 8, *(0.0,) * 36).bytes()
+
+
+def decode_odometry(payload: bytes) -> Odometry:
+    """nav_msgs/Odometry; forward speed and turn rate of the twist only."""
+    reader = Reader(payload)
+    stamp_ns, _ = reader.header()
+    reader.string()
+    T = _read_pose(reader)
+    reader.skip(_COVARIANCE.size, 8)
+    twist = _finite(reader.read(_TWIST, 8), "twist")
+    reader.skip(_COVARIANCE.size, 8)
+    return Odometry(stamp_ns, T, twist[0], twist[5])
+
+
+def encode_pose_stamped(stamp_ns: int, pose: SE2) -> bytes:
+    """geometry_msgs/PoseStamped in `map`, on the ground."""
+    return _write_pose(Writer().header(stamp_ns, MAP_FRAME), pose.matrix()).bytes()
+
+
+def decode_pose_stamped(payload: bytes) -> tuple[int, SE2]:
+    """(stamp_ns, the planar part of the pose) of a geometry_msgs/PoseStamped."""
+    reader = Reader(payload)
+    stamp_ns, _ = reader.header()
+    return stamp_ns, se2_of(_read_pose(reader))
+
+
+def encode_twist_stamped(stamp_ns: int, v_mps: float, w_radps: float) -> bytes:
+    """geometry_msgs/TwistStamped in the base's frame."""
+    writer = Writer().header(stamp_ns, BASE_FRAME)
+    return writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps).bytes()
+
+
+def decode_twist_stamped(payload: bytes) -> tuple[int, float, float]:
+    """(stamp_ns, forward m/s, turn rad/s) of a geometry_msgs/TwistStamped."""
+    reader = Reader(payload)
+    stamp_ns, _ = reader.header()
+    twist = _finite(reader.read(_TWIST, 8), "twist")
+    return stamp_ns, twist[0], twist[5]
+
+
+def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> bytes:
+    """sensor_msgs/CameraInfo of an undistorted camera."""
+    fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+    writer = Writer().header(stamp_ns, frame_id)
+    writer.write(_HEIGHT_WIDTH, 4, camera.height_px, camera.width_px).string("plumb_bob")
+    writer.write(U32, 4, 5).floats((0.0,) * 5, "d")
+    writer.floats((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0), "d").floats(_IDENTITY_3, "d")
+    writer.floats((fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0), "d")
+    return writer.write(_ROI, 4, 0, 0, 0, 0, 0, 0, 0).bytes()
+
+
+def decode_camera_info(payload: bytes) -> tuple[int, CameraModel]:
+    """(stamp_ns, intrinsics) of a sensor_msgs/CameraInfo.
+
+    The projection matrix P counts, since it holds for the rectified image; K where P is zero.
+    """
+    reader = Reader(payload)
+    stamp_ns, _ = reader.header()
+    height, width = reader.read(_HEIGHT_WIDTH, 4)
+    reader.string()
+    reader.sequence(8)
+    k = reader.read(_K, 8)
+    reader.skip(_K.size, 8)
+    p = reader.read(_P, 8)
+    reader.skip(_ROI.size, 4)
+    fx, fy, cx, cy = (p[0], p[5], p[2], p[6]) if p[0] != 0.0 else (k[0], k[4], k[2], k[5])
+    try:
+        return stamp_ns, CameraModel(width, height, fx, fy, cx, cy)
+    except ValueError as error:
+        raise DecodeError(str(error)) from None
+
+
+def encode_occupancy_grid(
+    stamp_ns: int, cells: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float
+) -> bytes:
+    """nav_msgs/OccupancyGrid of (h, w) int8 cells; `origin_xy_m` is the corner of cell (0, 0)."""
+    h, w = cells.shape
+    writer = Writer().header(stamp_ns, MAP_FRAME).stamp_ns(stamp_ns)
+    writer.write(_GRID_INFO, 4, resolution_m, w, h)
+    writer.write(_POSE, 8, origin_xy_m[0], origin_xy_m[1], 0.0, 0.0, 0.0, 0.0, 1.0)
+    writer.write(U32, 4, h * w)
+    return writer.bytes(memoryview(np.ascontiguousarray(cells, dtype=np.int8).reshape(-1)))
+
+
+def decode_occupancy_grid(payload: bytes) -> tuple[int, np.ndarray, tuple[float, float], float]:
+    """(stamp_ns, cells, origin_xy_m, resolution_m) of a nav_msgs/OccupancyGrid.
+
+    `cells` (h, w) int8 is a read-only view of the payload. The resolution is the shortest decimal
+    that its float32 stands for (0.05, not 0.0500000007), so that cells do not creep.
+    """
+    reader = Reader(payload)
+    stamp_ns, _ = reader.header()
+    reader.skip(STAMP.size, 4)
+    resolution, width, height = reader.read(_GRID_INFO, 4)
+    T = _read_pose(reader)
+    count, begin = reader.sequence(1)
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        raise DecodeError(f"not a grid: resolution {resolution:g} m")
+    if count != width * height:
+        raise DecodeError(f"not a grid: {count} cells for {width}x{height}")
+    cells = np.ndarray((height, width), np.int8, payload, begin)
+    return stamp_ns, cells, (float(T[0, 3]), float(T[1, 3])), float(str(np.float32(resolution)))

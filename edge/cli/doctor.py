@@ -1,0 +1,462 @@
+"""`edge doctor`: what this machine has, and what to do about each lack.
+
+Each check is a function of the configuration that yields findings; `CHECKS` is the list of them.
+A `fail` is something without which that configuration (the embedded default unless another is
+named) does not run; everything else that is missing is a `warn`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from importlib import import_module, metadata, util
+from pathlib import Path
+from typing import Literal
+from urllib.parse import urlsplit
+
+from edge.config import Config, load
+from edge.errors import UserError
+from edge.host import machine, resources
+from edge.text import one_line, without_secrets
+
+PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
+MIN_CORES = 2
+MIN_SHM_MB = 64
+MIN_FREE_MB = 500
+LOOPBACK_S = 5.0
+SERVER_S = 2.0
+CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap", "zmq")
+OPENCV = (
+    "opencv-python-headless", "opencv-python", "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+)  # fmt: skip
+TEGRA_RELEASE = Path("/etc/nv_tegra_release")
+SHM = Path("/dev/shm")
+_MB = 1 << 20
+
+Level = Literal["ok", "warn", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line: how it stands, what it is about, and what to do (empty when all is well)."""
+
+    level: Level
+    what: str
+    todo: str = ""
+
+
+Check = Callable[[Config], Iterator[Finding]]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge doctor`; 1 when something that the configuration needs is missing.
+
+    Raises:
+        ConfigError: the configuration cannot be read.
+    """
+    findings = examine(load(args.config))
+    print(as_json(findings) if args.json else as_text(findings))
+    return 1 if any(finding.level == "fail" for finding in findings) else 0
+
+
+def examine(config: Config) -> list[Finding]:
+    """All findings, in the order of `CHECKS`; a check that breaks is itself a failure."""
+    findings = []
+    for check in CHECKS:
+        try:
+            findings += check(config)
+        except UserError as error:
+            findings.append(Finding("fail", *_split(error)))
+        except Exception as error:
+            name = check.__name__.removeprefix("check_").replace("_", " ")
+            reason = one_line(f"{type(error).__name__}: {error}")
+            findings.append(Finding("fail", f"{name}: {reason}", "please report this"))
+    return list(dict.fromkeys(findings))  # one lack may stand in the way of several checks
+
+
+def as_text(findings: list[Finding]) -> str:
+    """Aligned lines `level  what — what to do`, and a summary."""
+    lines = [f"{f.level:4}  {f.what}" + (f" — {f.todo}" if f.todo else "") for f in findings]
+    counts = {level: sum(f.level == level for f in findings) for level in ("ok", "warn", "fail")}
+    lines.append(", ".join(f"{n} {level}" for level, n in counts.items()))
+    return "\n".join(lines)
+
+
+def as_json(findings: list[Finding]) -> str:
+    """`{"ok": bool, "findings": [{"level", "what", "todo"}]}`."""
+    healthy = all(finding.level != "fail" for finding in findings)
+    return json.dumps({"ok": healthy, "findings": [asdict(f) for f in findings]}, indent=2)
+
+
+# -- the machine ------------------------------------------------------------------------------
+
+
+def check_python(config: Config) -> Iterator[Finding]:
+    version = sys.version_info[:2]
+    what = f"Python {platform.python_version()} on {platform.machine()}"
+    if PYTHON_FROM <= version < PYTHON_BELOW:
+        yield Finding("ok", what)
+    else:
+        low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
+        yield Finding("fail", what, f"install Python >= {low}, < {high}")
+
+
+def check_cores(config: Config) -> Iterator[Finding]:
+    cores = len(os.sched_getaffinity(0))
+    if cores >= MIN_CORES:
+        yield Finding("ok", f"{cores} CPU cores")
+    else:
+        todo = f"budgets are for {MIN_CORES}: expect missed deadlines with a detector on the CPU"
+        yield Finding("warn", f"{cores} CPU core", todo)
+
+
+def check_packages(config: Config) -> Iterator[Finding]:
+    """Core dependencies whose binaries may not load (missing libGL, wrong NumPy, …)."""
+    versions = []
+    for module in CORE_MODULES:
+        try:
+            versions.append(f"{module} {import_module(module).__version__}")
+        except ImportError as error:
+            todo = "reinstall edge-vln and its dependencies"
+            yield Finding("fail", f"{module} cannot be imported: {error}", todo)
+    if versions:
+        yield Finding("ok", ", ".join(versions))
+
+
+def check_opencv(config: Config) -> Iterator[Finding]:
+    """Its packages hold the same folder `cv2`: the last one installed overwrites the others."""
+    found = [name for name in OPENCV if _is_installed(name)]
+    if len(found) > 1:
+        todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
+        yield Finding("warn", f"{' and '.join(found)} overwrite each other", todo)
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def check_jetson(config: Config) -> Iterator[Finding]:
+    name = machine.tegra_release(TEGRA_RELEASE)
+    if name is None:
+        return
+    if "CUDAExecutionProvider" in _providers():
+        yield Finding("ok", f"Jetson: {name}")
+    else:
+        todo = "onnxruntime cannot use its GPU: install NVIDIA's onnxruntime-gpu for this JetPack"
+        yield Finding("warn", f"Jetson: {name}", todo)
+
+
+def check_shared_memory(config: Config) -> Iterator[Finding]:
+    if not SHM.is_dir():
+        yield Finding("warn", f"{SHM} is not there", "Zenoh then copies images over TCP")
+        return
+    size_mb = shutil.disk_usage(SHM).total // _MB
+    if size_mb >= MIN_SHM_MB:
+        yield Finding("ok", f"shared memory: {size_mb} MB in {SHM}")
+    else:
+        todo = "images may not fit: docker run --shm-size=256m (or --ipc=host)"
+        yield Finding("warn", f"shared memory: {size_mb} MB in {SHM}", todo)
+
+
+def check_cache(config: Config) -> Iterator[Finding]:
+    path = resources.cache_dir()
+    reason = _unwritable(path)
+    if reason:
+        todo = "name another with EDGE_CACHE_DIR"
+        yield Finding("warn", f"cache {path} cannot be written: {reason}", todo)
+        return
+    free_mb = shutil.disk_usage(path).free // _MB
+    level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
+    todo = "" if level == "ok" else f"models and recordings want {MIN_FREE_MB} MB: make room"
+    yield Finding(level, f"cache {path}: writable, {free_mb} MB free", todo)
+
+
+def _unwritable(directory: Path) -> str:
+    """Why no file can be made in a directory; empty when one can."""
+    probe = directory / f".doctor.{os.getpid()}"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+# -- what the loop stands on ------------------------------------------------------------------
+
+
+def _probe(a: int, b: int) -> int:
+    """What `check_numba` compiles."""
+    return a + b
+
+
+def check_numba(config: Config) -> Iterator[Finding]:
+    import numba
+
+    before = time.perf_counter()
+    kernel = numba.njit(nogil=True)(_probe)
+    if kernel(2, 3) != 5:
+        yield Finding("fail", f"numba {numba.__version__} computes wrongly", "reinstall numba")
+        return
+    took_s = time.perf_counter() - before
+    yield Finding("ok", f"numba {numba.__version__} compiles ({took_s:.1f} s)")
+    try:
+        path = Path(numba.njit(cache=True)(_probe).stats.cache_path)
+    except RuntimeError:
+        todo = "every start compiles anew: name a writable directory with NUMBA_CACHE_DIR"
+        yield Finding("warn", "numba has nowhere to keep compiled kernels", todo)
+        return
+    yield Finding("ok", f"numba keeps compiled kernels in {path}")
+
+
+def check_zenoh(config: Config) -> Iterator[Finding]:
+    version = metadata.version("eclipse-zenoh")
+    took_ms = loopback_ms(LOOPBACK_S)
+    if took_ms is not None:
+        yield Finding("ok", f"Zenoh {version}: a message came through over TCP ({took_ms:.0f} ms)")
+    else:
+        todo = "check that TCP on 127.0.0.1 is allowed (sandbox, firewall, `ip link set lo up`)"
+        yield Finding("fail", f"Zenoh {version}: no message within {LOOPBACK_S:g} s", todo)
+
+
+def loopback_ms(limit_s: float) -> float | None:
+    """Pass one message from a connecting session to a listening one, as the service and its
+    sensors do; the time it took from opening both, or None when none came."""
+    import zenoh
+
+    from edge.bus.session import open_session
+    from edge.config import Zenoh
+    from edge.host.ports import free_port
+
+    before = time.perf_counter()
+    settings = Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}")
+    key = f"edge-doctor/{os.getpid()}"
+    with (
+        open_session(settings, "listen") as hears,
+        open_session(settings, "connect") as says,
+    ):
+        subscriber = hears.declare_subscriber(key, zenoh.handlers.RingChannel(4))
+        while time.perf_counter() - before < limit_s:
+            says.put(key, b"hello")  # again: the subscription has to reach the other side first
+            if subscriber.try_recv() is not None:
+                return 1e3 * (time.perf_counter() - before)
+            time.sleep(0.01)
+    return None
+
+
+def check_endpoint(config: Config) -> Iterator[Finding]:
+    """Whether the service could listen where the configuration says."""
+    from edge.bus.session import BusError, open_session
+
+    if config.zenoh.mode == "client":
+        yield Finding("ok", f"the service will look for a Zenoh router at {config.zenoh.endpoint}")
+        return
+    try:
+        open_session(config.zenoh, "listen").close()
+    except BusError as error:
+        yield Finding("warn", f"the service cannot listen at {config.zenoh.endpoint}", str(error))
+    else:
+        yield Finding("ok", f"the service can listen at {config.zenoh.endpoint}")
+
+
+# -- the detector -----------------------------------------------------------------------------
+
+
+def _providers() -> tuple[str, ...]:
+    """Execution providers of the installed onnxruntime; empty without one."""
+    if util.find_spec("onnxruntime") is None:
+        return ()
+    import onnxruntime
+
+    return tuple(onnxruntime.get_available_providers())
+
+
+def _installed(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def check_onnxruntime(config: Config) -> Iterator[Finding]:
+    detector = config.perception.detector
+    lack: Level = "fail" if detector.kind == "onnx" else "warn"
+    if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
+        todo = "one hides the other: pip uninstall onnxruntime onnxruntime-gpu, then install one"
+        yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
+    providers = _providers()
+    if not providers:
+        todo = "pip install 'edge-vln[cpu]' (or [gpu])"
+        yield Finding(lack, "onnxruntime is not installed: no neural detector", todo)
+        return
+    import onnxruntime
+
+    names = ", ".join(name.removesuffix("ExecutionProvider") for name in providers)
+    yield Finding("ok", f"onnxruntime {onnxruntime.__version__}: {names}")
+    if detector.kind == "onnx":
+        for name in detector.providers:
+            if name not in providers:
+                todo = "install another onnxruntime, or change perception.detector.providers"
+                yield Finding("fail", f"{name} is configured but not available", todo)
+
+
+def _split(error: Exception) -> tuple[str, str]:
+    """What is wrong and what to do, from a message that says both."""
+    what, _, todo = str(error).partition("; ")
+    return what, todo
+
+
+def check_models(config: Config) -> Iterator[Finding]:
+    """Every card's file; the configured one must be there and whole."""
+    from edge.perception.card_types import SimilarityCard
+    from edge.perception.cards import ModelError, card_names, load_card, verify_model
+
+    detector = config.perception.detector
+    needed = detector.model if detector.kind == "onnx" else None
+    names = card_names()
+    if needed is not None and needed not in names:
+        names.append(needed)
+    if not names:
+        yield Finding("warn", "no model cards", "this installation lacks models/: reinstall")
+    for name in names:
+        try:
+            card = load_card(name)
+            if isinstance(card, SimilarityCard):  # it has no file, but names cards that do
+                continue
+            verify_model(card)
+        except ModelError as error:
+            yield Finding("fail" if name == needed else "warn", *_split(error))
+        else:
+            yield Finding("ok", f"model {name}: {card.path}")
+
+
+def check_mission(config: Config) -> Iterator[Finding]:
+    """The configured mission is understood and can be done; its checkpoint can be kept."""
+    from edge.mission.brief import prepare
+    from edge.mission.checkpoint import CheckpointWriter
+
+    try:
+        brief = prepare(config.mission)
+        if config.mission.checkpoint is not None:
+            CheckpointWriter(resources.expand(config.mission.checkpoint)).close()
+    except UserError as error:
+        what, todo = _split(error)
+        yield Finding("fail", what, todo or "see `edge mission explain`")
+    else:
+        translation = brief.translation
+        yield Finding("ok", f"mission: {translation.understood} [{one_line(translation.formula)}]")
+
+
+def _targets(config: Config) -> tuple[str, ...]:
+    """What the detector will be asked for; of a mission that is refused, nothing is known."""
+    from edge.mission.brief import prepare
+
+    try:
+        return prepare(config.mission).targets
+    except UserError:
+        return (config.mission.target,)
+
+
+def check_vocabulary(config: Config) -> Iterator[Finding]:
+    """The text encoder of the configured detector knows the mission's targets, and perhaps what
+    else they compete with."""
+    from edge.perception.cards import load_detector_card
+    from edge.perception.text import TextEmbeddings, TextEncoder, make_text_encoder, words_for
+
+    detector = config.perception.detector
+    encoder: TextEncoder
+    try:
+        if detector.kind == "onnx":
+            encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+            encoder.embed(_targets(config))
+        else:
+            encoder = TextEmbeddings(None)
+    except UserError as error:
+        yield Finding("fail" if detector.kind == "onnx" else "warn", *_split(error))
+    else:
+        yield Finding("ok", f"text embeddings: {encoder!r}")
+        if detector.kind == "onnx":
+            known = words_for(detector.background, encoder.resolve)
+            unknown = [word for word in detector.background if word not in known]
+            if unknown:
+                what = (
+                    f"{detector.model} does not know {len(unknown)} of the "
+                    f"{len(detector.background)} words of perception.detector.background"
+                )
+                yield Finding("warn", what, f"it goes without: {', '.join(unknown)}")
+
+
+def check_scorers(config: Config) -> Iterator[Finding]:
+    """Configured scorers can be made; where a server is to answer, something listens."""
+    from edge.loop.advice import make_advisers
+
+    try:
+        advisers = make_advisers(config, _targets(config))
+    except UserError as error:
+        yield Finding("fail", *_split(error))
+        return
+    if advisers is None:
+        return
+    names = advisers.names()
+    advisers.close()
+    yield Finding("ok", f"scorers: {', '.join(names)}")
+    choice = config.perception.choice
+    if choice.kind != "none" and not _listens(choice.url):
+        todo = "start the server or correct perception.choice.url; the service goes without it"
+        yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
+
+
+def _listens(url: str) -> bool:
+    parts = urlsplit(url)
+    port = parts.port or {"http": 80, "https": 443}[parts.scheme]
+    try:
+        socket.create_connection((parts.hostname, port), SERVER_S).close()
+    except (OSError, UnicodeError):  # UnicodeError: a label no host name may have
+        return False
+    return True
+
+
+def check_worlds(config: Config) -> Iterator[Finding]:
+    wanted = ("trimesh", "PIL", "embreex")
+    missing = [name for name in wanted if util.find_spec(name) is None]
+    if not missing:
+        yield Finding("ok", "textured worlds: trimesh, pillow and embreex are installed")
+        return
+    lack: Level = "fail" if config.sim.world.kind == "mesh" else "warn"
+    todo = "pip install 'edge-vln[worlds]' (embreex: x86_64 only)"
+    yield Finding(lack, f"no textured worlds: without {', '.join(missing)}", todo)
+
+
+CHECKS: tuple[Check, ...] = (
+    check_python,
+    check_packages,
+    check_opencv,
+    check_cores,
+    check_jetson,
+    check_shared_memory,
+    check_cache,
+    check_numba,
+    check_zenoh,
+    check_endpoint,
+    check_onnxruntime,
+    check_models,
+    check_mission,
+    check_vocabulary,
+    check_scorers,
+    check_worlds,
+)

@@ -1,0 +1,131 @@
+"""`edge`: run the service, simulate a robot for it, look after models, measure.
+
+Thin: every command is a function of another module, and imports happen inside the handlers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import signal
+import sys
+
+from edge.cli.parsers import make_parser
+from edge.errors import Stopped, UserError
+from edge.host.interruptible import any_unjoined
+from edge.host.kernel_cache import kernel_cache
+from edge.host.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
+from edge.logs import setup
+from edge.text import printable_lines, without_secrets
+
+log = logging.getLogger("edge")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of the `edge` command; returns the exit code."""
+    handlers = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}
+    args = make_parser(__doc__.splitlines()[0], handlers).parse_args(argv)
+    setup(args.log_level, args.log_json)
+    if args.trust_cache:  # in the environment, a model's process has it too
+        from edge.perception.model_file import TRUST_CACHE
+
+        os.environ[TRUST_CACHE] = "1"
+    show_stacks_on_signals()
+    break_off_on_signals()
+    return _leave(_outcome(args))
+
+
+def _outcome(args: argparse.Namespace) -> int:
+    """The exit code of a command, its errors told; see `edge.errors.EXIT_CODES`."""
+    try:
+        with kernel_cache():
+            return int(args.handler(args))
+    except KeyboardInterrupt as broken_off:
+        return 128 + (broken_off.args or (signal.SIGINT,))[0]
+    except BrokenPipeError:  # whoever read the output has had enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except UserError as error:
+        if not isinstance(error, Stopped):
+            print(printable_lines(error), file=sys.stderr)
+        return error.exit_code
+    except OSError:
+        log.exception("a file or disk failed")
+        return os.EX_IOERR
+    except Exception:
+        log.exception("a fault of edge itself")
+        return os.EX_SOFTWARE
+
+
+def _leave(code: int) -> int:
+    """The exit code; where a thread runs that nobody may wait for, the process ends with it here.
+
+    See `edge.host.interruptible`.
+    """
+    if any_unjoined():
+        try:
+            logging.shutdown()
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:  # whatever breaks that off, a signal or a full disk
+            os._exit(code)
+    return code
+
+
+def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
+    """The configuration that a command names, with `--target` or `--mission` put in.
+
+    A formula is no part of it: the configured translator is still there for later orders.
+    """
+    from edge.config import load
+
+    environ = dict(os.environ)
+    if (target := getattr(args, "target", None)) is not None:
+        environ["EDGE__MISSION__TARGET"] = json.dumps(target)
+        environ["EDGE__MISSION__INSTRUCTION"] = "null"
+    elif (instruction := getattr(args, "mission", None)) is not None:
+        environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
+    return load(args.config, environ)
+
+
+def _run(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()  # first of all: it takes seconds to import what follows
+    from edge.cli.commands import run_service
+
+    config, asked = load_config(args), args.target or args.mission
+    return run_service(config, stop, args.once, args.report, asked, args.formula)
+
+
+def _demo(args: argparse.Namespace) -> int:
+    stop = stop_on_signals()
+    from edge.cli.commands import run_demo
+
+    config, asked = load_config(args), args.target or args.mission
+    return run_demo(config, stop, args.report, asked, args.formula)
+
+
+def _sim(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
+    from edge.cli.commands import run_simulator
+
+    return run_simulator(load_config(args), stop, motion=not args.no_motion)
+
+
+def _motion(args: argparse.Namespace) -> int:
+    stop = stop_on_signals(args.with_parent)
+    from edge.motion.process import main as run_motion
+
+    return run_motion(load_config(args), stop)
+
+
+def _config(args: argparse.Namespace) -> int:
+    from edge.config import Config
+
+    if args.schema:
+        print(json.dumps(Config.model_json_schema(), indent=2))
+    else:
+        shown = without_secrets(load_config(args).model_dump(mode="json"))
+        print(json.dumps(shown, indent=2, ensure_ascii=False))
+    return 0

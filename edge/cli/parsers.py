@@ -1,0 +1,253 @@
+"""The command line as data: what each command takes, and which function does it.
+
+Nothing heavy is imported here, so that `--help` and mistyped options are answered at once; a
+command's module is imported when the command runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import NoReturn
+
+from edge import __version__
+from edge.errors import EXIT_CODES
+from edge.logs import add_arguments
+from edge.mission import order
+
+Handler = Callable[[argparse.Namespace], int]
+
+_CONFIG = "YAML file, or the name of a ready configuration"
+_TARGET = "what to find, in place of mission.target"
+
+
+def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.ArgumentParser:
+    """The parser of `edge`.
+
+    Args:
+        handlers: by command, for the commands that have no module of their own.
+    """
+    parser = _Parser(
+        prog="edge", description=description, epilog=_exit_codes(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"edge {__version__}")
+    parser.set_defaults(trust_cache=False)
+    add_arguments(parser)
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, add in _OWN.items():
+        add(commands).set_defaults(handler=handlers.get(name))
+    for add in (_mission, _models, _record, _bench, _eval, _doctor):
+        add(commands)
+    return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Ends as `edge.errors.EXIT_CODES` says; so do the parsers of its commands."""
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        super().exit(os.EX_USAGE if status else os.EX_OK, message)
+
+
+def _exit_codes() -> str:
+    lines = [f"  {code:<4}{meaning}" for code, meaning in EXIT_CODES.items()]
+    return "\n".join(["exit codes:", *lines, "  128+N broken off by signal N"])
+
+
+def lazy(module: str, function: str) -> Handler:
+    """A handler that imports its module when it is called."""
+    return lambda args: getattr(import_module(module), function)(args)
+
+
+def positive(text: str) -> float:
+    """An option's positive number."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """An option's whole number, at least 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
+    return value
+
+
+def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    run = commands.add_parser("run", help="run the service on a robot's (or simulator's) sensors")
+    run.add_argument("config", help=_CONFIG)
+    _what(run)
+    run.add_argument("--once", action="store_true", help="exit when the mission is over")
+    run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
+    _trust(run)
+    return run
+
+
+def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    text = "simulator, controller and service in the built-in house"
+    demo = commands.add_parser("demo", help=text)
+    demo.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
+    _what(demo)
+    demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
+    _trust(demo)
+    return demo
+
+
+def _what(command: argparse.ArgumentParser) -> None:
+    """What the mission is; nothing: as the configuration (or its checkpoint) says."""
+    what = command.add_mutually_exclusive_group()
+    what.add_argument("--target", help=_TARGET)
+    what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
+    what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
+
+
+def _trust(command: argparse.ArgumentParser) -> None:
+    text = "do not hash model files again that were sound and have not been written since"
+    command.add_argument("--trust-cache", action="store_true", help=text)
+
+
+def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    sim = commands.add_parser("sim", help="run the simulated robot (and the reference controller)")
+    sim.add_argument("config", help=_CONFIG)
+    sim.add_argument("--no-motion", action="store_true", help="bring another motion controller")
+    _with_parent(sim)
+    return sim
+
+
+def _motion(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    motion = commands.add_parser("motion", help="run the reference motion controller alone")
+    motion.add_argument("config", help=_CONFIG)
+    _with_parent(motion)
+    return motion
+
+
+def _with_parent(command: argparse.ArgumentParser) -> None:
+    """For children of another `edge`: end when it is gone, however it went."""
+    command.add_argument("--with-parent", type=int, metavar="PID", help=argparse.SUPPRESS)
+
+
+def _config(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
+    config = commands.add_parser("config", help="check a configuration; print it or its schema")
+    config.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
+    config.add_argument("--schema", action="store_true", help="print the JSON Schema")
+    return config
+
+
+def _mission(commands) -> None:  # type: ignore[no-untyped-def]
+    mission = commands.add_parser("mission", help="explain a mission; order a running service")
+    actions = order.add_arguments(mission)
+    explain = actions.add_parser("explain", help="what is understood, and how it is planned")
+    explain.add_argument("text", help="an instruction in words")
+    explain.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+    explain.add_argument("--config", default="demo", help=f"{_CONFIG} (default: demo)")
+    explain.add_argument("--draw", metavar="FILE", help="the automaton as .svg, .png or .dot")
+    explain.set_defaults(handler=lazy("edge.mission.explain", "run"))
+
+
+def _models(commands) -> None:  # type: ignore[no-untyped-def]
+    # It takes `count`, `lazy` and `positive` from here.
+    from edge.models.arguments import add_arguments
+
+    add_arguments(commands.add_parser("models", help="list, fetch, make, check and change models"))
+
+
+def _record(commands) -> None:  # type: ignore[no-untyped-def]
+    record = commands.add_parser("record", help="write what the sensors send to an MCAP file")
+    record.add_argument("config", help=_CONFIG)
+    record.add_argument("--out", required=True, metavar="FILE", help="the MCAP file to write")
+    record.add_argument(
+        "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
+    )
+    record.set_defaults(handler=lazy("edge.sources.recording", "run"))
+
+
+def _bench(commands) -> None:  # type: ignore[no-untyped-def]
+    bench = commands.add_parser("bench", help="play a recorded run, print the latency table")
+    bench.add_argument("config", nargs="?", default="cpu", help=f"{_CONFIG} (default: cpu)")
+    bench.add_argument(
+        "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
+    )
+    bench.add_argument(
+        "--enforce", action="store_true", help="exit with 1 when a figure is over its budget"
+    )
+    bench.add_argument("--json", metavar="FILE", help="write the figures there too")
+    bench.add_argument(
+        "--recording", metavar="FILE", help="an MCAP file of your own; default: one that the "
+        "seeded simulator makes on first use"
+    )  # fmt: skip
+    bench.add_argument(
+        "--swap", metavar="NAME", help="change to this model halfway: what that costs the loop"
+    )
+    _trust(bench)
+    bench.set_defaults(handler=lazy("edge.eval.bench", "run"))
+
+
+def _eval(commands) -> None:  # type: ignore[no-untyped-def]
+    # They take `count` from here.
+    from edge.eval.tasks import add_arguments as tasks_options
+
+    evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
+    kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
+    episodes = kinds.add_parser("episodes", help="find-the-object episodes in simulated time")
+    episodes.add_argument("config", help=_CONFIG)
+    episodes.add_argument(
+        "--targets",
+        default="trash can,sofa,chair,bed,desk",
+        help="comma-separated; default: %(default)s",
+    )
+    episodes.add_argument("--starts", type=count, default=4, help="starts a target (default: 4)")
+    episodes.add_argument("--seed", type=int, default=0, help="of the starts (default: 0)")
+    episodes.add_argument(
+        "--min-distance",
+        type=float,
+        default=3.0,
+        metavar="M",
+        help="of driving from a start to its target (default: %(default)g)",
+    )
+    episodes.add_argument("--jobs", type=count, default=1, help="episodes at a time (default: 1)")
+    episodes.add_argument("--report", metavar="DIR", help="a report for every episode, and results")
+    episodes.add_argument("--episode", help=argparse.SUPPRESS)
+    episodes.set_defaults(handler=lazy("edge.eval.episodes", "run"))
+    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
+    tasks_options(tasks)
+    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
+    _eval_translate(kinds)
+
+
+def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]
+    translate = kinds.add_parser("translate", help="how well instructions become formulas")
+    option = translate.add_argument
+    option("--backend", choices=("grammar", "llm"), default="grammar", help="translator to score")
+    option("--url", help="of the OpenAI-compatible server, for --backend llm")
+    option("--model", help="its model, for --backend llm")
+    option(
+        "--constrain", choices=("gbnf", "guided_grammar", "none"), default="none",
+        help="how the server is told the formulas' grammar, for --backend llm",
+    )  # fmt: skip
+    option("--limit", type=count, metavar="N", help="at most N instructions of each set")
+    option("--seed", type=int, default=0, help="of the benchmark's tasks (default: 0)")
+    option(
+        "--lang2ltl", type=Path, metavar="CSV",
+        help="Lang2LTL's symbolic utterances (symbolic_batch12_noperm.csv); without it that set "
+        "is skipped",
+    )  # fmt: skip
+    option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
+    option("--out", type=Path, metavar="FILE", help="the counts as JSON")
+    translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+
+
+def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
+    doctor = commands.add_parser("doctor", help="what this machine has, and what it lacks")
+    doctor.add_argument(
+        "config", nargs="?", default="demo", help="the configuration to run (default: demo)"
+    )
+    doctor.add_argument("--json", action="store_true", help="print findings as JSON")
+    doctor.set_defaults(handler=lazy("edge.cli.doctor", "run"))
+
+
+_OWN = {"run": _run, "demo": _demo, "sim": _sim, "motion": _motion, "config": _config}

@@ -1,0 +1,273 @@
+"""How long every stage takes: a preallocated ring of spans, percentiles, budgets, reports.
+
+The service reads the clock (`time.perf_counter_ns`) and hands the values in:
+
+    ring.begin_tick(clock())
+    observation = source.poll();  ring.mark(INGEST, clock())
+    mapper.update(observation);   ring.mark(MAP, clock())
+    ring.end_tick(clock())
+
+Stages beside the tick (the detector's worker) call `span` from their own thread.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
+
+TICK = "tick"
+NOT_RUN = -1
+_MS = 1e-6
+_QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class StageLatency:
+    """One row of the report.
+
+    Attributes:
+        budget_ms: what p95 should stay under.
+        n: spans in the window that the percentiles are taken over (ticks in which the
+            stage did not run are not counted).
+        p50_ms, p95_ms, p99_ms, max_ms: over the window; 0 where `n` is 0.
+        count: spans since the start.
+        overruns: of those, how many took longer than the budget; for the tick itself,
+            longer than `TICK_DEADLINE_MS`.
+        drops: inputs that the stage let go, or failed on, since the start.
+    """
+
+    name: str
+    budget_ms: float
+    n: int
+    p50_ms: float
+    p95_ms: float
+    p99_ms: float
+    max_ms: float
+    count: int
+    overruns: int
+    drops: int
+    in_tick: bool = True
+
+    @property
+    def verdict(self) -> str:
+        """`ok` or `over` by p95 against the budget; `-` when the stage has not run."""
+        if self.n == 0:
+            return "-"
+        return "ok" if self.p95_ms <= self.budget_ms else "over"
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyReport:
+    """Every stage in the order of the stage table, and the tick as a whole."""
+
+    stages: tuple[StageLatency, ...]
+    tick: StageLatency
+    deadline_ms: float = TICK_DEADLINE_MS
+
+    def stage(self, name: str) -> StageLatency:
+        """The row of one stage.
+
+        Raises:
+            KeyError: there is no such stage.
+        """
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(name)
+
+    @property
+    def rows(self) -> tuple[StageLatency, ...]:
+        return (*self.stages, self.tick)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What goes out as JSON on `edge.bus.topics.LATENCY`; times in ms."""
+
+        def brief(row: StageLatency) -> dict[str, Any]:
+            values = {key: _rounded(value) for key, value in asdict(row).items() if key != "name"}
+            return {**values, "verdict": row.verdict}
+
+        return {
+            "tick": brief(self.tick),
+            "deadline_ms": self.deadline_ms,
+            "stages": {row.name: brief(row) for row in self.stages},
+        }
+
+    def table(self) -> str:
+        """The report as aligned text, one line a stage, the tick last."""
+        header = ("stage", "n", "p50", "p95", "p99", "max", "budget", "over", "drops", "p95/budget")
+        lines = [_line(header)]
+        lines += [_line(_cells(row)) + f" {row.verdict}" for row in self.rows]
+        lines.insert(-1, "-" * len(lines[0]))
+        lines.append(
+            f"times in ms; tick deadline {self.deadline_ms:g} ms missed "
+            f"{self.tick.overruns} of {self.tick.count}; * runs beside the tick"
+        )
+        return "\n".join(lines)
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 4) if isinstance(value, float) else value
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    widths = (12, 8, 9, 9, 9, 9, 8, 7, 7)
+    name, *numbers, bar = cells
+    padded = "".join(f"{cell:>{width}}" for cell, width in zip(numbers, widths[1:], strict=True))
+    return f"{name:<{widths[0]}}{padded}  {bar:<10}"
+
+
+def _cells(row: StageLatency) -> tuple[str, ...]:
+    times = (row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms)
+    texts = [f"{value:.3f}" if row.n else "-" for value in times]
+    name = row.name if row.in_tick else f"{row.name}*"
+    counts = (f"{row.overruns}", f"{row.drops}")
+    return (name, f"{row.count}", *texts, f"{row.budget_ms:g}", *counts, _bar(row))
+
+
+def _bar(row: StageLatency, width: int = 10) -> str:
+    """p95 as a share of the budget; a full bar that ends in `>` is over it."""
+    filled = min(width, round(width * row.p95_ms / row.budget_ms))
+    bar = "#" * filled + "." * (width - filled)
+    return bar[:-1] + ">" if row.verdict == "over" else bar
+
+
+class LatencyRing:
+    """The spans of the last `capacity` ticks, and as many of each stage beside the tick.
+
+    One thread ticks; others may call `span` for stages beside the tick, and `report`.
+    A tick enters the ring as a whole in `end_tick`, so a report never sees half of one.
+
+    Args:
+        capacity: ticks kept.
+        stages: the stage table; indices are positions in it.
+    """
+
+    def __init__(self, capacity: int = 4096, stages: tuple[Stage, ...] = STAGES) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity: must be positive, got {capacity}")
+        self._stages = stages
+        self._capacity = capacity
+        n = len(stages)
+        # Column n is the tick itself. Stages in the tick share a head, others have their own.
+        self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
+        # A list while the tick runs: setting an array's items one by one costs twice as much.
+        self._blank = [NOT_RUN] * (n + 1)
+        self._now_ns = list(self._blank)
+        self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
+        self._in_tick = tuple(stage.in_tick for stage in stages)
+        self._in_tick_columns = np.array([*self._in_tick, True])
+        limits_ms = [*(stage.budget_ms for stage in stages), TICK_DEADLINE_MS]
+        self._limit_ns = np.array([round(limit / _MS) for limit in limits_ms], dtype=np.int64)
+        self._over = np.zeros(n + 1, dtype=bool)
+        self._ran = np.zeros(n + 1, dtype=bool)
+        self._overruns = np.zeros(n + 1, dtype=np.int64)
+        self._count = np.zeros(n + 1, dtype=np.int64)
+        self._drops = [0] * n
+        self._abandoned = [0] * n
+        self._ticks = 0
+        self._began_ns = self._marked_ns = 0
+        self._lock = threading.Lock()
+
+    def begin_tick(self, t_ns: int) -> None:
+        """Start a tick; one that was begun and never ended is forgotten."""
+        self._now_ns[:] = self._blank
+        self._began_ns = self._marked_ns = t_ns
+
+    def mark(self, stage: int, t_ns: int) -> None:
+        """Stage `stage` has just ended: it took the time since the last mark or the beginning.
+
+        A stage that is marked twice in a tick took the sum of both.
+        """
+        self.span(stage, t_ns - self._marked_ns)
+        self._marked_ns = t_ns
+
+    def span(self, stage: int, duration_ns: int) -> None:
+        """Stage `stage` took `duration_ns`; added up where it runs more than once in a tick."""
+        if self._in_tick[stage]:
+            before_ns = self._now_ns[stage]
+            self._now_ns[stage] = duration_ns if before_ns < 0 else before_ns + duration_ns
+        else:
+            self._span_beside(stage, duration_ns)
+
+    def _span_beside(self, stage: int, duration_ns: int) -> None:
+        with self._lock:
+            self._spans_ns[self._count[stage] % self._capacity, stage] = duration_ns
+            self._count[stage] += 1
+            self._overruns[stage] += duration_ns > self._limit_ns[stage]
+
+    def resume(self, t_ns: int) -> None:
+        """What happened since the last mark was no part of the tick."""
+        self._began_ns += t_ns - self._marked_ns
+        self._marked_ns = t_ns
+
+    def end_tick(self, t_ns: int) -> None:
+        """The tick is over and enters the ring."""
+        self._now_ns[-1] = t_ns - self._began_ns
+        now = self._tick_ns
+        now[:] = self._now_ns
+        np.greater(now, self._limit_ns, out=self._over)
+        np.greater_equal(now, 0, out=self._ran)
+        with self._lock:
+            row = self._spans_ns[self._ticks % self._capacity]
+            np.copyto(row, now, where=self._in_tick_columns)
+            self._overruns += self._over
+            self._count += self._ran
+            self._ticks += 1
+
+    def abandon_tick(self, stage: int) -> None:
+        """The tick ended in an error of this stage, which so dropped its input.
+
+        Half a tick would spoil the percentiles: it does not enter the ring.
+        """
+        self._abandoned[stage] += 1
+
+    def set_drops(self, stage: int, total: int) -> None:
+        """Stage `stage` has let go of `total` inputs since the start, as it counts them itself;
+        those of abandoned ticks come on top."""
+        self._drops[stage] = total
+
+    def report(self, last: int | None = None) -> LatencyReport:
+        """Percentiles over the last `last` ticks (and spans beside them), or all that are kept."""
+        with self._lock:
+            windows = list(self._spans_ns[self._newest(self._ticks, last)].T)
+            for i in np.flatnonzero(~self._in_tick_columns):
+                windows[i] = self._spans_ns[self._newest(int(self._count[i]), last), i]
+            count, overruns = self._count.tolist(), self._overruns.tolist()
+            drops = tuple(map(sum, zip(self._drops, self._abandoned, strict=True)))
+        rows = tuple(
+            StageLatency(s.name, s.budget_ms, *_summary(window), *counted, in_tick=s.in_tick)
+            for s, window, *counted in zip(
+                self._stages, windows, count, overruns, drops, strict=False
+            )
+        )
+        summary = _summary(windows[-1])
+        tick = StageLatency(TICK, TICK_BUDGET_MS, *summary, count[-1], overruns[-1], sum(drops))
+        return LatencyReport(rows, tick)
+
+    def _newest(self, written: int, last: int | None) -> np.ndarray:
+        """Rows of the newest `last` spans, where `written` were written so far."""
+        kept = min(written, self._capacity)
+        take = kept if last is None else max(0, min(last, kept))
+        return np.arange(written - take, written) % self._capacity
+
+
+def _summary(window_ns: np.ndarray) -> tuple[int, float, float, float, float]:
+    """(n, p50, p95, p99, max) in ms of the spans that ran, linear between neighbours.
+
+    One sort serves all four; `np.percentile` would sort and check its arguments for each.
+    """
+    spans = np.sort(window_ns[window_ns >= 0])
+    n = len(spans)
+    if n == 0:
+        return 0, 0.0, 0.0, 0.0, 0.0
+    position = _QUANTILES * (n - 1)
+    low = position.astype(np.int64)
+    high = np.minimum(low + 1, n - 1)
+    values = spans[low] + (position - low) * (spans[high] - spans[low])
+    p50, p95, p99, top = (values * _MS).tolist()
+    return n, p50, p95, p99, top

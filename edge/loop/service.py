@@ -1,0 +1,450 @@
+"""The sensor loop: observations in, goals out.
+
+`Service.tick` is one pass over the stage table of `edge/loop/stages.py`, top to bottom. It reads no
+clock but to time itself: the same observations give the same goals.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter_ns
+
+import numpy as np
+
+from edge.config import Config, PlannerVitl
+from edge.geometry import SE2
+from edge.loop import stages
+from edge.loop.advice import Advice, Advisers
+from edge.loop.candidates import CandidatePool
+from edge.loop.faults import Faults
+from edge.loop.latency import LatencyRing
+from edge.loop.pursuit import Pursuit
+from edge.loop.status import detector_health, status_of
+from edge.mapping.grid import RollingMap
+from edge.mission.brief import Brief
+from edge.mission.keeper import Keeper
+from edge.mission.planning.surveyor import Surveyor
+from edge.mission.run import MissionRun
+from edge.mission.sight import newest_ids, places
+from edge.perception.inline import InlineWorker
+from edge.perception.instances import InstanceTracker
+from edge.perception.lift import Lifter
+from edge.perception.swap.swapper import Swapper
+from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
+from edge.sinks import Sink
+from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
+
+log = logging.getLogger("edge.loop.service")
+
+INGEST, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(stages.STAGES))
+BLIND_S = 1.0  # or three frames, where they come less often
+
+
+class Service:
+    """Everything between a source of observations and the sinks of results.
+
+    Args:
+        brief: the mission to begin with; the worker's detector looks for its targets.
+        worker: detects on the side; `submit` and `poll` never wait for the model.
+        sinks: take goals, maps, status; their methods never block.
+        keeper: has the mission's state written, and what it read taken up again.
+        advisers: scorers that are asked beside the loop, where any are configured.
+
+    Attributes:
+        mission: the one under way, or the last one.
+        pursuit: of the present goal.
+        pose: the newest in `map`; None before there was any.
+        stamp_ns: of the newest observation, on the sensors' clock.
+        swapper: puts another model in the place of the worker's.
+        overruns: by what is listened to, how often more came than could be taken.
+        faults: what stages, sinks and orders raised, and the loop outlived.
+        stage: the one at work in a tick, or whose error ended it.
+        epoch: counts the frames that the map was in.
+        advice: what the scorers said, for policies; None where there are none.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        brief: Brief,
+        worker: DetectorWorker | InlineWorker,
+        sinks: list[Sink],
+        keeper: Keeper | None = None,
+        advisers: Advisers | None = None,
+    ) -> None:
+        self.config = config
+        self.keeper = keeper
+        self.grid = RollingMap(config.mapping)
+        self.tracker = InstanceTracker(config.perception)
+        self.mission = MissionRun(brief, config.mission, self._step_taken)
+        self.policy = make_policy(config.policy)
+        self.pool = CandidatePool(
+            config.mapping.max_frontiers + config.perception.max_instances,
+            config.policy.r_assoc_m,
+            len(brief.targets),
+        )
+        self.advice: Advice | None = None if advisers is None else advisers.advice
+        self.latency = LatencyRing()
+        self.pursuit = Pursuit(
+            config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
+        )
+        self.epoch = 0
+        self.stamp_ns = 0
+        planner = config.mission.planner
+        by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
+        self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
+        self.faults = Faults(self.event)
+        self.overruns: Callable[[], dict[str, int]] = dict
+        self.stage = INGEST
+        self._worker = worker
+        self._advisers = advisers
+        self.swapper = Swapper(config.perception, worker, self.event)
+        self._sinks = sinks
+        self._lifter = Lifter(config.perception)
+        self._seen: Detections | None = None
+        self._detector_degraded = False  # known to be, and told
+        self.pose: SE2 | None = None
+        self._turns = -1  # the mission's, when the present goal's target was set out for
+        self._looked_ns = 0  # when the last observation was dealt with
+        self._blind_ns = _blind_ns(config)
+        self._newest_seq = self._void_seq = -1
+        if keeper is not None:
+            keeper.resume(self)
+
+    # -- the tick ---------------------------------------------------------------------------
+
+    def tick(self, observation: Observation, now_ns: int) -> Goal | None:
+        """One pass over all stages.
+
+        Args:
+            observation: held by its source until the tick returns.
+            now_ns: the loop's time, on the clock of the observation's stamp.
+
+        Returns:
+            The goal now being driven to, or None.
+
+        A tick that raises is as good as none: no one has looked.
+        """
+        self.stage = DETECT
+        pose = self.pose = observation.pose
+        self.stamp_ns = observation.stamp_ns
+        self._newest_seq = observation.seq
+        self._worker.submit(observation)
+        # In lockstep the model runs inside `submit`; that time is `detect`'s, not the tick's.
+        self.latency.resume(perf_counter_ns())
+
+        self.stage = MAP
+        self._map(observation, pose, now_ns)
+        self._lap(MAP)
+        self._lift(self._worker.poll(), now_ns)
+        self._lap(LIFT)
+        self._gather(observation, now_ns)
+        self._lap(CANDIDATES)
+        if self._advisers is not None:
+            self._consult(self._advisers, observation)
+        self.policy.score(self.pool, self.grid, self._seen, pose)
+        self._lap(SCORE)
+        self._plan(observation, now_ns)
+        self._lap(PLAN)
+        goal = self._select(pose, now_ns)
+        self._lap(SELECT)
+        self._publish(goal, observation, now_ns)
+        self._lap(PUBLISH)
+        self._looked_ns = now_ns
+        return goal
+
+    def _lap(self, stage: int) -> None:
+        """This stage is done, the next begins."""
+        self.latency.mark(stage, perf_counter_ns())
+        self.stage = (stage + 1) % len(stages.STAGES)
+
+    def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
+        """Stage 3: fold the depth image or cloud into the map."""
+        self.grid.expire_bumps(now_ns)
+        if self.config.mapping.input == "cloud":
+            if observation.cloud_m is not None:
+                T = observation.T_map_base @ observation.T_base_lidar
+                self.grid.update_cloud(observation.cloud_m, T, pose)
+        elif observation.depth_m is not None and observation.camera is not None:
+            T = observation.T_map_base @ observation.T_base_camera
+            self.grid.update_depth(observation.depth_m, observation.camera, T, pose)
+        self.grid.reach.step(pose)
+
+    def _lift(self, detections: Detections | None, now_ns: int) -> None:
+        """Stage 4: boxes become instances, with the depth and pose they were seen with."""
+        self._seen = None
+        if detections is None:
+            return
+        try:
+            void = detections.observation.seq <= self._void_seq
+            if not void and detections.prompts == self.mission.brief.targets:
+                self._take(detections, now_ns)
+        finally:
+            # The arrays are only read through `_seen` in this tick; the frame may be used again.
+            detections.observation.release()
+
+    def _take(self, detections: Detections, now_ns: int) -> None:
+        """Detections of what is looked for, in the map that there is."""
+        self.latency.span(DETECT, detections.latency_ns)
+        if self._advisers is not None:
+            self._advisers.saw(detections)
+        lifted = self._lifter.lift(detections)
+        self.tracker.update(lifted, detections.observation.stamp_ns)
+        self.tracker.expire(detections.observation, detections.prompts)
+        perception = self.config.perception
+        self.grid.coverage.look(
+            detections.observation, perception.confirm_range_m, perception.confirm_hits
+        )
+        seen = self._seen = _unrivalled(detections)
+        self._each_sink("detections", now_ns, lambda sink: sink.detections(seen))
+
+    def _instances(self) -> list[Instance]:
+        """What stage 5 takes as instance candidates."""
+        if self.mission.done:
+            return []
+        return self.tracker.of(self.mission.target, sure=not self.policy.uses_instances)
+
+    def _gather(self, observation: Observation, now_ns: int) -> None:
+        """Stage 5: frontiers, and instances of the active target."""
+        self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
+
+    def _consult(self, advisers: Advisers, observation: Observation) -> None:
+        """What stage 6 may go by besides detections: answers there are, and the next questions."""
+        mission = self.mission
+        if not (mission.done or mission.paused):
+            targets = mission.brief.targets
+            advisers.ask(observation, targets, mission.target, self.pool, self.tracker)
+        advisers.take_up()
+        if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
+            self.latency.resume(perf_counter_ns())
+
+    def _plan(self, observation: Observation, now_ns: int) -> None:
+        """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
+        mission, pose = self.mission, observation.pose
+        if not mission.started:
+            mission.start(now_ns)
+        if self.keeper is not None:
+            self.keeper.restore_places(self, observation)
+        mission.observe(pose, now_ns)
+        sure = not self.policy.uses_instances
+        mission.see(newest_ids(self.tracker, mission.brief.targets, sure), now_ns)
+        if self._surveyor is not None:
+            self._survey(self._surveyor, pose, now_ns)
+        if self._turns == mission.turns and not (mission.done or mission.paused):
+            self.pursuit.judge(mission, pose, now_ns, self._worker.stats.done)
+            if self.pursuit.exhausted:
+                mission.give_up(self._why_given_up(), now_ns)
+        mission.check_limits(now_ns)
+        if self._turns != mission.turns:
+            self._turn(observation, now_ns)
+
+    def _why_given_up(self) -> str:
+        target, views = self.mission.target, self.pursuit.views
+        found = "no way to" if target in self.mission.detected else "found no"
+        again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
+        barred = _held_up_at(self.grid.held_up_m)
+        return f"explored all that can be reached{again}, {found} {target}{barred}"
+
+    def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
+        """Have driving distances worked out on the side, and take up those that are there."""
+        if (distance_m := surveyor.poll()) is not None and not self.mission.paused:
+            self.mission.survey(distance_m, now_ns)
+        if surveyor.due(now_ns):
+            letters = self.mission.brief.automaton.letters
+            surveyor.ask(self.grid, pose, places(self.tracker, letters), now_ns)
+
+    def _turn(self, observation: Observation, now_ns: int) -> None:
+        """The plan set out for a target: choose among its candidates, by its scores, at once."""
+        self._turns = self.mission.turns
+        if self.mission.done:
+            return
+        self.pursuit.set_out(self.mission.target)
+        self.pool.channel = self.mission.brief.targets.index(self.mission.target)
+        self._gather(observation, now_ns)
+        self.policy.score(self.pool, self.grid, self._seen, observation.pose)
+
+    def _select(self, pose: SE2, now_ns: int) -> Goal | None:
+        """Stage 8: algorithm 2, or nowhere when the mission is over or paused."""
+        if self.mission.done or self.mission.paused:
+            self.pursuit.rest()
+            return None
+        by_id = {i.id: i for i in self._instances()}
+        target, looks = self.mission.target, self._worker.stats.done
+        return self.pursuit.choose(self.grid, by_id, pose, now_ns, target, looks)
+
+    def _publish(self, goal: Goal | None, observation: Observation, now_ns: int) -> None:
+        """Stage 9: hand results to the sinks, which never block."""
+        self.pursuit.give(goal, self.mission, observation.pose, now_ns)
+        self._report(observation, now_ns)
+
+    def _report(self, observation: Observation | None, now_ns: int) -> None:
+        self._look_after_detector(now_ns)
+        if self.keeper is not None:
+            with self.faults.outlived("checkpoint", now_ns):
+                self.keeper.note(self, now_ns)
+        self._each_sink("tick", now_ns, lambda sink: sink.tick(self, observation, now_ns))
+
+    def _look_after_detector(self, now_ns: int) -> None:
+        """Tell once that it has become degraded, and once that it is well again."""
+        health, name = detector_health(self._worker), self._worker.detector.name
+        if health.state == "degraded" and not self._detector_degraded:
+            self._detector_degraded = True
+            self.event(f"detector {name}: degraded: {health.detail}", now_ns)
+        elif health.state == "ok" and self._detector_degraded:
+            self._detector_degraded = False
+            self.event(f"detector {name}: goes well again", now_ns)
+
+    def _tell(self, goal: Goal) -> None:
+        self._each_sink("goal", goal.stamp_ns, lambda sink: sink.goal(goal))
+
+    def _each_sink(self, what: str, now_ns: int, tell: Callable[[Sink], None]) -> None:
+        """Tell every sink of something; one that fails costs the others nothing."""
+        for sink in self._sinks:
+            with self.faults.outlived(f"{type(sink).__name__}.{what}", now_ns):
+                tell(sink)
+
+    def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
+        """Where no sensor shows what is there only driving can tell: the map closes."""
+        where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
+        if self.grid.shows_obstacle(self.pose, place, self.config.robot.radius_m):
+            self.event(f"{where} by what the map shows", now_ns)
+            return
+        self.event(f"{where}: the map closes there", now_ns)
+        self.grid.bump(*place, now_ns)
+
+    # -- what comes from outside --------------------------------------------------------------
+
+    def begin(self, brief: Brief, now_ns: int) -> None:
+        """Put another mission in the place of the present one; map and instances stay.
+
+        Raises:
+            PlannerError: its automaton is too large for the configured planner.
+            PromptError, ModelError: the detector cannot look for one of its targets.
+
+        Nothing has changed when it raises.
+        """
+        mission = MissionRun(brief, self.config.mission, self._step_taken)
+        self._worker.set_prompts(brief.targets)
+        self.mission = mission
+        self.tracker.forget_verdicts()
+        self.grid.coverage.forget()
+        self.pool.set_channels(len(brief.targets))
+        self._seen, self._turns = None, -1
+        if self._surveyor is not None:
+            self._surveyor.forget()
+        if self._advisers is not None:
+            self._advisers.forget()
+        self.pursuit.forget_mission()
+        self.mission.start(now_ns)
+
+    def goal_answered(self, answer: GoalStatus) -> None:
+        """The controller said something about a goal; answers to old goals are void."""
+        self._each_sink("answered", self._looked_ns, lambda sink: sink.answered(answer))
+        self.pursuit.orders.answered(answer)
+
+    def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
+        """No observation came: limits still hold, status still goes out, no one drives blind.
+
+        Args:
+            pose: from the newest odometry; None before there was any.
+            dropped: the observation that a stage failed on, if one came. It is dealt with, which
+                a simulator in lockstep waits to hear.
+        """
+        blind = self.pose is not None and now_ns - self._looked_ns > self._blind_ns
+        if blind and pose is not None:
+            self.pose = pose
+        looking = self.pose is not None and not blind
+        try:
+            self.mission.observe(self.pose, now_ns, looking)
+            self.mission.check_limits(now_ns)
+        finally:  # whatever is the matter with the mission
+            if self.pose is not None and (self.mission.done or self.mission.paused or blind):
+                self._stand(self.pose, now_ns)
+            self._report(dropped, now_ns)
+
+    def _stand(self, pose: SE2, now_ns: int) -> None:
+        orders = self.pursuit.orders
+        if orders.driving:
+            if not (self.mission.done or self.mission.paused):
+                self.event("nothing to be seen: standing still", now_ns)
+            orders.stand(pose, now_ns)
+        self.pursuit.drop()
+
+    def forget_places(self, now_ns: int) -> None:
+        """The pose jumped: map, instances and goals of the old frame mean nothing now.
+
+        What the detector still finds in images of before is void as well. The robot is told to
+        stand, unless the next tick finds a goal in the new frame.
+        """
+        self.event("pose jumped: map and instances dropped", now_ns)
+        self.epoch += 1
+        self.grid = RollingMap(self.config.mapping)
+        self.tracker.clear()
+        self.pool.clear()
+        self.mission.forget_distances()
+        if self._surveyor is not None:
+            self._surveyor.forget()
+        if self._advisers is not None:
+            self._advisers.forget()
+        self.pursuit.forget_places()
+        self._void_seq = self._newest_seq
+
+    def event(self, text: str, now_ns: int) -> None:
+        """Tell log and sinks of something that a person would want to know."""
+        log.info(text)
+        self._each_sink("event", now_ns, lambda sink: sink.event(text, now_ns))
+
+    def close(self) -> None:
+        """No tick comes any more."""
+        self.swapper.close()
+        if self._surveyor is not None:
+            self._surveyor.close()
+
+    # -- what others may ask ------------------------------------------------------------------
+
+    def _step_taken(self, step: Step) -> None:
+        self.event(step.text, step.stamp_ns)
+
+    @property
+    def goal(self) -> Goal | None:
+        """Where the robot is sent; None: nowhere."""
+        return self.pursuit.goal
+
+    @property
+    def status(self) -> MissionStatus:
+        return self.mission.status(self.pursuit.phase)
+
+    def status_dict(self) -> dict[str, object]:
+        """The status message; see `edge.loop.status`."""
+        return status_of(self, self._worker, self._advisers)
+
+
+def _held_up_at(places_m: list[tuple[float, float]]) -> str:
+    """What held the robot up, for the end of a reason; empty where nothing did."""
+    if not places_m:
+        return ""
+    x, y = places_m[0]
+    more = f" and {len(places_m) - 1} more" if len(places_m) > 1 else ""
+    return f"; held up at ({x:.1f}, {y:.1f}){more}"
+
+
+def _blind_ns(config: Config) -> int:
+    """How long without an observation is too long to drive on."""
+    camera, lidar = config.sensors.camera, config.sensors.lidar
+    by_lidar = config.mapping.input == "cloud" and lidar is not None
+    return int(1e9 * max(BLIND_S, 3.0 / (lidar.rate_hz if by_lidar else camera.rate_hz)))
+
+
+def _unrivalled(detections: Detections) -> Detections:
+    """Only the boxes that nothing else explains better."""
+    mine = np.flatnonzero(detections.unrivalled())
+    return replace(
+        detections,
+        xyxy_px=detections.xyxy_px[mine],
+        score=detections.score[mine],
+        class_id=detections.class_id[mine],
+        rival=None,
+    )

@@ -1,0 +1,44 @@
+"""The stage table: every stage of a tick, in order, with the budget it is held to.
+
+The loop times these, the reports print them, `perf/` holds them to their budgets.
+`detect` runs on its own worker; it is timed and budgeted, but no tick waits for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One stage.
+
+    Attributes:
+        budget_ms: what its p95 should stay under on two x86 cores.
+        in_tick: whether its time is part of the tick.
+        code: where it lives.
+    """
+
+    name: str
+    budget_ms: float
+    reads: str
+    writes: str
+    code: str
+    in_tick: bool = True
+
+
+STAGES: tuple[Stage, ...] = (
+    Stage("ingest", 1.0, "source", "Observation", "edge/sources"),
+    Stage("detect", 33.0, "rgb, prompts", "Detections", "edge/perception", in_tick=False),
+    Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers", "edge/mapping"),
+    Stage("lift", 0.5, "Detections", "Instances", "edge/perception/lift.py"),
+    Stage("candidates", 0.2, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
+    Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
+    Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission"),
+    Stage("select", 0.3, "scored Candidates", "Goal or none", "edge/policies"),
+    Stage("publish", 0.3, "Goal, status, latency", "sinks", "edge/sinks"),
+)
+TICK_BUDGET_MS = 3.0
+TICK_DEADLINE_MS = 33.0
+MEMORY_BUDGET_MB = 700.0
+READY_BUDGET_S = 10.0

@@ -1,0 +1,74 @@
+"""Compiles every kernel that the loop will call, before the loop starts.
+
+With a filled numba cache this takes a second or two; without one it takes tens of seconds, which
+is why it says what it is doing.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+
+from edge.bus.wire.kernels import warmup as warm_messages
+from edge.config import Config
+from edge.geometry import SE2, CameraModel
+from edge.loop.candidates import CandidatePool
+from edge.mapping.grid import RollingMap
+from edge.mapping.grid import warmup as warm_mapping
+from edge.mission.planner import warm_up as warm_planners
+from edge.perception.warmup import warmup as warm_perception
+from edge.policies import make_policy
+from edge.types import Detections, Observation
+
+log = logging.getLogger("edge.loop.warmup")
+
+_SLOW_S = 3.0
+
+
+def warm_up(config: Config) -> float:
+    """Run every kernel once on made-up data.
+
+    Returns:
+        Seconds it took.
+    """
+    steps: list[tuple[str, Callable[[], object]]] = [
+        ("mapping", lambda: warm_mapping(config.mapping)),
+        ("perception", lambda: warm_perception()),
+        ("policy", lambda: _warm_policy(config)),
+        ("planner", warm_planners),
+        ("messages", warm_messages),
+    ]
+    started = perf_counter()
+    for i, (name, step) in enumerate(steps, start=1):
+        before = perf_counter()
+        log.info("preparing kernels %d/%d: %s", i, len(steps), name)
+        step()
+        if perf_counter() - before > _SLOW_S:
+            log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
+                     name, perf_counter() - before)  # fmt: skip
+    return perf_counter() - started
+
+
+def _warm_policy(config: Config) -> None:
+    """One scoring pass over a map with one frontier and one box in the image."""
+    grid = RollingMap(config.mapping)
+    pool = CandidatePool(8, config.policy.r_assoc_m)
+    pose = SE2(0.0, 0.0, 0.0)
+    grid.frontiers.n = 1
+    pool.update(grid.frontiers, [], 0, 0)
+    observation = Observation(
+        0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
+    )
+    seen = Detections(
+        observation,
+        np.array([[10, 10, 20, 20]], np.float32),
+        np.ones(1, np.float32),
+        np.zeros(1, np.int32),
+        ("x",),
+    )
+    make_policy(config.policy).score(pool, grid, seen, pose)
+    grid.reach.step(pose)
+    grid.reach.nearest(0.0, 0.0, 0.5)

@@ -1,0 +1,88 @@
+"""What `edge models …` takes, and which function does it. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from edge.cli.parsers import count, lazy, positive
+
+_CARD = "a card's name, as `edge models list` shows it"
+_CONFIG = "YAML file, or the name of a ready configuration"
+_NO_GATE = "keep a model that misses its parity's limits"
+
+
+def add_arguments(models: argparse.ArgumentParser) -> None:
+    """A subcommand for everything that can be done with models."""
+    actions = models.add_subparsers(required=True, metavar="ACTION", title="actions")
+    for name, (text, add, module) in _ACTIONS.items():
+        action = actions.add_parser(name, help=text, description=text)
+        add(action)
+        action.set_defaults(handler=lazy(module, "run"))
+
+
+def _list(action: argparse.ArgumentParser) -> None:
+    action.add_argument("--json", action="store_true", help="print the cards as JSON")
+
+
+def _pull(action: argparse.ArgumentParser) -> None:
+    action.add_argument("name", help=_CARD)
+    action.add_argument(
+        "--from", dest="places", action="append", default=[], metavar="PLACE",
+        help="a file, a folder or a URL to try before the card's sources; may be repeated",
+    )  # fmt: skip
+    action.add_argument("--offline", action="store_true", help="use no network")
+
+
+def _export(action: argparse.ArgumentParser) -> None:
+    action.add_argument("name", help=_CARD)
+    action.add_argument("--weights", type=Path, help="the .pt file; default: as pulled")
+    action.add_argument("--calibration", type=Path, help="folder of pictures (all but fp32)")
+    action.add_argument("--vocabulary", type=Path, help="text embeddings (.npz)")
+    action.add_argument("--no-gate", action="store_true", help=_NO_GATE)
+
+
+def _quantize(action: argparse.ArgumentParser) -> None:
+    option = action.add_argument
+    option("name", help=_CARD)
+    option("--calibration", type=Path, required=True, metavar="DIR", help="folder of pictures")
+    option("--vocabulary", type=Path, help="text embeddings (.npz); default: as `edge run` has")
+    option("--no-gate", action="store_true", help=_NO_GATE)
+
+
+def _check(action: argparse.ArgumentParser) -> None:
+    action.add_argument("name", nargs="?", help=f"{_CARD}; default: all whose file is there")
+    action.add_argument("--file", type=Path, help="hold this file against the card")
+
+
+def _bench(action: argparse.ArgumentParser) -> None:
+    option = action.add_argument
+    option("family", nargs="?", help="a family of cards; default: the configured detector's")
+    option("--config", default="cpu", help=f"{_CONFIG} (default: %(default)s)")
+    option("--images", type=Path, metavar="DIR", help="pictures; default: frames of a house")
+    option("--frames", type=count, default=50, metavar="N", help="default: %(default)s")
+    option("--providers", metavar="LIST", help="comma-separated; default: all that are here")
+    option("--threads", type=count, metavar="N", help="default: as configured")
+    option("--json", type=Path, metavar="FILE", help="write the figures there too")
+    option("--update-cards", action="store_true", help="write the figures into the cards")
+
+
+def _use(action: argparse.ArgumentParser) -> None:
+    action.add_argument("name", help=_CARD)
+    action.add_argument("config", nargs="?", default="cpu", help=f"{_CONFIG} (default: cpu)")
+    action.add_argument("--force", action="store_true", help="though it misses budget or parity")
+    action.add_argument(
+        "--timeout", type=positive, default=600.0, metavar="S",
+        help="how long to wait for the change; default: %(default)g",
+    )  # fmt: skip
+
+
+_ACTIONS = {
+    "list": ("every model card, and whether its file is there", _list, "edge.models.listing"),
+    "pull": ("fetch a model, or the weights it is made from", _pull, "edge.models.pull"),
+    "export": ("make a model file from weights (extra `export`)", _export, "edge.models.export"),
+    "quantize": ("make a variant from the FP32 file", _quantize, "edge.models.quantize"),
+    "check": ("hash, interface and one inference", _check, "edge.models.check"),
+    "bench": ("compare the variants of a family on this machine", _bench, "edge.models.bench"),
+    "use": ("change the model of a running service", _use, "edge.models.use"),
+}

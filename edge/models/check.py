@@ -1,0 +1,119 @@
+"""`edge models check`: is a model's file whole, what its card says, and of sound answers?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.models.export import with_file
+from edge.models.pull import cards_of
+from edge.perception.backends.runtime import open_session
+from edge.perception.card_types import DetectCard, FileCard, ImageCard
+from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
+from edge.text import one_line
+
+_TEXTS = 2
+"""Rows of text that a model is tried with."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge models check`; 1 when a model is not sound.
+
+    Raises:
+        ModelError: no such card, or a card that has no file was named with one.
+    """
+    if args.file is not None:
+        if args.name is None:
+            raise ModelError("models check: --file needs the NAME of the card it is held against")
+        return _report([(with_file(args.name), args.file)])
+    if args.name is not None:
+        return _report([(card, None) for card in cards_of(args.name)])
+    present = [card for card in all_cards() if card.task != "similarity" and card.is_here()]
+    if not present:
+        print("no model files here: run `edge models list` for what there is", file=sys.stderr)
+        return 1
+    return _report([(card, None) for card in present])
+
+
+def _report(models: list[tuple[FileCard, Path | None]]) -> int:
+    """A line for each model, on stderr for those that are not sound; 1 when there are any."""
+    failed = 0
+    for card, file in models:
+        try:
+            print(check_model(card, file))
+        except ModelError as error:
+            print(error, file=sys.stderr)
+            failed += 1
+    return 1 if failed else 0
+
+
+def check_model(card: FileCard, file: Path | None = None) -> str:
+    """Hash, format, names and shapes, and one inference on noise.
+
+    Args:
+        file: to check in place of the card's own; where no hash is known, it is not compared.
+
+    Returns:
+        One line that says what was found.
+
+    Raises:
+        ModelError: with what is wrong and what to do.
+    """
+    if file is None:
+        path, compared = verify_model(card), True
+    else:
+        path, compared = file, verify_file(card, file)
+    session = open_session(path, ["CPUExecutionProvider"], threads=2)
+    seen = _check_detector(path, session, card) if card.task == "detect" else _check_encoder(
+        path, session, card
+    )  # fmt: skip
+    hashed = "hash" if compared else "hash not known"
+    return f"{card.name}: ok ({hashed}, interface, {seen})"
+
+
+def _check_detector(path: Path, session: Any, card: DetectCard) -> str:
+    random = np.random.default_rng(0)
+    text = random.normal(size=(1, _TEXTS, card.text_dim)).astype(np.float32)
+    text /= np.linalg.norm(text, axis=2, keepdims=True)
+    images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
+    boxes, scores = _infer(path, session, {"images": images, "txt_feats": text})
+    a = boxes.shape[1] if boxes.ndim == 3 else 0
+    _hold_shape(path, "boxes", boxes, (1, a, 4))
+    _hold_shape(path, "scores", scores, (1, a, _TEXTS))
+    if scores.size and (scores.min() < 0.0 or scores.max() > 1.0):
+        raise ModelError(f"{path}: scores must lie in 0..1 (after the sigmoid): export it again")
+    return f"{a} boxes, finite"
+
+
+def _check_encoder(path: Path, session: Any, card: FileCard) -> str:
+    if isinstance(card, ImageCard):
+        random, rows = np.random.default_rng(0), 1
+        shape = (1, 3, card.input.height, card.input.width)
+        feed = {"pixels": random.random(shape, dtype=np.float32)}
+    else:
+        length, rows = session.get_inputs()[0].shape[1], _TEXTS
+        feed = {"tokens": np.zeros((rows, length if isinstance(length, int) else 3), np.int64)}
+    (found,) = _infer(path, session, feed)
+    _hold_shape(path, "embeddings", found, (rows, card.dim))
+    if not np.linalg.norm(found, axis=1).all():
+        raise ModelError(f"{path}: an embedding is all zeros: export it again")
+    return f"embeddings of {card.dim}, finite"
+
+
+def _infer(path: Path, session: Any, feed: dict[str, np.ndarray]) -> list[np.ndarray]:
+    try:
+        return session.run(None, feed)
+    except Exception as error:  # onnxruntime raises many types of its own
+        reason = one_line(error)
+        raise ModelError(f"{path}: does not run: {reason}: export it again") from None
+
+
+def _hold_shape(path: Path, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise ModelError(f"{path}: {name} {array.shape}, must be {shape}: export it again")
+    if not np.isfinite(array).all():
+        raise ModelError(f"{path}: returns {name} that are not finite: export it again")

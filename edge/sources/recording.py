@@ -1,0 +1,338 @@
+"""Recordings of what the sensors sent, as MCAP: made, and played as if it were live.
+
+The messages are stored as they were on the wire (CDR with `ros2msg` schemas, JSON), so that
+Foxglove and the ROS 2 tools open them. A file appears under its name only when it is complete.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+import zenoh
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from edge.bus import topics
+from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
+from edge.bus.topics import Topic
+from edge.bus.wire import DecodeError, schemas
+from edge.bus.wire.cdr import HEADER, STAMP
+from edge.bus.wire.messages import peek_stamp_ns
+from edge.config import Config, Zenoh, load
+from edge.errors import FileError, UnavailableError, UserError
+from edge.host.children import python_module
+from edge.host.files import open_regular
+from edge.host.signals import stop_on_signals
+from edge.text import one_line
+
+_CHUNK_BYTES = 2 << 20
+_RING = 64
+_PAUSE_S = 0.002
+_TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
+_ANY_OBJECT = b'{"type": "object"}'
+
+
+class RecordingError(FileError):
+    """A recording that cannot be written or played; one line."""
+
+
+class McapFile:
+    """Writes one recording: a context manager, complete and in place when it ends without error."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.messages = 0
+        self._partial = self.path.with_name(self.path.name + ".partial")
+        self._channels: dict[str, int] = {}
+
+    def __enter__(self) -> McapFile:
+        try:
+            self._file = open(self._partial, "wb")
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="edge")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._file:
+            if kind is None:
+                self._writer.finish()
+        if kind is None:
+            os.replace(self._partial, self.path)
+        else:
+            self._partial.unlink()
+
+    def add(self, topic: Topic, log_ns: int, stamp_ns: int, payload: bytes) -> None:
+        """One message: when it was heard (or made), its stamp, and its bytes."""
+        channel = self._channels.get(topic.key)
+        if channel is None:
+            channel = self._channels[topic.key] = self._register(topic)
+        self._writer.add_message(channel, log_time=log_ns, data=payload, publish_time=stamp_ns)
+        self.messages += 1
+
+    def _register(self, topic: Topic) -> int:
+        if topic.type == "json":
+            schema = self._writer.register_schema(topic.key, "jsonschema", _ANY_OBJECT)
+            return self._writer.register_channel(f"/{topic.key}", "json", schema)
+        name, text = schemas.full_name(topic.type), schemas.schema_text(topic.type)
+        schema = self._writer.register_schema(name, "ros2msg", text.encode())
+        return self._writer.register_channel(f"/{topic.key}", "cdr", schema)
+
+
+def record_messages(
+    path: str | os.PathLike[str], messages: Iterable[tuple[Topic, int, bytes]]
+) -> int:
+    """Write (topic, stamp_ns, payload) as they come, without Zenoh or real time.
+
+    Returns:
+        How many messages were written.
+    """
+    with McapFile(path) as file:
+        for topic, stamp_ns, payload in messages:
+            file.add(topic, stamp_ns, stamp_ns, payload)
+    return file.messages
+
+
+def record(
+    session: zenoh.Session,
+    config: Config,
+    path: str | os.PathLike[str],
+    duration_s: float,
+    stop: threading.Event | None = None,
+) -> int:
+    """Write everything under the configured prefix until time is up or `stop` is set.
+
+    Returns:
+        How many messages were written.
+    """
+    stop = stop or threading.Event()
+    rings = [
+        (topic, Ring(session, topic.under(config.zenoh.prefix), _RING)) for topic in topics.ALL
+    ]
+    deadline_s = time.monotonic() + duration_s
+    try:
+        with McapFile(path) as file:
+            while not stop.is_set() and time.monotonic() < deadline_s:
+                for topic, ring in rings:
+                    for sample in ring.take():
+                        now_ns = time.time_ns()
+                        payload = sample.payload.to_bytes()
+                        file.add(topic, now_ns, _stamp_of(topic, payload, now_ns), payload)
+                stop.wait(_PAUSE_S)
+        return file.messages
+    finally:
+        for _, ring in rings:
+            ring.close()
+
+
+def _stamp_of(topic: Topic, payload: bytes, otherwise_ns: int) -> int:
+    if topic.type == "json":
+        return otherwise_ns
+    try:
+        return max(0, peek_stamp_ns(payload))
+    except DecodeError:
+        return otherwise_ns
+
+
+class Recorded(NamedTuple):
+    topic: Topic
+    log_ns: int
+    payload: bytes
+
+
+def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
+    """The messages of a recording in the order in which they were heard.
+
+    Raises:
+        RecordingError: no such file, or not a complete MCAP file.
+    """
+    try:
+        with open_regular(path) as file:
+            for _, channel, message in make_reader(file).iter_messages():
+                topic = _TOPICS.get(channel.topic)
+                if topic is not None:
+                    yield Recorded(topic, message.log_time, message.data)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}") from None
+    except (McapError, EOFError, ValueError) as error:
+        detail = one_line(error, 120) or type(error).__name__
+        raise RecordingError(f"{path}: not a complete MCAP file: {detail}") from None
+
+
+class Played(NamedTuple):
+    """How a recording was played: messages sent, and how late the latest of them left."""
+
+    messages: int
+    max_late_s: float
+
+
+def play(
+    session: zenoh.Session,
+    prefix: str,
+    path: str | os.PathLike[str],
+    rate: float = 1.0,
+    loop: bool = False,
+    restamp: bool = True,
+    stop: threading.Event | None = None,
+) -> Played:
+    """Send what the sensors sent, at the times at which they did.
+
+    Every deadline counts from the start, so that lateness never adds up. What the service and the
+    controller said is left out.
+
+    Args:
+        rate: 2.0 plays twice as fast.
+        loop: begin again at the end, until `stop` is set.
+        restamp: shift the stamps so that they are taken now; the differences are kept (but for
+            `rate`), so that what belongs together stays together.
+    """
+    stop = stop or threading.Event()
+    publishers: dict[str, zenoh.Publisher] = {}
+    sent, max_late_s = 0, 0.0
+    while not stop.is_set():
+        first_ns: int | None = None
+        for topic, log_ns, payload in read(path):
+            if topic.writer != "sensors":
+                continue
+            if first_ns is None:
+                first_ns, begin_s, begin_ns = log_ns, time.monotonic(), time.time_ns()
+            late_s = _sleep_until(begin_s + (log_ns - first_ns) * 1e-9 / rate, stop)
+            if stop.is_set():
+                break
+            if restamp and topic.type != "json":
+                payload = _restamped(payload, first_ns, begin_ns, rate)
+            if topic.key not in publishers:
+                publishers[topic.key] = declare_publisher(session, topic, prefix)
+            publishers[topic.key].put(payload)
+            sent, max_late_s = sent + 1, max(max_late_s, late_s)
+        if not loop:
+            break
+        if first_ns is None:
+            raise RecordingError(f"{path}: nothing in it that a sensor sent")
+    for publisher in publishers.values():
+        publisher.undeclare()
+    return Played(sent, max_late_s)
+
+
+def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
+    """Sleep until a time of the monotonic clock; how late it was then."""
+    rest_s = deadline_s - time.monotonic()
+    if rest_s > 0.2:
+        stop.wait(rest_s)
+    elif rest_s > 0:
+        time.sleep(rest_s)  # an Event's wait overshoots more
+    return max(0.0, time.monotonic() - deadline_s)
+
+
+def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
+    """The payload with its header's stamp moved from the recording's time to this one's."""
+    stamp_ns = begin_ns + int((peek_stamp_ns(payload) - first_ns) / rate)
+    at = len(HEADER)
+    stamp = STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
+    return b"".join((payload[:at], stamp, memoryview(payload)[at + STAMP.size :]))
+
+
+def wait_for_service(
+    session: zenoh.Session, prefix: str, timeout_s: float, stop: threading.Event
+) -> bool:
+    """Whether somebody comes to listen to odometry (as every service does) within the time."""
+    deadline_s = time.monotonic() + timeout_s
+    publisher = declare_publisher(session, topics.ODOMETRY, prefix)
+    try:
+        while not publisher.matching_status.matching:
+            if time.monotonic() >= deadline_s or stop.wait(0.05):
+                return False
+        return True
+    finally:
+        publisher.undeclare()
+
+
+@contextmanager
+def player(
+    config: Config, path: str | os.PathLike[str], rate: float = 1.0, loop: bool = False
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Play a recording from another process, which waits for the service; it ends with the block.
+
+    Raises:
+        RecordingError: no such file (what else goes wrong, the process says on stderr).
+    """
+    if not Path(path).is_file():
+        raise RecordingError(f"{path}: no such file")
+    command = [*python_module("edge.sources.recording"), "play", str(path), f"--rate={rate}"]
+    command += ["--zenoh", config.zenoh.model_dump_json()] + ["--loop"] * loop
+    process = subprocess.Popen(command)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+# -- commands -----------------------------------------------------------------------------------
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge record`; 1 when nothing was heard."""
+    config = load(args.config)
+    stop = stop_on_signals()
+    with zenoh_session(config.zenoh, "connect", stop) as session:
+        n = record(session, config, args.out, args.seconds, stop)
+    print(f"{args.out}: {n} messages")
+    if n == 0:
+        print(f"nothing was heard at {config.zenoh.endpoint}: is the service running?")
+    return 0 if n else 1
+
+
+def _play_command(args: argparse.Namespace) -> int:
+    settings = Zenoh.model_validate_json(args.zenoh)
+    stop = stop_on_signals()
+    with open_session(settings, "connect", stop) as session:
+        if not wait_for_service(session, settings.prefix, args.wait, stop):
+            raise UnavailableError(f"{settings.endpoint}: no service came within {args.wait:g} s")
+        played = play(session, settings.prefix, args.file, args.rate, args.loop, True, stop)
+    print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """`python -m edge.sources.recording play FILE --zenoh JSON`, which `player` runs."""
+    parser = argparse.ArgumentParser(prog="python -m edge.sources.recording")
+    commands = parser.add_subparsers(required=True)
+    plays = commands.add_parser("play", help="send a recording as if the sensors were live")
+    plays.add_argument("file")
+    plays.add_argument("--zenoh", required=True, help="section `zenoh` of a configuration, as JSON")
+    plays.add_argument("--rate", type=float, default=1.0)
+    plays.add_argument("--loop", action="store_true")
+    plays.add_argument("--wait", type=float, default=60.0, help="seconds to wait for the service")
+    plays.set_defaults(handler=_play_command)
+    args = parser.parse_args(argv)
+    try:
+        return args.handler(args)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

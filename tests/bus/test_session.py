@@ -1,0 +1,137 @@
+"""Sessions as the service and its peers open them."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from itertools import repeat
+from types import SimpleNamespace
+
+import pytest
+import zenoh
+from fake_zenoh import Flooded
+from patience import PATIENCE_S
+
+from edge.bus import session as bus
+from edge.bus import topics
+from edge.config import Zenoh
+from edge.errors import Stopped
+from edge.host.ports import free_port
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+def value(config: zenoh.Config, key: str):
+    return json.loads(config.get_json(key))
+
+
+@pytest.mark.parametrize(
+    ("mode", "role", "zenoh_mode", "listens", "connects"),
+    [
+        ("peer", "listen", "peer", True, False),
+        ("peer", "connect", "client", False, True),
+        ("client", "listen", "client", False, True),
+        ("client", "connect", "client", False, True),
+    ],
+)
+def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects):
+    endpoint = "tcp/127.0.0.1:17447"
+    settings = Zenoh(endpoint=endpoint, mode=mode, shared_memory=False)
+    config = bus.session_config(settings, role)
+    assert value(config, "mode") == zenoh_mode
+    assert value(config, "listen/endpoints") == [endpoint] * listens
+    assert value(config, "connect/endpoints") == [endpoint] * connects
+    assert value(config, "scouting/multicast/enabled") is False
+    assert value(config, "transport/shared_memory/enabled") is False
+    assert value(config, "connect/exit_on_failure") is False
+
+
+@pytest.mark.parametrize("kind", [bus.Ring, bus.QueryRing])
+@pytest.mark.parametrize(
+    ("kept", "sent", "taken", "overruns"),
+    [
+        (4, 0, [0, 0, 0], 0),
+        (4, 3, [3, 0, 0], 0),
+        (4, 4, [4, 0, 0], 0),  # whoever comes late finds it full
+        (4, 6, [4, 2, 0], 0),
+        (4, 11, [4, 4, 3], 1),
+        (4, None, [4, 4, 4], 2),
+        (1, None, [1, 1, 1], 0),
+    ],
+)
+def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken, overruns, caplog):
+    payloads = repeat(b"") if sent is None else repeat(b"", sent)
+    ring = kind(Flooded("edge/odom", payloads), "edge/odom", kept)
+    assert [len(ring.take()) for _ in taken] == taken
+    assert ring.overruns == overruns
+    assert len([r for r in caplog.records if "edge/odom" in r.getMessage()]) == min(overruns, 1)
+
+
+def test_who_connects_waits_until_somebody_comes(free_endpoint):
+    settings, opened = Zenoh(endpoint=free_endpoint), []
+    thread = threading.Thread(
+        target=lambda: opened.append(bus.open_session(settings, "connect")), daemon=True
+    )
+    thread.start()
+    time.sleep(1.0)
+    assert thread.is_alive()
+    with bus.open_session(settings, "listen"):
+        thread.join(PATIENCE_S)
+        assert opened
+        opened[0].close()
+
+
+def test_waiting_can_be_stopped(free_endpoint):
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped, match=f"nobody was at {free_endpoint}"):
+        bus.open_session(Zenoh(endpoint=free_endpoint), "connect", stop)
+
+
+@pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:port", "carrier-pigeon/home"])
+def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint):
+    with pytest.raises(bus.BusError) as caught:
+        bus.open_session(Zenoh(endpoint=endpoint), "listen")
+    assert str(caught.value).startswith("zenoh.endpoint: cannot listen")
+    assert endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("topic", topics.ALL, ids=lambda t: t.key)
+def test_every_topic_can_be_published_with_its_qos(topic):
+    class Session:
+        def declare_publisher(self, key, **qos):
+            return key, qos
+
+    key, qos = bus.declare_publisher(Session(), topic, "fleet/r1")
+    assert key == f"fleet/r1/{topic.key}"
+    blocks = qos["congestion_control"] == zenoh.CongestionControl.BLOCK
+    assert blocks == (topic.qos == "block")
+    assert (qos["reliability"] == zenoh.Reliability.RELIABLE) == (topic.qos != "drop")
+    assert (qos["priority"] == zenoh.Priority.DATA) == (topic.qos == "drop")
+
+
+def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():
+    assert [topic.key for topic in topics.ALL if topic.qos == "block"] == ["tick"]
+
+
+@pytest.mark.parametrize(("exact", "wait_s"), [(False, bus.BLOCKED_S), (True, 5.0)])
+def test_a_peer_that_takes_nothing_is_let_go(exact, wait_s):
+    config = bus.session_config(Zenoh(), "listen", exact)
+    key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+    assert value(config, key) == wait_s * 1e6
+
+
+def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, caplog):
+    go = threading.Event()
+    stuck = SimpleNamespace(close=lambda: go.wait(PATIENCE_S))
+    monkeypatch.setattr(bus, "open_session", lambda *_: stuck)
+    monkeypatch.setattr(bus, "CLOSE_S", 0.01)
+    with bus.zenoh_session(Zenoh(endpoint="tcp/here:1"), "listen") as session:
+        assert session is stuck
+    assert "a peer at tcp/here:1 takes nothing: not waited for" in caplog.text
+    go.set()

@@ -1,0 +1,400 @@
+"""Round trips, `rosbags` as the oracle in both directions, and payloads that lie."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rosbags.typesys import Stores, get_typestore
+
+from edge.bus.wire import DecodeError, messages
+from edge.geometry import SE2, CameraModel, se3
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+CAMERA = CameraModel(320, 256, 208.5, 208.25, 159.5, 127.5)
+STAMP_NS = 1_790_000_000_123_456_789
+POSE = se3(1.0, -2.0, 0.5, 0.1, -0.2, 3.0)
+
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+coordinates = st.floats(-8e5, 8e5)
+angles = st.floats(-3.14, 3.14)
+
+
+def from_ros(payload: bytes, name: str):
+    return STORE.deserialize_cdr(payload, name)
+
+
+def to_ros(message) -> bytes:
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def grid() -> np.ndarray:
+    return np.array([[-1, 0, 100], [0, 50, -1]], np.int8)
+
+
+PAYLOADS = {
+    "sensor_msgs/msg/Image": messages.encode_image(STAMP_NS, "cam", np.ones((2, 3, 3), np.uint8)),
+    "sensor_msgs/msg/CameraInfo": messages.encode_camera_info(STAMP_NS, "camera", CAMERA),
+    "sensor_msgs/msg/PointCloud2": messages.encode_point_cloud(
+        STAMP_NS, "lidar", np.arange(12, dtype=np.float32).reshape(4, 3)
+    ),
+    "sensor_msgs/msg/LaserScan": messages.encode_laser_scan(
+        STAMP_NS, "lidar", -1.5, 0.5, 10.0, np.array([1, 2, np.inf], np.float32)
+    ),
+    "nav_msgs/msg/Odometry": messages.encode_odometry(STAMP_NS, POSE, 0.3, -0.2),
+    "geometry_msgs/msg/PoseStamped": messages.encode_pose_stamped(STAMP_NS, SE2(1.0, 2.0, -3.0)),
+    "geometry_msgs/msg/TwistStamped": messages.encode_twist_stamped(STAMP_NS, 0.5, -0.1),
+    "nav_msgs/msg/OccupancyGrid": messages.encode_occupancy_grid(
+        STAMP_NS, grid(), (-1.0, 2.0), 0.05
+    ),
+}
+
+
+def decode_image(payload: bytes):
+    header = messages.decode_image_header(payload)
+    out = np.zeros((header.height, header.width, 3), np.uint8)
+    messages.decode_image_into(payload, header, out)
+    return header, out
+
+
+DECODERS = {
+    "sensor_msgs/msg/Image": decode_image,
+    "sensor_msgs/msg/CameraInfo": messages.decode_camera_info,
+    "sensor_msgs/msg/PointCloud2": lambda p: messages.decode_point_cloud_into(
+        p, np.zeros((64, 3), np.float32)
+    ),
+    "sensor_msgs/msg/LaserScan": lambda p: messages.decode_scan_points_into(
+        p, np.zeros((64, 3), np.float32)
+    ),
+    "nav_msgs/msg/Odometry": messages.decode_odometry,
+    "geometry_msgs/msg/PoseStamped": messages.decode_pose_stamped,
+    "geometry_msgs/msg/TwistStamped": messages.decode_twist_stamped,
+    "nav_msgs/msg/OccupancyGrid": messages.decode_occupancy_grid,
+}
+
+
+# -- the oracle ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PAYLOADS)
+def test_ros_reads_what_we_write_and_writes_the_same_bytes(name):
+    message = from_ros(PAYLOADS[name], name)
+    stamp = message.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == STAMP_NS
+    assert to_ros(message) == PAYLOADS[name]
+
+
+def test_ros_reads_the_same_values():
+    image = from_ros(PAYLOADS["sensor_msgs/msg/Image"], "sensor_msgs/msg/Image")
+    assert (image.height, image.width, image.encoding, image.step) == (2, 3, "rgb8", 9)
+    assert image.data.tolist() == [1] * 18
+    info = from_ros(PAYLOADS["sensor_msgs/msg/CameraInfo"], "sensor_msgs/msg/CameraInfo")
+    assert (info.k[0], info.k[4], info.k[2], info.k[5]) == (208.5, 208.25, 159.5, 127.5)
+    scan = from_ros(PAYLOADS["sensor_msgs/msg/LaserScan"], "sensor_msgs/msg/LaserScan")
+    assert (scan.angle_min, scan.angle_max, scan.range_max) == (-1.5, -0.5, 10.0)
+    odometry = from_ros(PAYLOADS["nav_msgs/msg/Odometry"], "nav_msgs/msg/Odometry")
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "base_link")
+    assert (odometry.twist.twist.linear.x, odometry.twist.twist.angular.z) == (0.3, -0.2)
+    ros_grid = from_ros(PAYLOADS["nav_msgs/msg/OccupancyGrid"], "nav_msgs/msg/OccupancyGrid")
+    assert (ros_grid.info.width, ros_grid.info.height) == (3, 2)
+    assert ros_grid.data.tolist() == [-1, 0, 100, 0, 50, -1]
+    assert ros_grid.info.origin.position.x == -1.0
+
+
+def ros_image(encoding: str, height: int, width: int, step: int, data: bytes, big_endian=0):
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](5, 6), "camera")
+    array = np.frombuffer(data, np.uint8)
+    return to_ros(
+        types["sensor_msgs/msg/Image"](header, height, width, encoding, big_endian, step, array)
+    )
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "rgb"),
+    [
+        ("rgb8", b"\x01\x02\x03\x04\x05\x06", [[1, 2, 3], [4, 5, 6]]),
+        ("bgr8", b"\x01\x02\x03\x04\x05\x06", [[3, 2, 1], [6, 5, 4]]),
+        ("rgba8", b"\x01\x02\x03\xff\x04\x05\x06\xff", [[1, 2, 3], [4, 5, 6]]),
+        ("bgra8", b"\x01\x02\x03\xff\x04\x05\x06\xff", [[3, 2, 1], [6, 5, 4]]),
+        ("mono8", b"\x07\x09", [[7, 7, 7], [9, 9, 9]]),
+    ],
+)
+@pytest.mark.parametrize("padding", [0, 1, 5])
+def test_every_colour_encoding_becomes_rgb(encoding, pixels, rgb, padding):
+    row = pixels + b"\xee" * padding
+    payload = ros_image(encoding, 2, 2, len(row), row * 2)
+    header, out = decode_image(payload)
+    assert (header.stamp_ns, header.frame_id) == (5_000_000_006, "camera")
+    assert out.tolist() == [rgb, rgb]
+
+
+@pytest.mark.parametrize("big_endian", [0, 1])
+@pytest.mark.parametrize("padding", [0, 1, 3])
+def test_depth_in_millimetres_and_in_metres(big_endian, padding):
+    order = ">" if big_endian else "<"
+    out = np.zeros((2, 3), np.float32)
+    for encoding, code, values in (
+        ("16UC1", "3H", (0, 1500, 65535)),
+        ("32FC1", "3f", (0.0, 1.5, math.nan)),
+    ):
+        row = struct.pack(order + code, *values) + b"\xee" * padding
+        payload = ros_image(encoding, 2, 3, len(row), row * 2, big_endian)
+        messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+        expected = np.array(values, np.float32) * (0.001 if encoding == "16UC1" else 1.0)
+        np.testing.assert_allclose(out, [expected] * 2, rtol=1e-6)
+
+
+def test_ids_stay_whole_numbers():
+    ids = np.array([[0, 1], [65535, 300]], np.uint16)
+    payload = messages.encode_image(1, "camera", ids)
+    out = np.zeros((2, 2), np.uint16)
+    messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+    assert out.tolist() == ids.tolist()
+
+
+def ros_cloud(names: str, step: int, points: np.ndarray, big_endian=False, height=1) -> bytes:
+    """`names`: one letter a float32 field, in the order of their offsets, from offset 4 on."""
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](5, 6), "lidar")
+    fields = [
+        types["sensor_msgs/msg/PointField"](name, 4 + 4 * i, 7, 1) for i, name in enumerate(names)
+    ]
+    data = np.full((len(points), step), 0xEE, np.uint8)
+    for i, name in enumerate(names):
+        if name in "xyz":
+            column = points[:, "xyz".index(name)].astype(">f4" if big_endian else "<f4")
+            data[:, 4 + 4 * i : 8 + 4 * i] = column.reshape(-1, 1).view(np.uint8)
+    width = len(points) // height
+    return to_ros(
+        types["sensor_msgs/msg/PointCloud2"](
+            header, height, width, fields, big_endian, step, width * step, data.reshape(-1), True
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "step", "big_endian", "height"),
+    [
+        ("xyz", 16, False, 1),
+        ("zyx", 17, False, 2),
+        ("ixryz", 32, True, 1),
+        ("xyz", 23, True, 4),
+    ],
+)
+def test_a_cloud_of_any_layout(names, step, big_endian, height):
+    points = np.arange(24, dtype=np.float32).reshape(8, 3)
+    out = np.zeros((10, 3), np.float32)
+    n = messages.decode_point_cloud_into(ros_cloud(names, step, points, big_endian, height), out)
+    assert n == 8
+    np.testing.assert_array_equal(out[:8], points)
+
+
+def test_points_that_are_not_finite_are_left_out():
+    points = np.arange(18, dtype=np.float32).reshape(6, 3)
+    points[0, 0], points[3, 1], points[5, 2] = np.nan, np.inf, -np.inf
+    out = np.zeros((6, 3), np.float32)
+    assert messages.decode_point_cloud_into(messages.encode_point_cloud(1, "l", points), out) == 3
+    np.testing.assert_array_equal(out[:3], points[[1, 2, 4]])
+
+
+def test_a_scan_becomes_points_where_it_hit():
+    ranges = np.array([1.0, np.nan, 2.0, np.inf, 10.0, -1.0], np.float32)
+    payload = messages.encode_laser_scan(1, "lidar", 0.0, math.pi / 4, 10.0, ranges)
+    out = np.zeros((6, 3), np.float32)
+    assert messages.decode_scan_points_into(payload, out) == 2
+    np.testing.assert_allclose(out[:2], [[1, 0, 0], [0, 2, 0]], atol=1e-6)
+
+
+def test_camera_info_of_a_rectified_image_and_without_projection():
+    name = "sensor_msgs/msg/CameraInfo"
+    info = from_ros(PAYLOADS[name], name)
+    info.p = np.array([300.0, *info.p[1:]])
+    assert messages.decode_camera_info(to_ros(info))[1].fx_px == 300.0
+    info.p = np.zeros(12)
+    assert messages.decode_camera_info(to_ros(info))[1] == CAMERA
+
+
+# -- round trips --------------------------------------------------------------------------------
+
+
+@given(
+    stamps, st.text(max_size=20).filter(lambda s: "\0" not in s), st.sampled_from("BHf"), st.data()
+)
+def test_image_round_trip(stamp_ns, frame_id, code, data):
+    dtype = np.dtype(code)
+    shape = (data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8)))
+    array = data.draw(hnp.arrays(dtype, (*shape, 3) if code == "B" else shape))
+    payload = messages.encode_image(stamp_ns, frame_id, array)
+    header = messages.decode_image_header(payload)
+    out = np.zeros_like(array)
+    messages.decode_image_into(payload, header, out)
+    assert (header.stamp_ns, header.frame_id) == (stamp_ns, frame_id)
+    np.testing.assert_array_equal(out, array)
+
+
+@given(stamps, coordinates, coordinates, angles, angles, coordinates)
+def test_odometry_round_trip(stamp_ns, x_m, y_m, yaw_rad, pitch_rad, v_mps):
+    T = se3(x_m, y_m, 0.1, pitch_rad=pitch_rad, yaw_rad=yaw_rad)
+    odometry = messages.decode_odometry(messages.encode_odometry(stamp_ns, T, v_mps, -v_mps))
+    assert (odometry.stamp_ns, odometry.v_mps, odometry.w_radps) == (stamp_ns, v_mps, -v_mps)
+    np.testing.assert_allclose(odometry.T_map_base, T, atol=1e-9)
+
+
+@given(stamps, coordinates, coordinates, angles)
+def test_goal_round_trip(stamp_ns, x_m, y_m, yaw_rad):
+    back_ns, pose = messages.decode_pose_stamped(
+        messages.encode_pose_stamped(stamp_ns, SE2(x_m, y_m, yaw_rad))
+    )
+    assert (back_ns, pose.x_m, pose.y_m) == (stamp_ns, x_m, y_m)
+    assert math.cos(pose.yaw_rad - yaw_rad) > 1 - 1e-9
+
+
+@given(stamps, coordinates, coordinates)
+def test_twist_round_trip(stamp_ns, v, w):
+    payload = messages.encode_twist_stamped(stamp_ns, v, w)
+    assert messages.decode_twist_stamped(payload) == (stamp_ns, v, w)
+
+
+@given(hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=8)))
+def test_grid_round_trip(cells):
+    payload = messages.encode_occupancy_grid(7, cells, (-1.25, 3.5), 0.05)
+    stamp_ns, back, origin, resolution = messages.decode_occupancy_grid(payload)
+    assert (stamp_ns, origin, resolution) == (7, (-1.25, 3.5), 0.05)
+    np.testing.assert_array_equal(back, cells)
+
+
+@given(
+    hnp.arrays(np.float32, st.tuples(st.integers(0, 16), st.just(3)), elements=st.floats(width=32))
+)
+def test_cloud_round_trip(points):
+    out = np.zeros((16, 3), np.float32)
+    n = messages.decode_point_cloud_into(messages.encode_point_cloud(1, "lidar", points), out)
+    np.testing.assert_array_equal(out[:n], points[np.isfinite(points).all(axis=1)])
+
+
+# -- payloads that lie --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PAYLOADS)
+def test_every_truncation_is_an_error_in_one_line(name):
+    payload = PAYLOADS[name]
+    tail = {"sensor_msgs/msg/PointCloud2": 1}.get(name, 0)  # `is_dense` is not read
+    for size in range(len(payload) - tail):
+        with pytest.raises(DecodeError) as caught:
+            DECODERS[name](payload[:size])
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", DECODERS)
+@given(data=st.data())
+def test_arbitrary_bytes_decode_or_raise_decode_error(name, data):
+    body = data.draw(st.binary(max_size=300))
+    with contextlib.suppress(DecodeError):
+        DECODERS[name](data.draw(st.sampled_from([b"", b"\0\1\0\0"])) + body)
+
+
+@pytest.mark.parametrize("name", [n for n in DECODERS if n != "sensor_msgs/msg/Image"])
+@given(data=st.data())
+def test_a_payload_with_changed_bytes_decodes_or_raises(name, data):
+    payload = bytearray(PAYLOADS[name])
+    for _ in range(data.draw(st.integers(1, 6))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(DecodeError):
+        DECODERS[name](bytes(payload))
+
+
+@given(data=st.data())
+def test_a_changed_image_header_never_reaches_outside(data):
+    payload = bytearray(PAYLOADS["sensor_msgs/msg/Image"])
+    for _ in range(data.draw(st.integers(1, 6))):
+        payload[data.draw(st.integers(0, 60))] = data.draw(st.integers(0, 255))
+    out = np.zeros((2, 3, 3), np.uint8)
+    with contextlib.suppress(DecodeError):
+        messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+
+
+HUGE = 2**32 - 1
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        pytest.param(ros_image("rgb8", HUGE, HUGE, HUGE, b"abc"), id="image"),
+        pytest.param(ros_image("rgb8", 1, 100, 3, b"abc"), id="step below the width"),
+        pytest.param(ros_image("jpeg", 1, 1, 3, b"abc"), id="unknown encoding"),
+    ],
+)
+def test_sizes_are_checked_before_anything_is_allocated(payload):
+    with pytest.raises(DecodeError):
+        messages.decode_image_header(payload)
+
+
+def test_a_cloud_that_claims_more_points_than_it_has():
+    payload = bytearray(PAYLOADS["sensor_msgs/msg/PointCloud2"])
+    at = payload.index(struct.pack("<II", 1, 4))  # height, width
+    payload[at : at + 8] = struct.pack("<II", 1, 60)
+    with pytest.raises(DecodeError, match="in 48 bytes"):
+        messages.decode_point_cloud_into(bytes(payload), np.zeros((64, 3), np.float32))
+    payload[at : at + 8] = struct.pack("<II", HUGE, HUGE)
+    with pytest.raises(DecodeError, match="at most 64 are taken"):
+        messages.decode_point_cloud_into(bytes(payload), np.zeros((64, 3), np.float32))
+
+
+def projection(i: int, value: float) -> Callable[[object], None]:
+    """Sets one number of CameraInfo's projection matrix P."""
+
+    def change(info) -> None:
+        info.p = info.p.copy()
+        info.p[i] = value
+
+    return change
+
+
+def zero_rotation(odometry) -> None:
+    odometry.pose.pose.orientation = type(odometry.pose.pose.orientation)(0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "text"),
+    [
+        ("nav_msgs/msg/Odometry", lambda m: setattr(m.pose.pose.position, "x", math.nan), "NaN"),
+        ("nav_msgs/msg/Odometry", zero_rotation, "not a rotation"),
+        ("nav_msgs/msg/Odometry", lambda m: setattr(m.twist.twist.linear, "x", math.inf), "twist"),
+        ("nav_msgs/msg/Odometry", lambda m: setattr(m.header.stamp, "nanosec", 10**9), "time"),
+        ("nav_msgs/msg/Odometry", lambda m: setattr(m.pose.pose.position, "z", 1e300), "too far"),
+        ("geometry_msgs/msg/PoseStamped", lambda m: setattr(m.pose.position, "y", -1e6), "too far"),
+        ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info.origin.position, "x", 1e30), "far"),
+        ("sensor_msgs/msg/CameraInfo", lambda m: setattr(m, "width", 0), "not a camera"),
+        ("sensor_msgs/msg/CameraInfo", lambda m: setattr(m, "height", HUGE), "not a camera"),
+        ("sensor_msgs/msg/CameraInfo", projection(0, 1e300), "focal lengths 1e.300"),
+        ("sensor_msgs/msg/CameraInfo", projection(5, 1e-300), "focal lengths"),
+        ("sensor_msgs/msg/CameraInfo", projection(2, math.nan), "principal point"),
+        ("sensor_msgs/msg/CameraInfo", projection(6, -1e30), "principal point"),
+        ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info, "resolution", 0.0), "resolution"),
+        ("nav_msgs/msg/OccupancyGrid", lambda m: setattr(m.info, "width", 4), "6 cells for 4x2"),
+    ],
+)
+def test_values_that_cannot_be(name, change, text):
+    message = from_ros(PAYLOADS[name], name)
+    change(message)
+    with pytest.raises(DecodeError, match=text):
+        DECODERS[name](to_ros(message))
+
+
+def test_an_image_that_does_not_fit_its_place():
+    payload = PAYLOADS["sensor_msgs/msg/Image"]
+    header = messages.decode_image_header(payload)
+    with pytest.raises(DecodeError, match="3x2, expected 2x2"):
+        messages.decode_image_into(payload, header, np.zeros((2, 2, 3), np.uint8))
+    with pytest.raises(DecodeError, match="rgb8 where float32"):
+        messages.decode_image_into(payload, header, np.zeros((2, 3), np.float32))
+    with pytest.raises(ValueError, match="no image encoding"):
+        messages.encode_image(1, "camera", np.zeros((2, 3, 4), np.uint8))

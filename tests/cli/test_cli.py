@@ -1,0 +1,303 @@
+"""The command line: quick help, and errors that are one line with an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.bus.session import BusError
+from edge.cli import main as cli
+from edge.cli.main import main
+from edge.cli.parsers import make_parser
+from edge.config import ConfigError
+from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
+from edge.mission.checkpoint import CheckpointError
+from edge.mission.language.words import TranslationError
+from edge.perception.model_file import ModelError
+
+HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydantic", "mcap")
+
+
+def commands(parser: argparse.ArgumentParser, words: str = "") -> Iterator[str]:
+    """Every command and its parts, as words."""
+    yield words
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, part in action.choices.items():
+                yield from commands(part, f"{words} {name}".strip())
+
+
+COMMANDS = tuple(commands(make_parser("", {})))
+
+
+@pytest.fixture(autouse=True)
+def no_signal_handlers(monkeypatch):
+    """Commands run in this process must leave its signal handlers alone."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+
+
+def test_no_command_is_told_the_usage(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == os.EX_USAGE
+    assert "COMMAND" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as caught:
+        main([*command.split(), "--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"usage: edge {command}".rstrip())
+    assert all(len(line) < 81 for line in text.splitlines())
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom edge.cli.parsers import make_parser\nimport edge.cli.main\n"
+        "make_parser('', {}).parse_args(['bench'])\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def fails(capsys, *words: str, code: int) -> str:
+    """The one line that a command ends with."""
+    assert main(["--log-level", "error", *words]) == code
+    err = capsys.readouterr().err.strip()
+    assert "\n" not in err, err
+    return err
+
+
+@pytest.mark.parametrize("command", ["run", "demo", "sim", "motion", "config", "bench", "doctor"])
+def test_a_configuration_that_is_not_there(command, capsys):
+    error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
+    assert error.startswith("nowhere.yaml: no such file (ready configurations: ")
+    assert "cpu, demo" in error
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({"mision": {}}, "mission"),
+        ({"policy": {"kind": "hvll"}}, "hvl"),
+        ({"loop": {"hz": "fast"}}, "loop.hz"),
+    ],
+)
+def test_a_configuration_that_is_wrong(data, expected, tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps({"perception": {"detector": {"kind": "sim"}}, **data}))
+    error = fails(capsys, "config", str(path), code=os.EX_CONFIG)
+    assert "mine.yaml" in error
+    assert expected in error
+
+
+def test_a_model_that_is_not_there(tmp_path, monkeypatch, capsys):
+    words = tmp_path / "words.npz"
+    np.savez(words, names=np.array(["chair"]), emb=np.eye(1, 512, dtype=np.float16))
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("EDGE_VOCABULARY", str(words))
+    monkeypatch.setenv("EDGE__MISSION__TARGET", "chair")
+    monkeypatch.setenv("EDGE__PERCEPTION__DETECTOR__BACKGROUND", "[]")
+    error = fails(capsys, "run", "cpu", code=os.EX_UNAVAILABLE)
+    assert "yolo-world-s-256x320-int8-cpu" in error
+    assert "edge models export" in error
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "demo"),
+        ("demo", "demo"),
+        ("eval", "episodes", "demo"),
+    ],
+)
+def test_a_report_that_cannot_be_written_is_told_before_the_run(words, tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    report = str(tmp_path / "file" / "report")
+    error = fails(capsys, *words, "--report", report, code=os.EX_IOERR)
+    assert "cannot write the report" in error
+
+
+def test_an_address_in_use_is_told_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("edge.loop.runner.make_detector", None)
+    monkeypatch.setattr("edge.loop.runner.warm_up", None)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        path = tmp_path / "mine.yaml"
+        detector = {"detector": {"kind": "sim"}}
+        path.write_text(json.dumps({"zenoh": {"endpoint": endpoint}, "perception": detector}))
+        assert "is in use" in fails(capsys, "run", str(path), code=os.EX_UNAVAILABLE)
+
+
+def test_a_recording_that_is_not_there(capsys):
+    words = ("bench", "demo", "--recording", "nowhere.mcap")
+    assert "no such file" in fails(capsys, *words, code=os.EX_IOERR)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("bench", "--seconds", "0"),
+        ("bench", "--seconds", "soon"),
+        ("record", "demo", "--out", "x", "--seconds", "nan"),
+        ("eval", "episodes", "demo", "--starts", "0"),
+        ("eval", "episodes", "demo", "--jobs", "-1"),
+    ],
+)
+def test_a_number_that_makes_no_sense(words, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(list(words))
+    assert caught.value.code == os.EX_USAGE
+    assert words[-2] in capsys.readouterr().err
+
+
+def test_a_target_that_the_world_lacks(capsys):
+    error = fails(capsys, "eval", "episodes", "demo", "--targets", "unicorn", code=os.EX_DATAERR)
+    assert "unicorn" in error
+    assert "television" in error
+
+
+def test_the_configuration_is_printed_with_the_environment_in_it(capsys, monkeypatch):
+    monkeypatch.setenv("EDGE__LOOP__HZ", "12")
+    assert main(["config", "demo"]) == 0
+    assert json.loads(capsys.readouterr().out)["loop"]["hz"] == 12
+    assert main(["config", "--schema"]) == 0
+    assert "properties" in json.loads(capsys.readouterr().out)
+
+
+def test_a_key_in_a_url_is_printed_nowhere(capsys, monkeypatch):
+    monkeypatch.setenv("EDGE__MISSION__TRANSLATOR", "{kind: llm, url: 'https://h/v1?key=s3cret'}")
+    assert main(["config", "demo"]) == 0
+    out = capsys.readouterr().out
+    assert json.loads(out)["mission"]["translator"]["url"] == "https://h/v1?***"
+    for value in ("['https://h/v1?key=s3cret']", "{url: 'https://h/v1?key=s3cret'"):
+        monkeypatch.setenv("EDGE__MISSION__TRANSLATOR__URL", value)
+        assert "s3cret" not in fails(capsys, "config", "demo", code=os.EX_CONFIG)
+
+
+def test_the_target_of_the_command_line_wins(monkeypatch):
+    monkeypatch.setenv("EDGE__MISSION__TARGET", '"bed"')
+    args = cli.make_parser("", {}).parse_args(["run", "demo", "--target", "sofa: red"])
+    assert cli.load_config(args).mission.target == "sofa: red"
+
+
+@pytest.mark.parametrize(
+    ("option", "code"),
+    [("--target", os.EX_CONFIG), ("--mission", os.EX_CONFIG), ("--formula", os.EX_DATAERR)],
+)
+def test_an_empty_mission_is_not_taken_for_none(option, code, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert fails(capsys, "demo", "demo", option, "", code=code)
+
+
+@pytest.mark.parametrize("command", ["run", "demo"])
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), (None, None, "chair", None)),
+        (("--target", "bed"), ("bed", None, "bed", None)),
+        (("--mission", "go to the bed"), ("go to the bed", None, "chair", "go to the bed")),
+        (("--formula", "F bed"), (None, "F bed", "chair", None)),
+    ],
+)
+def test_the_service_is_told_the_mission_that_was_asked_for(
+    command, words, expected, tmp_path, monkeypatch
+):
+    """A formula leaves the configuration as it is: later orders are read by its translator."""
+    opened = []
+
+    def open_service(config, sinks, asked, formula, stop):
+        assert config.mission.translator.kind == "grammar"
+        opened.append((asked, formula, config.mission.target, config.mission.instruction))
+        raise Stopped
+
+    monkeypatch.setattr("edge.cli.commands.open_service", open_service)
+    monkeypatch.setattr("edge.cli.commands.children", lambda *_: nullcontext())
+    path = tmp_path / "mine.yaml"
+    detector = {"detector": {"kind": "sim"}}
+    path.write_text(json.dumps({"mission": {"target": "chair"}, "perception": detector}))
+    assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
+    assert opened == [expected]
+
+
+def test_a_demo_whose_simulator_ends_before_the_service_is_ready_is_an_error(
+    tmp_path, monkeypatch, capsys
+):
+    """What ends then sets `stop`, but nobody asked for it."""
+
+    def open_service(*_):
+        raise Stopped
+
+    @contextmanager
+    def children(*_):
+        yield
+        raise UserError("edge sim ended before its time")
+
+    monkeypatch.setattr("edge.cli.commands.open_service", open_service)
+    monkeypatch.setattr("edge.cli.commands.children", children)
+    report = str(tmp_path / "report")
+    error = fails(capsys, "demo", "demo", "--report", report, code=os.EX_DATAERR)
+    assert "edge sim ended before its time" in error
+
+
+@pytest.mark.parametrize(
+    ("outcome", "code"),
+    [
+        (0, os.EX_OK),
+        (1, FAILED),
+        (Stopped(), os.EX_OK),
+        (UserError("x"), os.EX_DATAERR),
+        (TranslationError("x"), os.EX_DATAERR),
+        (ConfigError("x"), os.EX_CONFIG),
+        (ModelError("x"), os.EX_UNAVAILABLE),
+        (BusError("x"), os.EX_UNAVAILABLE),
+        (CheckpointError("x"), os.EX_IOERR),
+        (OSError(errno.ENOSPC, "no space left"), os.EX_IOERR),
+        (ZeroDivisionError(), os.EX_SOFTWARE),
+        (MemoryError(), os.EX_SOFTWARE),
+        (KeyboardInterrupt(), 130),
+        (KeyboardInterrupt(signal.SIGTERM), 143),
+    ],
+)
+def test_what_a_command_ends_with_says_how(outcome, code, monkeypatch):
+    def run_service(*_):
+        if isinstance(outcome, int):
+            return outcome
+        raise outcome
+
+    monkeypatch.setattr("edge.cli.commands.run_service", run_service)
+    assert main(["run", "demo"]) == code
+    assert code > 128 or code in EXIT_CODES
+
+
+def test_the_exit_codes_are_told():
+    readme = (Path(cli.__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    text = make_parser("", {}).format_help()
+    for code, meaning in EXIT_CODES.items():
+        assert re.search(rf"^\|[^|]*\b{code}\b.*\|", readme, re.MULTILINE), code
+        assert re.search(rf"^ +{code} +{re.escape(meaning)}$", text, re.MULTILINE), code
+
+
+def test_output_that_nobody_reads_on_is_no_error():
+    command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("{", "")

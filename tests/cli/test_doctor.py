@@ -1,0 +1,287 @@
+"""`edge doctor`: every lack is named with what to do, and fails only what needs it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+
+import numpy as np
+import pytest
+from patience import PATIENCE_S
+from simulated import simulated
+
+from edge import config
+from edge.bus.session import open_session
+from edge.cli import doctor
+from edge.cli.parsers import make_parser
+from edge.host import resources
+from edge.host.ports import free_port
+
+SIM = simulated()
+ONNX = simulated({"perception": {"detector": {"kind": "onnx", "model": "made-up"}}})
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
+    return tmp_path / "cache"
+
+
+def levels(check: doctor.Check, settings: config.Config = SIM) -> list[str]:
+    return [finding.level for finding in check(settings)]
+
+
+def command(*words: str) -> argparse.Namespace:
+    return make_parser("", {}).parse_args(["doctor", *words])
+
+
+def test_no_findings():
+    assert doctor.as_text([]) == "0 ok, 0 warn, 0 fail"
+    assert json.loads(doctor.as_json([])) == {"ok": True, "findings": []}
+
+
+def test_this_machine_runs_the_embedded_default(capsys):
+    args = command("--json")
+    code = args.handler(args)
+    answer = json.loads(capsys.readouterr().out)
+    assert code == (0 if answer["ok"] else 1)
+    assert answer["ok"], [f for f in answer["findings"] if f["level"] == "fail"]
+    assert all(f["todo"] for f in answer["findings"] if f["level"] != "ok")
+
+
+@pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 0), ("fail", 1)])
+def test_only_a_failure_gives_exit_code_1(monkeypatch, capsys, level, code):
+    finding = doctor.Finding(level, "a thing", "do this")
+    monkeypatch.setattr(doctor, "CHECKS", (lambda _: iter([finding]),))
+    args = command()
+    assert args.handler(args) == code
+    assert capsys.readouterr().out.splitlines()[0] == f"{level:4}  a thing — do this"
+
+
+def test_a_check_that_breaks_is_a_finding(monkeypatch):
+    def check_the_weather(_):
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr(doctor, "CHECKS", (check_the_weather,))
+    (finding,) = doctor.examine(SIM)
+    assert (finding.level, finding.what) == ("fail", "the weather: RuntimeError: two lines")
+
+
+@pytest.mark.parametrize(
+    ("version", "level"),
+    [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")],
+)
+def test_python(monkeypatch, version, level):
+    monkeypatch.setattr(doctor.sys, "version_info", version)
+    assert levels(doctor.check_python) == [level]
+
+
+def test_a_package_that_cannot_be_loaded(monkeypatch):
+    monkeypatch.setattr(doctor, "CORE_MODULES", ("numpy", "no_such_module"))
+    failed, found = doctor.check_packages(SIM)
+    assert (failed.level, found.level) == ("fail", "ok")
+    assert "no_such_module" in failed.what
+
+
+@pytest.mark.parametrize(
+    ("installed", "expected"),
+    [
+        ([], []),
+        (["opencv-python-headless"], []),
+        (
+            ["opencv-python-headless", "opencv-python"],
+            [
+                "opencv-python-headless and opencv-python overwrite each other — pip uninstall "
+                "opencv-python-headless opencv-python, then pip install opencv-python-headless"
+            ],
+        ),
+    ],
+)
+def test_packages_of_opencv_that_overwrite_each_other(monkeypatch, installed, expected):
+    def find(name):
+        if name not in installed:
+            raise doctor.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(doctor.metadata, "distribution", find)
+    assert [f"{f.what} — {f.todo}" for f in doctor.check_opencv(SIM)] == expected
+
+
+@pytest.mark.parametrize(("cores", "level"), [(1, "warn"), (2, "ok")])
+def test_cores(monkeypatch, cores, level):
+    monkeypatch.setattr(doctor.os, "sched_getaffinity", lambda _: set(range(cores)))
+    assert levels(doctor.check_cores) == [level]
+
+
+@pytest.mark.parametrize(
+    ("release", "providers", "expected"),
+    [
+        (None, (), []),
+        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CPUExecutionProvider",), ["warn"]),
+        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CUDAExecutionProvider",), ["ok"]),
+    ],
+)
+def test_jetson(monkeypatch, tmp_path, release, providers, expected):
+    path = tmp_path / "nv_tegra_release"
+    if release is not None:
+        path.write_text(release)
+    monkeypatch.setattr(doctor, "TEGRA_RELEASE", path)
+    monkeypatch.setattr(doctor, "_providers", lambda: providers)
+    findings = list(doctor.check_jetson(SIM))
+    assert [f.level for f in findings] == expected
+    assert all("R36 (release), REVISION: 4.3" in f.what for f in findings)
+
+
+def test_shared_memory(monkeypatch, tmp_path):
+    usage = doctor.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(doctor, "SHM", tmp_path)
+    for size_mb, level in ((63, "warn"), (64, "ok")):
+        total = size_mb << 20
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, t=total: usage._replace(total=t))
+        assert levels(doctor.check_shared_memory) == [level]
+    monkeypatch.setattr(doctor, "SHM", tmp_path / "none")
+    assert levels(doctor.check_shared_memory) == ["warn"]
+
+
+def test_a_cache_that_cannot_be_written(cache):
+    assert levels(doctor.check_cache) == ["ok"]
+    assert list(cache.iterdir()) == []
+    cache.rmdir()
+    cache.write_text("a file in the way")
+    (finding,) = doctor.check_cache(SIM)
+    assert finding.level == "warn"
+    assert "EDGE_CACHE_DIR" in finding.todo
+
+
+def test_no_message_over_zenoh(monkeypatch):
+    assert doctor.loopback_ms(PATIENCE_S) > 0
+    monkeypatch.setattr(doctor, "loopback_ms", lambda _: None)
+    (finding,) = doctor.check_zenoh(SIM)
+    assert finding.level == "fail"
+    assert "127.0.0.1" in finding.todo
+
+
+def test_an_endpoint_that_is_taken():
+    settings = simulated({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}})
+    assert levels(doctor.check_endpoint, settings) == ["ok"]
+    with open_session(settings.zenoh, "listen"):
+        assert levels(doctor.check_endpoint, settings) == ["warn"]
+
+
+@pytest.mark.parametrize(
+    ("installed", "providers", "settings", "expected"),
+    [
+        ((), (), SIM, ["warn"]),
+        ((), (), ONNX, ["fail"]),
+        (("onnxruntime",), ("CPUExecutionProvider",), ONNX, ["ok"]),
+        (("onnxruntime",), ("OtherExecutionProvider",), SIM, ["ok"]),
+        (("onnxruntime",), ("OtherExecutionProvider",), ONNX, ["ok", "fail"]),
+        (("onnxruntime", "onnxruntime-gpu"), ("CPUExecutionProvider",), SIM, ["warn", "ok"]),
+    ],
+)
+def test_onnxruntime(monkeypatch, installed, providers, settings, expected):
+    if providers:
+        pytest.importorskip("onnxruntime")
+    monkeypatch.setattr(doctor, "_installed", lambda package: package in installed)
+    monkeypatch.setattr(doctor, "_providers", lambda: providers)
+    assert levels(doctor.check_onnxruntime, settings) == expected
+
+
+def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
+    monkeypatch.setattr(resources, "data_dir", lambda _: tmp_path)
+    assert levels(doctor.check_models) == ["warn"]
+    (finding,) = doctor.check_models(ONNX)
+    assert finding.level == "fail"
+    assert "made-up" in finding.what
+
+
+def test_model_files_that_are_not_there():
+    """Those that the package brings are; and a similarity card has no file of its own."""
+    findings = list(doctor.check_models(SIM))
+    missing = [f for f in findings if f.level != "ok"]
+    assert missing
+    assert all(f.level == "warn" and "edge models" in f.todo for f in missing)
+    assert not any("similarity" in f.what for f in findings)
+
+
+def test_vocabulary(monkeypatch, tmp_path):
+    assert levels(doctor.check_vocabulary) == ["warn"]
+    assert levels(doctor.check_vocabulary, ONNX) == ["fail"]
+    path = tmp_path / "words.npz"
+    np.savez(path, names=np.array(["chair"]), emb=np.ones((1, 512), np.float16))
+    monkeypatch.setenv("EDGE_VOCABULARY", str(path))
+    detector = {"kind": "onnx", "model": "yolo-world-s-256x320-int8-cpu"}
+    for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
+        settings = simulated({"perception": {"detector": detector}, "mission": {"target": target}})
+        assert levels(doctor.check_vocabulary, settings) == [level]
+    detector["background"] = ["zebra", "chair", "heron"]
+    settings = simulated({"perception": {"detector": detector}, "mission": {"target": "chair"}})
+    ok, unknown = doctor.check_vocabulary(settings)
+    assert (ok.level, unknown.level) == ("ok", "warn")
+    assert "does not know 2 of the 3 words of perception.detector.background" in unknown.what
+    assert "zebra, heron" in unknown.todo
+
+
+@pytest.mark.parametrize(
+    ("perception", "expected", "words"),
+    [
+        ({}, [], ""),
+        ({"similarity": "made-up"}, ["fail"], "perception.similarity: model 'made-up': no such"),
+        ({"similarity": "yolo-world-s-256x320-int8-cpu"}, ["fail"], "not 'similarity'"),
+        ({"choice": {"kind": "text", "url": "nowhere", "model": "m"}}, ["fail"], "URL of a chat"),
+    ],
+)
+def test_scorers(perception, expected, words):
+    findings = list(doctor.check_scorers(simulated({"perception": perception})))
+    assert [finding.level for finding in findings] == expected
+    assert all(words in finding.what and finding.what.isprintable() for finding in findings)
+
+
+def test_a_choice_scorers_server_is_looked_for():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
+        settings = simulated(
+            {"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}}
+        )
+        assert levels(doctor.check_scorers, settings) == ["ok"]
+    found = list(doctor.check_scorers(settings))
+    assert [finding.level for finding in found] == ["ok", "warn"]
+    assert url in found[1].what
+
+
+def test_worlds(monkeypatch):
+    mesh = simulated({"sim": {"world": {"kind": "mesh", "mesh": "a.glb", "objects": "a.json"}}})
+    found = doctor.util.find_spec
+    monkeypatch.setattr(
+        doctor.util, "find_spec", lambda name: None if name == "embreex" else found("json")
+    )
+    assert levels(doctor.check_worlds) == ["warn"]
+    (finding,) = doctor.check_worlds(mesh)
+    assert (finding.level, "embreex" in finding.what) == ("fail", True)
+
+
+@pytest.mark.parametrize(
+    ("mission", "level", "words"),
+    [
+        ({"target": "bed"}, "ok", "F bed"),
+        ({"instruction": "go to the bed, then to the tv"}, "ok", "then the television"),
+        ({"instruction": "go to the bed and never go to the bed"}, "fail", "contradiction"),
+        (
+            {
+                "instruction": " & ".join(f"F object{i}" for i in range(12)),
+                "translator": {"kind": "ltl"},
+                "planner": {"kind": "expected"},
+            },
+            "fail",
+            "'expected' cannot take on",
+        ),
+        ({"target": "bed", "checkpoint": "/no/such/folder/mission.json"}, "fail", "checkpoint"),
+    ],
+)
+def test_the_mission_is_checked(mission, level, words):
+    settings = simulated({"mission": mission})
+    (finding,) = doctor.check_mission(settings)
+    assert finding.level == level
+    assert words in finding.what
+    assert finding.todo or level == "ok"

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import subprocess
+import threading
+
+import pytest
+from simulated import simulated
+
+from edge.cli import commands
+from edge.errors import UserError
+from edge.host import children
+from edge.host.children import python_module
+from edge.models.bench import runs
+from edge.perception.process import link
+
+
+def test_nothing_is_imported_from_the_working_directory(tmp_path, monkeypatch):
+    """Not even what lies beside the package, where that is not installed."""
+    ours, here = tmp_path / "ours", tmp_path / "here"
+    for folder in (ours, here):
+        (folder / "program").mkdir(parents=True)
+        main = f"import json, sys\nprint({folder.name!r}, __name__, *sys.argv[1:])"
+        (folder / "program" / "__main__.py").write_text(main)
+    for name in ("json", "runpy"):
+        (here / f"{name}.py").write_text("raise SystemExit('from the working directory')")
+    monkeypatch.setattr(children, "_ROOT", str(ours))
+    command = [*python_module("program"), "one", "--two"]
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("ours __main__ one --two\n", "")
+
+
+def test_every_child_is_started_so(monkeypatch):
+    started = []
+
+    def start(command, **_):
+        started.append(command)
+        raise OSError(2, "No such file")
+
+    monkeypatch.setattr(commands.subprocess, "Popen", start)
+    settings = simulated({"mission": {"target": "chair"}})
+    with (
+        pytest.raises(UserError, match="cannot start edge motion: No such file"),
+        commands.children(settings, threading.Event(), ("motion",)),
+    ):
+        raise AssertionError
+    assert tuple(started[0][:5]) == python_module("edge.cli")
+    assert python_module("edge.perception.process.serve") == link.PROGRAM
+    assert python_module("edge.models.bench.worker") == runs.WORKER

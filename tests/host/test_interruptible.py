@@ -1,0 +1,43 @@
+"""A step that cannot be told to stop is left to its thread."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+
+import pytest
+
+from edge.errors import Stopped
+from edge.host.interruptible import any_unjoined, raise_if_stopped, unless_stopped
+
+
+@pytest.fixture
+def stop() -> threading.Event:
+    return threading.Event()
+
+
+def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
+    assert unless_stopped(lambda: 7, stop) == 7
+    with pytest.raises(ZeroDivisionError):
+        unless_stopped(lambda: 1 // 0, stop)
+    stop.set()
+    for too_late in (raise_if_stopped, partial(unless_stopped, pytest.fail)):
+        with pytest.raises(Stopped):
+            too_late(stop)
+
+
+def test_a_step_that_goes_on_for_ever_is_left_once_told_to_stop(stop):
+    over, threads = threading.Event(), []
+
+    def work() -> None:
+        threads.append(threading.current_thread())
+        stop.set()
+        over.wait()
+
+    with pytest.raises(Stopped):
+        unless_stopped(work, stop)
+    (thread,) = threads
+    assert thread.daemon
+    assert any_unjoined()
+    over.set()
+    thread.join()

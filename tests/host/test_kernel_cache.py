@@ -1,0 +1,72 @@
+"""Numba finds a folder for compiled kernels wherever `edge` is started."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+
+import pytest
+
+from edge.config import ConfigError
+from edge.host import resources
+from edge.host.kernel_cache import kernel_cache
+
+VARIABLES = ("NUMBA_CACHE_DIR", "EDGE_CACHE_DIR", "XDG_CACHE_HOME")
+
+
+@pytest.fixture
+def places(tmp_path, monkeypatch):
+    """`free`, where folders can be made, and `closed`, where none can, not even by root."""
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    (tmp_path / "closed").touch()
+    monkeypatch.setattr(resources, "PACKAGE", tmp_path / "closed" / "code")
+    monkeypatch.setenv("HOME", str(tmp_path / "closed" / "home"))
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    return tmp_path
+
+
+def chosen() -> str | None:
+    with kernel_cache():
+        return os.environ.get("NUMBA_CACHE_DIR")
+
+
+@pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
+def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, monkeypatch, caplog):
+    monkeypatch.setenv(variable, str(places / "free"))
+    assert chosen() == os.environ.get("NUMBA_CACHE_DIR")
+    assert not caplog.records
+
+
+def test_code_that_can_be_written_will_do_without_a_home(places, monkeypatch):
+    monkeypatch.setattr(resources, "PACKAGE", places / "free")
+    monkeypatch.setattr(resources, "user_cache", lambda: None)
+    assert chosen() is None
+
+
+@pytest.mark.parametrize("named", [None, "closed/kernels"])
+def test_else_it_is_in_our_own_cache(named, places, monkeypatch, caplog):
+    if named is not None:
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(places / named))
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(places / "cache"))
+    assert chosen() == str(places / "cache" / "kernels")
+    assert os.environ.get("NUMBA_CACHE_DIR") == (named and str(places / named))
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("ours", [None, "closed/cache"])
+def test_else_it_is_a_temporary_folder_and_the_remedy_is_told(ours, places, monkeypatch, caplog):
+    if ours is not None:
+        monkeypatch.setenv("EDGE_CACHE_DIR", str(places / ours))
+    folder = chosen()
+    assert folder.startswith(str(places / "temporary" / "edge-kernels-"))
+    assert list((places / "temporary").iterdir()) == []
+    (record,) = caplog.records
+    assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in record.getMessage()
+
+
+def test_without_any_folder_the_remedy_is_the_error(places, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(places / "closed"))
+    with pytest.raises(ConfigError, match="set EDGE_CACHE_DIR"):
+        chosen()

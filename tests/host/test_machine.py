@@ -1,0 +1,129 @@
+"""What a machine is said to be, from files made up for each kind."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.host import machine
+
+ORIN = {
+    "proc/cpuinfo": "processor\t: 0\nCPU part\t: 0xd42\n\nprocessor\t: 1\nCPU part\t: 0xd42\n",
+    "proc/meminfo": "MemTotal:       15655436 kB\nMemFree: 1 kB\n",
+    "proc/device-tree/model": "NVIDIA Jetson Orin NX Engineering Reference Developer Kit\0",
+    "etc/nv_tegra_release": "# R36 (release), REVISION: 4.3, GCID: 38968081, BOARD: generic",
+    "etc/nvpmodel.conf": "< POWER_MODEL ID=0 NAME=MAXN >\n< POWER_MODEL ID=3 NAME=25W >\n",
+    "var/lib/nvpmodel/status": "pmode:0003",
+    "sys/class/devfreq/15340000.vic/cur_freq": "115200000",
+    "sys/class/devfreq/17000000.gpu/cur_freq": "306000000\n",
+    "sys/class/devfreq/17000000.gpu/min_freq": "306000000\n",
+    "sys/class/devfreq/17000000.gpu/max_freq": "918000000\n",
+    "sys/class/devfreq/17000000.gpu/governor": "nvhost_podgov\n",
+    **{
+        f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_{key}": value
+        for core in range(64)
+        for key, value in (
+            ("cur_freq", "729600"), ("max_freq", "1984000"), ("governor", "schedutil"),
+        )
+    },
+}  # fmt: skip
+
+
+def put(root, files):
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+
+
+@pytest.fixture(autouse=True)
+def no_smi(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+
+
+def test_where_nothing_can_be_read_there_is_still_a_description(tmp_path):
+    found = machine.describe(tmp_path)
+    assert found["cpu"] == found["architecture"]
+    assert not {"memory_gb", "cpu_clock", "gpus", "jetson"} & set(found)
+    assert f"{found['cores']} cores" in machine.summary(found)
+    assert machine.busy_s(tmp_path) is None
+
+
+def test_a_jetson_tells_its_board_power_mode_and_clocks(tmp_path):
+    put(tmp_path, ORIN)
+    found = machine.describe(tmp_path)
+    assert found["cpu"] == "Cortex-A78AE"
+    assert found["memory_gb"] == 16.0
+    assert set(found["cpu_clock"]["cur_mhz"]) == {729.6}
+    assert set(found["cpu_clock"]["max_mhz"]) == {1984.0}
+    assert found["cpu_clock"]["governor"] == "schedutil"
+    assert found["jetson"] == {
+        "release": "R36 (release), REVISION: 4.3",
+        "model": "NVIDIA Jetson Orin NX Engineering Reference Developer Kit",
+        "power_mode": "25W",
+        "gpu_clock": {
+            "cur_mhz": 306.0, "min_mhz": 306.0, "max_mhz": 918.0, "governor": "nvhost_podgov",
+        },
+    }  # fmt: skip
+    assert machine.short_name(found).endswith("Developer Kit, 25W")
+    assert machine.short_name(found, "Orin") == machine.short_name(found)
+    assert "power mode 25W" in machine.summary(found)
+
+
+def test_machines_that_differ_in_the_gpu_that_was_used_have_two_names():
+    found = {"cpu": "AMD EPYC", "cores": 8}
+    assert machine.short_name(found) == "AMD EPYC, 8 cores"
+    assert machine.short_name(found, "NVIDIA L4") == "NVIDIA L4, AMD EPYC, 8 cores"
+
+
+def test_thors_gpu_has_another_name(tmp_path):
+    put(tmp_path, {"etc/nv_tegra_release": ORIN["etc/nv_tegra_release"]})
+    put(tmp_path / "sys/class/devfreq", {"gpu-gpc-0/cur_freq": "1575000000", "x/cur_freq": "1"})
+    assert machine.describe(tmp_path)["jetson"]["gpu_clock"] == {"cur_mhz": 1575.0, "governor": ""}
+
+
+@pytest.mark.parametrize(
+    ("status", "conf", "mode"),
+    [
+        ("", "", None),
+        ("garbage", "< POWER_MODEL ID=0 NAME=MAXN >", None),
+        ("pmode:0000", "< POWER_MODEL ID=0 NAME=MAXN >", "MAXN"),
+        ("pmode:0002\n", "< POWER_MODEL ID=02 NAME=MODE_15W >", "MODE_15W"),
+        ("pmode:0001", "< POWER_MODEL ID=10 NAME=X >", "1"),
+    ],
+)
+def test_power_mode(status, conf, mode):
+    assert machine.power_mode(status, conf) == mode
+
+
+@pytest.mark.parametrize(
+    ("cpuinfo", "name"),
+    [
+        ("", None),
+        ("model name\t: Intel(R)  Core(TM) i7\nmodel name\t: other", "Intel(R) Core(TM) i7"),
+        ("CPU part\t: 0xd0b\nCPU part\t: 0xd42\nCPU part\t: 0xd0b", "Cortex-A76 + Cortex-A78AE"),
+        ("CPU part\t: 0xfff", "0xfff"),
+    ],
+)
+def test_cpu_name(cpuinfo, name):
+    assert machine.cpu_name(cpuinfo) == name
+
+
+@pytest.mark.parametrize(
+    ("script", "names", "memory_mb"),
+    [
+        ("exit 9", [], None),
+        ("echo 'NVIDIA H100, 1, 2, 3, 4, 5'", ["NVIDIA H100"], None),
+        ("echo 1024; echo 6", [], 1030.0),
+        ("echo '[N/A]'", [], None),
+    ],
+)
+def test_what_nvidia_smi_says(tmp_path, script, names, memory_mb):
+    put(tmp_path, {"bin/nvidia-smi": f"#!/bin/sh\n{script}\n"})
+    (tmp_path / "bin/nvidia-smi").chmod(0o755)
+    assert [gpu["name"] for gpu in machine.nvidia_smi()] == names
+    assert machine.gpu_memory_mb() == memory_mb
+
+
+def test_busy_time_counts_what_the_host_took_but_not_waiting(tmp_path, monkeypatch):
+    put(tmp_path, {"proc/stat": "cpu  100 10 50 9999 888 5 5 30 7 0\ncpu0 1 2\n"})
+    monkeypatch.setattr(machine.os, "sysconf", lambda _: 100)
+    assert machine.busy_s(tmp_path) == pytest.approx(2.0)

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import logging
+import os
+
+import pytest
+
+from edge.host.priority import real_time
+
+
+def policy() -> int:
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+
+
+def test_no_priority_changes_nothing():
+    with real_time(0) as given:
+        assert not given
+        assert policy() == os.SCHED_OTHER
+
+
+def test_the_priority_ends_with_the_block():
+    with real_time(5) as given:
+        if not given:
+            pytest.skip("no right to real-time priority here")
+        assert policy() == os.SCHED_FIFO
+        assert os.sched_getparam(0).sched_priority == 5
+    assert policy() == os.SCHED_OTHER
+
+
+def test_a_missing_right_is_said_and_survived(monkeypatch, caplog):
+    def refuse(*_args):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with caplog.at_level(logging.WARNING, "edge.host.priority"), real_time(5) as given:
+        assert not given
+    assert "loop.priority: 5 not permitted" in caplog.text

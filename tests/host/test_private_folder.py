@@ -1,0 +1,74 @@
+"""A temporary folder is private while it is used, and goes even when its process is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from edge.host.private_folder import private_folder
+
+HOLD = """
+import sys
+from edge.host.private_folder import private_folder
+with private_folder("edge-test-", sys.argv[1]) as folder:
+    (folder / "inside").touch()
+    print(folder, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process in the midst of its block, and its folder."""
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        yield process, tmp_path / os.path.basename(process.stdout.readline().decode().strip())
+        process.kill()
+
+
+def test_it_is_private_and_goes_with_its_block(tmp_path):
+    with private_folder("edge-test-", str(tmp_path)) as folder:
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        (folder / "inside").touch()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_next_removes_what_a_killed_process_left_and_nothing_else(tmp_path, holder):
+    process, folder = holder
+    (tmp_path / "edge-testimony").mkdir()
+    (tmp_path / "edge-test-file").touch()
+    (tmp_path / "edge-test-link").symlink_to(tmp_path / "edge-testimony")
+    others = {"edge-testimony", "edge-test-file", "edge-test-link"}
+    with private_folder("edge-test-", str(tmp_path)):
+        assert (folder / "inside").exists(), "in use"
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (folder / "inside").exists()
+    with private_folder("edge-test-", str(tmp_path)) as mine:
+        assert {path.name for path in tmp_path.iterdir()} == {mine.name} | others
+
+
+def test_many_at_once_take_none_from_each_other(tmp_path):
+    def work() -> None:
+        for _ in range(50):
+            with private_folder("edge-test-", str(tmp_path)) as folder:
+                (folder / "inside").touch()
+
+    failures = []
+    threading.excepthook, before = failures.append, threading.excepthook
+    try:
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        threading.excepthook = before
+    assert not failures
+    assert list(tmp_path.iterdir()) == []

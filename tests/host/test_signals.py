@@ -1,0 +1,92 @@
+"""Each signal does what it is known to do: stop a process, break it off, show where it is."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from edge.host.signals import SHOW, STOP
+
+# Says "stopped" at the first signal of STOP and waits for another; without `stop`, for the first.
+# With `held`, the first comes when the main thread is just about to wait for it.
+PROGRAM = """
+import signal, sys, threading
+from edge.host.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
+break_off_on_signals()
+show_stacks_on_signals()
+stop = stop_on_signals() if "stop" in sys.argv else threading.Event()
+try:
+    if "held" in sys.argv:
+        with stop._cond:  # as `wait` does before it waits
+            signal.raise_signal(signal.SIGTERM)
+    print("ready", flush=True)
+    stop.wait()
+    print("stopped", flush=True)
+    threading.Event().wait()
+except KeyboardInterrupt as broken_off:
+    print("broken off by", broken_off.args[0], flush=True)
+"""
+
+
+@pytest.fixture
+def start():
+    """Starts the program, with words of its own, once it is ready for signals."""
+    started = []
+
+    def _start(*words: str, hang_up: signal.Handlers = signal.SIG_DFL) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *words], text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            # The tests themselves may run under `nohup`.
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, hang_up),
+        )  # fmt: skip
+        started.append(process)
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    yield _start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)
+def test_the_first_stops_and_the_second_breaks_off(number, start):
+    process = start("stop")
+    process.send_signal(number)
+    assert process.stdout.readline() == "stopped\n"
+    process.send_signal(number)
+    assert process.stdout.readline() == f"broken off by {int(number)}\n"
+    assert process.wait() == 0
+
+
+def test_a_stop_that_comes_when_it_is_about_to_be_waited_for_is_no_deadlock(start):
+    process = start("stop", "held")
+    assert process.stdout.readline() == "stopped\n"
+
+
+@pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)
+def test_where_nothing_looks_for_a_stop_the_first_breaks_off(number, start):
+    process = start()
+    process.send_signal(number)
+    assert process.stdout.readline() == f"broken off by {int(number)}\n"
+
+
+@pytest.mark.parametrize("number", SHOW, ids=lambda number: number.name)
+def test_a_look_at_the_threads_changes_nothing(number, start):
+    process = start("stop")
+    process.send_signal(number)
+    assert "thread MainThread (most recent call last):\n" in iter(process.stderr.readline, "")
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "stopped\n"
+
+
+def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
+    process = start("stop", hang_up=signal.SIG_IGN)
+    process.send_signal(signal.SIGHUP)
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "stopped\n"
+    assert process.poll() is None, "SIGTERM was the first, not the second"

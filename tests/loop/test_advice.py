@@ -1,0 +1,205 @@
+"""Scorers beside the loop: what they say is taken up, and the robot does without it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chat_server import likeliest, send, serving
+from closed_loop import START_NS, ClosedLoop
+from patience import PATIENCE_S, eventually
+from simulated import simulated
+
+from edge.config import Config
+from edge.geometry import SE2
+from edge.loop.advice import SIGHTED_NS, Advisers, make_advisers, sightings
+from edge.mission.brief import prepare
+from edge.perception.cards import ModelError
+from edge.perception.instances import InstanceTracker
+from edge.types import Instance, Observation
+
+DIRECTION = {letter: -1.0 - i for i, letter in enumerate("ABCDEFGHJ")}
+SCENE = {"Yes": math.log(0.75), "No": math.log(0.25)}
+
+
+def model():
+    """A server that answers the two questions in turn."""
+    answers = itertools.cycle([DIRECTION, SCENE])
+    return lambda handler: send(handler, likeliest(next(answers)))
+
+
+def settings(url: str, lockstep: bool = False, target: str = "surfboard") -> Config:
+    choice = {"kind": "text", "url": url, "model": "m", "time_limit_s": PATIENCE_S}
+    return simulated(
+        {
+            "loop": {"lockstep": lockstep},
+            "sim": {"lockstep": True},
+            "mission": {"target": target},
+            "perception": {"choice": choice},
+        }
+    )
+
+
+def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
+    """Steps until the service has asked its choice scorer something."""
+    for _ in range(80):
+        loop.step()
+        if loop.service.status_dict()["scorers"]["choice"]["asked"]:
+            return loop
+    raise AssertionError("no frontier came into view")
+
+
+def test_without_scorers_nothing_runs():
+    loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
+    loop.step()
+    assert loop.service.advice is None
+    assert loop.service.status_dict()["scorers"] == {}
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_what_the_scorer_says_becomes_the_advice(lockstep):
+    with serving(model()) as server:
+        loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep)))
+        if lockstep:  # at once, or a run would not replay the same
+            assert loop.service.advice.choice.stamp_ns == loop.service.stamp_ns
+        choice = eventually(lambda: loop.step() or loop.service.advice.choice)
+        status = loop.service.status_dict()["scorers"]["choice"]
+        loop.close()
+    assert set(choice.ids) <= set(range(1, 1000))
+    assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
+    assert (np.diff(choice.p) < 0).all()
+    assert choice.target == "surfboard"
+    assert choice.scene == pytest.approx(0.75)
+    assert status["model"] == f"m at {server.url}"
+    assert status["scene"] == pytest.approx(0.75)
+    assert list(status["frontiers"]) == [str(i) for i in loop.service.advice.choice.ids]
+    assert status["answered"] >= 1
+    assert "surfboard" in server.requests[0][2]["messages"][1]["content"]
+
+
+def test_the_robot_goes_on_when_the_server_never_answers():
+    """It finds the television as it would without a scorer; closing waits for no one."""
+    with serving(lambda handler: handler.stopping.wait()) as server:
+        loop = ClosedLoop(settings(server.url, target="television")).run(240)
+        assert loop.service.status.phase == "reached", loop.service.status
+        assert loop.service.advice.choice is None
+        status = loop.service.status_dict()["scorers"]["choice"]
+        assert status["asked"] > status["answered"] == 0
+        assert status["frontiers"] == {}
+        loop.close()  # or the time limit of the test is over before that of the server
+
+
+def test_a_server_that_lies_is_counted_and_the_loop_goes_on(caplog):
+    with serving(lambda h: send(h, likeliest({"A": float("nan")}))) as server:
+        loop = frontiers_in_view(ClosedLoop(settings(server.url)))
+        scorers = loop.service.status_dict
+        eventually(lambda: loop.step() or scorers()["scorers"]["choice"]["failed"])
+        loop.close()
+    assert "a logprob that is none" in scorers()["scorers"]["choice"]["last_error"]
+    assert len([r for r in caplog.records if "choice" in r.getMessage()]) == 1
+
+
+def test_after_a_jump_of_the_pose_nothing_said_before_counts():
+    with serving(model()) as server:
+        loop = frontiers_in_view(ClosedLoop(settings(server.url)))
+        eventually(lambda: loop.step() or loop.service.advice.choice)
+        eventually(lambda: loop.advisers._choice.idle)
+        loop.step()  # asks again
+        eventually(lambda: loop.advisers._choice.idle)
+        loop.service.forget_places(loop.drive.motion.stamp_ns)
+        assert loop.service.advice.choice is None
+        loop.advisers.take_up()  # what was asked about the old frame
+        assert loop.service.advice.choice is None
+        eventually(lambda: loop.step() or loop.service.advice.choice)
+        loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)
+        assert loop.service.advice.choice is None
+        loop.close()
+
+
+def test_no_one_is_asked_while_the_mission_is_paused_or_over():
+    with serving(model()) as server:
+        loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
+        asked = len(server.requests)
+        loop.service.mission.pause(True)
+        loop.step()
+        assert len(server.requests) == asked
+        loop.service.mission.pause(False)
+        loop.step()
+        assert len(server.requests) > asked
+        loop.close()
+
+
+class FakeSimilarity:
+    name = "fake"
+
+    def score(self, rgb, prompts):
+        return np.arange(len(prompts), dtype=np.float32) + rgb.mean()
+
+    def close(self):
+        pass
+
+
+def test_similarity_is_for_every_target(monkeypatch):
+    loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    advisers = Advisers(FakeSimilarity(), None, inline=True)
+    seen = loop.observe()
+    advisers.ask(seen, ("bed", "chair"), "bed", loop.service.pool, loop.service.tracker)
+    advisers.take_up()
+    similarity = advisers.advice.similarity
+    np.testing.assert_allclose(similarity.score, seen.rgb.mean() + np.array([0, 1]), rtol=1e-6)
+    assert similarity.targets == ("bed", "chair")
+    assert (similarity.stamp_ns, similarity.pose) == (seen.stamp_ns, seen.pose)
+    status = advisers.status()["similarity"]
+    assert set(status["scores"]) == {"bed", "chair"}
+    assert status["model"] == "fake"
+    advisers.ask(replace(seen, rgb=None), ("bed",), "bed", loop.service.pool, loop.service.tracker)
+    assert advisers.status()["similarity"]["asked"] == 1
+    advisers.close()
+
+
+def test_the_running_detectors_scores_are_taken_from_its_detections():
+    name = "running-detector-similarity"
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+    config = simulated({**lockstep, "perception": {"similarity": name}})
+    loop = ClosedLoop(config).run(3)
+    similarity = loop.service.advice.similarity
+    assert similarity.targets == ("chair",)
+    assert similarity.score.shape == (1,)
+    status = loop.service.status_dict()["scorers"]
+    assert status["similarity"]["model"].startswith(f"{name} (sim")
+    assert "choice" not in status
+    assert loop.advisers.names() == [name]
+
+
+def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
+    tracker = InstanceTracker(simulated().perception)
+    seen_ns = 5 * SIGHTED_NS
+    things = [("bed", "seen", 3, 0.0), ("tv", "confirmed", 3, 1.0), ("sofa", "refuted", 3, 1.0)]
+    things += [("lamp", "seen", 1, 1.0), ("desk", "seen", 3, -1e-9)]
+    for i, (label, state, hits, ago) in enumerate(things):
+        center = np.array([4.0 - i, 1.0, 0.5], np.float32)
+        last_ns = seen_ns - int(ago * SIGHTED_NS)
+        tracker.adopt(Instance(i, label, center, center[None], 0.5, hits, 0, last_ns, state))
+    at = Observation(0, seen_ns, SE2(3.0, 1.0, math.pi / 2).matrix())
+    told = sightings(tracker, at)
+    assert [s.label for s in told] == ["tv", "bed", "desk"]  # by distance: 0, 1 and 3 m
+    assert told[1].bearing_rad == pytest.approx(-math.pi / 2)
+    assert [s.distance_m for s in told] == pytest.approx([0.0, 1.0, 3.0])
+    later = replace(at, stamp_ns=seen_ns + 1)
+    assert [s.label for s in sightings(tracker, later)] == ["bed", "desk"]
+
+
+@pytest.mark.parametrize(
+    "perception",
+    [{"similarity": "made-up"}, {"similarity": "yolo-world-s-256x320-int8-cpu"}],
+)
+def test_bad_cards_are_one_line_at_the_start(perception):
+    with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
+        make_advisers(simulated({"perception": perception}), ("chair",))
+
+
+def test_nothing_configured_makes_nothing():
+    assert make_advisers(simulated(), ("chair",)) is None

@@ -1,0 +1,187 @@
+"""Candidates keep their identity while they move little, and only then."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
+from edge.types import Instance
+
+
+def frontiers(*points: tuple[float, float]) -> SimpleNamespace:
+    """As much of `edge.mapping.grid.Frontiers` as the pool reads."""
+    xy = np.zeros((64, 2), np.float32)
+    xy[: len(points)] = np.array(points, np.float32).reshape(-1, 2)
+    return SimpleNamespace(n=len(points), xy_m=xy)
+
+
+def instance(id: int, x: float, y: float, score: float = 0.5) -> Instance:
+    point = np.array([x, y, 0.5], np.float32)
+    return Instance(id, "chair", point, point[None], score, 1, 0, 0)
+
+
+def ids(pool: CandidatePool) -> list[int]:
+    return pool.id[: pool.n].tolist()
+
+
+def test_nothing_in_nothing_out():
+    pool = CandidatePool(16, 0.5)
+    pool.update(frontiers(), [], 0, 0)
+    assert pool.n == 0
+    assert pool.index_of(FRONTIER, 1) == -1
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "kept"),
+    [
+        ([(1, 1)], [], []),
+        ([], [(1, 1)], [False]),
+        ([(1, 1)], [(1, 1)], [True]),
+        ([(1, 1)], [(1.3, 1)], [True]),
+        ([(1, 1)], [(1.6, 1)], [False]),
+        # Two claim one: the nearer continues it, the other is new.
+        ([(1, 1)], [(1.3, 1), (1.1, 1)], [False, True]),
+        ([(1, 1), (3, 1)], [(3.1, 1), (1.1, 1)], [True, True]),
+        # The one that loses (1, 1) to the nearer still has (1.4, 1).
+        ([(1, 1), (1.4, 1)], [(1.15, 1), (1.05, 1)], [True, True]),
+    ],
+)
+def test_identity(before, after, kept):
+    pool = CandidatePool(16, 0.5)
+    pool.update(frontiers(*before), [], 0, 0)
+    old = set(ids(pool))
+    pool.vl[:, : pool.n] = 0.7
+    pool.update(frontiers(*after), [], 1, 1)
+    assert [i in old for i in ids(pool)] == kept
+    assert [not np.isnan(v) for v in pool.vl[0, : pool.n]] == kept
+    assert len(set(ids(pool))) == pool.n
+
+
+def test_every_target_keeps_its_scores_when_the_plan_turns_to_another():
+    pool = CandidatePool(16, 0.5, channels=2)
+    pool.update(frontiers((1, 1)), [instance(3, 5, 5, 0.8)], 0, 0)
+    assert np.isnan(pool.vl[1, 1])
+    pool.vl[:, 0] = 0.2, 0.6
+    pool.channel = 1
+    pool.update(frontiers((1.1, 1)), [instance(4, 6, 6, 0.9)], 1, 1)
+    assert pool.vl[:, 0] == pytest.approx([0.2, 0.6])
+    assert pool.vl[1, 1] == pytest.approx(0.9)
+    assert np.isnan(pool.vl[0, 1])
+    first = ids(pool)
+    pool.set_channels(3)
+    assert (pool.vl.shape, pool.channel) == ((3, 16), 0)
+    assert np.isnan(pool.vl).all()
+    assert ids(pool) == first
+
+
+def test_nothing_was_first_seen_in_the_future():
+    pool = CandidatePool(16, 0.5)
+    for stamp_ns, since_ns in [(10**18, 10**18), (50, 50), (60, 50)]:  # one wild stamp
+        pool.update(frontiers((1, 1)), [], stamp_ns, 0)
+        assert (pool.stamp_ns, pool.first_seen_ns[0]) == (stamp_ns, since_ns)
+
+
+def test_creeping_away_from_the_first_sight_is_a_new_frontier():
+    pool = CandidatePool(16, 0.5)
+    pool.update(frontiers((0, 0)), [], 0, 0)
+    first = ids(pool)
+    seen = [first]
+    for step in range(1, 5):
+        pool.update(frontiers((0.2 * step, 0)), [], step, step)
+        seen.append(ids(pool))
+    assert seen[1] == seen[2] == first
+    assert seen[3] != first
+
+
+def test_instances_carry_their_id_and_score():
+    pool = CandidatePool(16, 0.5)
+    pool.update(frontiers((5, 5)), [instance(42, 1, 2, 0.8)], 0, 0)
+    at = pool.index_of(INSTANCE, 42)
+    assert pool.vl[0, at] == pytest.approx(0.8)
+    assert pool.xy_m[at].tolist() == [1, 2]
+    # An instance's id is no frontier's.
+    assert pool.index_of(FRONTIER, 42) == -1
+
+
+def test_capacity_keeps_instances():
+    pool = CandidatePool(2, 0.5)
+    pool.update(frontiers((0, 0), (2, 0), (4, 0)), [instance(9, 1, 1)], 0, 0)
+    assert pool.n == 2
+    assert pool.index_of(INSTANCE, 9) == 1
+
+
+def test_a_discarded_point_is_blocked_until_its_time():
+    pool = CandidatePool(16, 0.5)
+    pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=100)
+    pool.update(frontiers((1.2, 1.0), (3, 3)), [], 50, 50)
+    assert pool.blocked[:2].tolist() == [True, False]
+    pool.update(frontiers((1.2, 1.0), (3, 3)), [], 150, 150)
+    assert pool.blocked[:2].tolist() == [False, False]
+
+
+def test_discards_count_in_the_loops_time_and_first_sight_in_the_sensors():
+    pool = CandidatePool(16, 0.5)
+    pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=10_100)
+    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=5, now_ns=10_050)
+    assert (pool.blocked[0], pool.first_seen_ns[0]) == (True, 5)
+    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20_000, now_ns=10_060)
+    assert pool.blocked[0]
+    pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20, now_ns=10_100)
+    assert not pool.blocked[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "id", "blocked"),
+    [(FRONTIER, 1, [True, False, False]), (INSTANCE, 7, [False, True, False])],
+)
+def test_a_discard_blocks_only_its_own_kind_and_only_that_instance(kind, id, blocked):
+    pool = CandidatePool(16, 0.5)
+    pool.discard(kind, id, (1.0, 1.0), until_ns=100)
+    pool.update(frontiers((1.1, 1.0)), [instance(7, 1, 1), instance(8, 1.1, 1)], 0, 0)
+    assert pool.blocked[:3].tolist() == blocked
+
+
+def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list[int]:
+    """Association in plain Python: all pairs, nearest first, each entry once."""
+    pairs = [
+        (float(((n - o) ** 2).sum()), i, j) for i, n in enumerate(new) for j, o in enumerate(old)
+    ]
+    match = [-1] * len(new)
+    for d2, i, j in sorted(pairs):
+        if d2 < radius * radius and match[i] < 0 and j not in match:
+            match[i] = j
+    return match
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 12))
+def test_the_nearest_pairs_are_joined_first(seed, n_old, n_new):
+    rng = np.random.default_rng(seed)
+    old, new = rng.uniform(0, 1.5, (n_old, 2)), rng.uniform(0, 1.5, (n_new, 2))
+    old, new = old.astype(np.float32), new.astype(np.float32)
+    pool = CandidatePool(16, 0.5)
+    pool.update(frontiers(*old), [], 0, 0)
+    before = ids(pool)
+    pool.update(frontiers(*new), [], 1, 1)
+    got = [before.index(i) if i in before else -1 for i in ids(pool)]
+    assert got == nearest_pairs_first(old, new, 0.5)
+
+
+@settings(max_examples=50)
+@given(
+    st.lists(
+        st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), max_size=20), min_size=1, max_size=6
+    )
+)
+def test_ids_never_repeat_and_anchors_stay_near(frames):
+    pool = CandidatePool(64, 0.5)
+    for now, points in enumerate(frames):
+        pool.update(frontiers(*points), [], now, now)
+        assert len(set(ids(pool))) == pool.n == len(points)
+        away = np.hypot(*(pool.xy_m[: pool.n] - pool.anchor_m[: pool.n]).T)
+        assert (away < 0.5).all()

@@ -1,0 +1,92 @@
+"""What the loop outlives is counted, told once, and is `degraded` when it does not end."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.errors import Stopped
+from edge.loop.faults import DEGRADED_AFTER, Faults
+
+
+@pytest.fixture
+def told() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def faults(told) -> Faults:
+    return Faults(lambda text, now_ns: told.append(f"{now_ns} {text}"))
+
+
+def fail(faults: Faults, times: int = 1, step: str = "tick", error=ZeroDivisionError) -> None:
+    for _ in range(times):
+        with faults.outlived(step, 5):
+            raise error("oh\n\x1b[31mno")
+
+
+def test_nothing_failed(faults, told):
+    with faults.outlived("tick", 5):
+        pass
+    assert faults.status() == {"state": "ok", "failed": 0, "last_error": "", "failures": {}}
+    assert told == []
+
+
+def test_each_kind_is_told_once_on_one_line_and_counted(faults, told, caplog):
+    fail(faults, 3)
+    fail(faults, 2, error=KeyError)
+    fail(faults, 1, step="orders")
+    kinds = {"tick: ZeroDivisionError": 3, "tick: KeyError": 2, "orders: ZeroDivisionError": 1}
+    assert faults.failures == kinds
+    assert faults.failed == 6
+    assert [text.split(" at ")[0] for text in told] == [f"5 failed: {kind}" for kind in kinds]
+    assert told[0].endswith(": oh [31mno")
+    assert "test_faults.py:" in faults.last_error
+    assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 3
+
+
+def test_a_part_of_a_step_is_named_but_the_step_is_what_recovers(faults):
+    for i in range(DEGRADED_AFTER):
+        faults.caught("tick", ValueError(), 5, where="map" if i % 2 else "lift")
+    assert faults.state == "degraded"
+    assert faults.failures == {"map: ValueError": 15, "lift: ValueError": 15}
+    faults.passed("tick", 6)
+    assert faults.state == "ok"
+
+
+@pytest.mark.parametrize("nothing", [None, [], False, 0])
+def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
+    def bad() -> None:
+        raise ValueError
+
+    for _ in range(DEGRADED_AFTER):
+        assert faults.attempt("source", 5, bad) is None
+        assert faults.attempt("source", 5, lambda: nothing) == nothing
+    assert faults.state == "degraded"
+    assert faults.attempt("source", 6, lambda: [7]) == [7]
+    assert faults.state == "ok"
+
+
+def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, told):
+    fail(faults, DEGRADED_AFTER - 1)
+    with faults.outlived("tick", 6):
+        pass
+    fail(faults, DEGRADED_AFTER - 1)
+    with faults.outlived("orders", 6):  # of another step
+        pass
+    assert faults.state == "ok"
+    fail(faults)
+    assert faults.state == "degraded"
+    assert "degraded: tick fails again and again: tick: ZeroDivisionError" in told[-1]
+    fail(faults, 5)
+    with faults.outlived("tick", 7):
+        pass
+    assert faults.state == "ok"
+    assert told[-1] == "7 tick: goes well again"
+    assert len(told) == 3
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
+def test_what_ends_the_process_passes_through(faults, error):
+    with pytest.raises(error), faults.outlived("tick", 5):
+        raise error
+    assert faults.failed == 0

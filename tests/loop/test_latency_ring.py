@@ -1,0 +1,193 @@
+"""The span ring against numpy's percentiles."""
+
+from __future__ import annotations
+
+import json
+import threading
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.loop.latency import LatencyRing, StageLatency
+from edge.loop.stages import STAGES, TICK_DEADLINE_MS
+
+MS = 1_000_000
+NAMES = [stage.name for stage in STAGES]
+INGEST, DETECT, MAP, LIFT = (NAMES.index(name) for name in ("ingest", "detect", "map", "lift"))
+
+
+def tick(ring: LatencyRing, spans_ns: dict[int, int], total_ns: int, start_ns: int = 1000) -> None:
+    ring.begin_tick(start_ns)
+    for stage, duration_ns in spans_ns.items():
+        ring.span(stage, duration_ns)
+    ring.end_tick(start_ns + total_ns)
+
+
+def test_empty():
+    report = LatencyRing().report()
+    assert [row.name for row in report.rows] == [*(s.name for s in STAGES), "tick"]
+    assert all(row.n == row.count == 0 and row.verdict == "-" for row in report.rows)
+    assert "ingest" in report.table()
+    assert json.loads(json.dumps(report.as_dict()))["tick"]["n"] == 0
+
+
+@given(
+    durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60),
+    capacity=st.integers(1, 40),
+    last=st.one_of(st.none(), st.integers(1, 80)),
+)
+def test_percentiles_are_numpys_over_the_newest(durations, capacity, last):
+    ring = LatencyRing(capacity)
+    for duration in durations:
+        tick(ring, {MAP: duration}, duration)
+        ring.span(DETECT, duration)
+    window = np.array(durations[-min(capacity, last or capacity) :]) / MS
+    report = ring.report(last)
+    for row in (report.stage("map"), report.stage("detect"), report.tick):
+        expected = [*np.percentile(window, [50, 95, 99]), window.max()]
+        np.testing.assert_allclose(
+            [row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms], expected, rtol=1e-12, atol=1e-12
+        )
+        assert (row.n, row.count) == (len(window), len(durations))
+
+
+def test_an_abandoned_tick_is_a_drop_and_nothing_else():
+    ring = LatencyRing()
+    ring.set_drops(MAP, 2)
+    ring.begin_tick(1_000)
+    ring.mark(INGEST, 9_000)
+    ring.abandon_tick(MAP)
+    tick(ring, {MAP: 5 * MS}, 5 * MS)
+    report = ring.report()
+    assert (report.stage("map").drops, report.tick.drops) == (3, 3)
+    assert (report.tick.count, report.stage("ingest").n, report.tick.max_ms) == (1, 0, 5.0)
+
+
+def test_marks_share_the_time_of_a_tick_out():
+    ring = LatencyRing()
+    ring.begin_tick(1_000)
+    ring.mark(INGEST, 1_400)
+    ring.mark(MAP, 2_000)
+    ring.mark(LIFT, 2_100)
+    ring.mark(MAP, 2_900)
+    ring.end_tick(3_000)
+    report = ring.report()
+    measured = {row.name: round(row.max_ms * MS) for row in report.rows if row.n}
+    assert measured == {"ingest": 400, "map": 1_400, "lift": 100, "tick": 2_000}
+
+
+def test_a_stage_that_did_not_run_is_not_counted():
+    ring = LatencyRing()
+    tick(ring, {INGEST: 5, LIFT: 7}, 20)
+    tick(ring, {INGEST: 6}, 20)
+    report = ring.report()
+    assert report.stage("lift").n == report.stage("lift").count == 1
+    assert report.stage("ingest").n == 2
+    assert ring.report(last=1).stage("lift").n == 0
+
+
+def test_a_tick_that_never_ended_is_forgotten():
+    ring = LatencyRing()
+    ring.begin_tick(0)
+    ring.span(MAP, 5)
+    assert ring.report().stage("map").n == 0
+    tick(ring, {INGEST: 1}, 2)
+    assert ring.report().stage("map").n == 0
+
+
+def test_overruns_and_drops_outlive_the_window():
+    ring = LatencyRing(capacity=2)
+    budget_ns = round(STAGES[MAP].budget_ms * MS)
+    deadline_ns = round(TICK_DEADLINE_MS * MS)
+    tick(ring, {MAP: budget_ns + 1}, deadline_ns + 1)
+    for _ in range(4):
+        tick(ring, {MAP: budget_ns}, deadline_ns)
+    ring.span(DETECT, round(STAGES[DETECT].budget_ms * MS) + 1)
+    for total in (1, 3):
+        ring.set_drops(INGEST, total)
+    report = ring.report()
+    assert (report.stage("map").overruns, report.stage("map").count) == (1, 5)
+    assert (report.stage("detect").overruns, report.tick.overruns) == (1, 1)
+    assert report.stage("ingest").drops == report.tick.drops == 3
+    assert report.stage("map").verdict == "ok"  # the slow one has left the window
+    assert "missed 1 of 5" in report.table()
+
+
+@pytest.mark.parametrize(
+    ("n", "p95_ms", "verdict"), [(0, 0.0, "-"), (3, 1.0, "ok"), (3, 1.001, "over")]
+)
+def test_verdict(n, p95_ms, verdict):
+    row = StageLatency("map", 1.0, n, 0.5, p95_ms, 2.0, 3.0, n, 0, 0)
+    assert row.verdict == verdict
+
+
+def test_table_is_aligned_and_marks_what_is_over():
+    ring = LatencyRing()
+    tick(ring, {INGEST: 100, MAP: 2 * MS, LIFT: 123_456_789}, 200 * MS)
+    lines = ring.report().table().splitlines()
+    header, rows = lines[0], [line for line in lines[1:-1] if not line.startswith("-")]
+    end = header.index("p99") + 3
+    assert all(line[end] == " " and line[end - 1] in "0123456789-" for line in rows)
+    verdicts = {line.split()[0]: line.split()[-1] for line in rows}
+    assert verdicts["map"] == verdicts["lift"] == verdicts["tick"] == "over"
+    assert (verdicts["ingest"], verdicts["plan"]) == ("ok", "-")
+
+
+def test_unknown_stage_and_capacity():
+    with pytest.raises(KeyError):
+        LatencyRing().report().stage("nope")
+    with pytest.raises(ValueError, match="capacity"):
+        LatencyRing(0)
+
+
+def test_spans_from_another_thread_while_ticking():
+    ring = LatencyRing(64)
+    stop = threading.Event()
+
+    def read() -> None:
+        while not stop.is_set():
+            ring.report()
+
+    def detect() -> None:
+        for _ in range(2000):
+            ring.span(DETECT, 9 * MS)
+
+    threads = [threading.Thread(target=read), threading.Thread(target=detect)]
+    for thread in threads:
+        thread.start()
+    for _ in range(2000):
+        tick(ring, {MAP: 5}, 10)
+    threads[1].join()
+    stop.set()
+    threads[0].join()
+    report = ring.report()
+    assert (report.stage("detect").count, report.stage("map").count) == (2000, 2000)
+    assert report.stage("detect").p50_ms == report.stage("detect").max_ms == 9.0
+
+
+def test_a_tick_allocates_nothing_that_stays():
+    ring = LatencyRing()
+    stages = [i for i, stage in enumerate(STAGES) if stage.in_tick]
+
+    def one_tick() -> None:
+        ring.begin_tick(10**15)
+        for i in stages:
+            ring.mark(i, 10**15 + i * MS)
+        ring.end_tick(10**15 + 9 * MS)
+
+    one_tick()
+    tracemalloc.start()
+    try:
+        one_tick()
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(500):
+            one_tick()
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 500  # less than a byte a tick
+    assert peak - before < 2000  # the integers of one tick

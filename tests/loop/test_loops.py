@@ -1,0 +1,375 @@
+"""The loops around the service, with a source and a controller played by the test."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from closed_loop import ClosedLoop, blank_observation
+from frames import Slot
+from patience import eventually
+from simulated import simulated
+
+from edge.bus.desk import Request
+from edge.errors import Stopped
+from edge.geometry import SE2
+from edge.loop import runner
+from edge.loop.faults import DEGRADED_AFTER
+from edge.loop.runner import Running, loop
+from edge.loop.stages import STAGES
+from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker, WorkerBase
+from edge.sinks import SinkBase
+from edge.types import GoalStatus, Observation
+
+
+class Source:
+    """Gives out what it was given; a new epoch begins with an observation of `jump_at`."""
+
+    def __init__(self, observations: list[Observation], jump_at: int = -1) -> None:
+        self.counters = Counter(received=0, observations=0)
+        self.epoch = 0
+        self.pose: SE2 | None = None
+        self._observations = observations
+        self._jump_at = jump_at
+
+    def wait(self, timeout_s: float) -> bool:
+        if not self._observations:
+            time.sleep(0.001)
+        return bool(self._observations)
+
+    def poll(self) -> Observation | None:
+        if not self._observations:
+            return None
+        observation = self._observations.pop(0)
+        self.epoch += observation.seq == self._jump_at
+        return observation
+
+    def close(self) -> None: ...
+
+
+def running(lockstep: bool, frames: int = 0, jump_at: int = -1, **mission) -> Running:
+    config = simulated(
+        {"loop": {"lockstep": lockstep, "hz": 200.0}, "mission": {"target": "bed", **mission}}
+    )
+    closed = ClosedLoop(config)
+    return running_of(closed, blanks(closed, frames), jump_at)
+
+
+def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
+    """Frames in which nothing returned, a tenth of a second apart."""
+    pose, start_ns = closed.drive.motion.odometry, closed.drive.motion.stamp_ns
+    ids = np.zeros(closed.rig.depth_m.shape, np.uint16)
+    return [
+        replace(
+            blank_observation(i, start_ns + i * 10**8, pose, closed),
+            object_ids=ids,
+            slot=Slot(holds=1),
+        )
+        for i in range(frames)
+    ]
+
+
+def running_of(
+    closed: ClosedLoop, seen: list[Observation], jump_at: int = -1, worker: WorkerBase | None = None
+) -> Running:
+    """The loop over these frames, with another worker in place of the closed loop's if need be."""
+    inbox = SimpleNamespace(poll=list)
+    desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
+    service, source = closed.service, Source(seen, jump_at)
+    if worker is not None:
+        service._worker = worker
+    return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
+
+
+def run_out(run: Running, seen: list[Observation]) -> None:
+    """Let the loop see all of it."""
+    stop = threading.Event()
+    loop(run, stop, each=lambda: None if seen else stop.set())
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize("frames", [0, 2])
+def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
+    # The first tick loads kernels; simulated time stands still meanwhile.
+    run = running(lockstep, frames, time_limit_s=0.5)
+    status = loop(run, threading.Event(), once=True)
+    assert status.phase == "failed"
+    assert "0.5 s" in status.reason
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_new_epoch_begins_before_its_first_frame_is_taken_in(lockstep, monkeypatch):
+    run, done, stop = running(lockstep, frames=4, jump_at=2), [], threading.Event()
+    monkeypatch.setattr(run.service, "forget_places", lambda now_ns: done.append("forget"))
+    monkeypatch.setattr(run.service, "tick", lambda o, now_ns: done.append(o.seq))
+    loop(run, stop, each=lambda: stop.set() if 3 in done else None)
+    assert done == [0, 1, "forget", 2, 3]
+
+
+def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
+    run, stop, ticks = running(False, time_limit_s=300.0), threading.Event(), []
+    monkeypatch.setattr(runner.time, "time_ns", lambda: 10**18 + len(ticks) * 10**13)
+
+    def each() -> None:
+        ticks.append(run.service.status)
+        if len(ticks) == 5:
+            stop.set()
+
+    assert loop(run, stop, once=True, each=each).phase == "searching"
+    assert len(ticks) == 5
+
+
+@pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
+def test_a_sensor_clock_that_is_set_anew_neither_turns_lockstep_back_nor_ahead(steps_s):
+    """Else what waits until a time waits for ever, or a mission is over by its limit."""
+    run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
+    run.service.tick = lambda observation, now_ns: times.append(now_ns)
+    stamp_ns = 2 * 10**9
+    seen = [SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None)]
+    for step_s in steps_s:
+        stamp_ns += int(step_s * 1e9)
+        seen.append(SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None))
+    run.source._observations = seen
+    loop(run, stop, each=lambda: stop.set() if len(times) == 4 else None)
+    assert times[:2] == [2 * 10**9, 3 * 10**9]
+    assert [b - a for a, b in pairwise(times)] == [10**9 * (0 < s <= 60) for s in steps_s]
+
+
+def test_the_service_takes_the_stages_in_the_order_of_the_table():
+    from edge.loop import service
+
+    for index, stage in enumerate(STAGES):
+        assert getattr(service, stage.name.upper()) == index
+
+
+def broken(*_, **__) -> None:
+    raise ZeroDivisionError("oh no")
+
+
+BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
+    "ingest": lambda run: (run.service, "forget_places"),
+    "detect": lambda run: (run.service._worker, "submit"),
+    "map": lambda run: (run.service, "_map"),
+    "lift": lambda run: (run.service._lifter, "lift"),
+    "candidates": lambda run: (run.service, "_gather"),
+    "score": lambda run: (run.service.policy, "score"),
+    "plan": lambda run: (run.service.mission, "observe"),
+    "select": lambda run: (run.service.pursuit, "choose"),
+    "publish": lambda run: (run.service.pursuit, "give"),
+}
+
+
+@pytest.mark.parametrize("stage", [stage.name for stage in STAGES])
+def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch):
+    failing, passing = DEGRADED_AFTER + 2, 3
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    seen = blanks(closed, failing + passing)
+    slots, states = [observation.slot for observation in seen], []
+    run = running_of(closed, seen, jump_at=0 if stage == "ingest" else -1)
+    service, stop = run.service, threading.Event()
+    breaking = ExitStack()
+    breaking.enter_context(monkeypatch.context()).setattr(*BREAKS[stage](run), broken)
+
+    def each() -> None:
+        states.append(service.status_dict()["loop"]["state"])
+        if len(seen) == passing and len(states) == failing:
+            breaking.close()
+        if not seen:
+            stop.set()
+
+    with breaking:
+        loop(run, stop, each=each)
+    assert states.index("degraded") == DEGRADED_AFTER - 1
+    assert states[-passing:] == ["ok"] * passing
+    said = service.status_dict()["loop"]
+    assert said["failures"][f"{stage}: ZeroDivisionError"] == failing
+    assert "oh no" in said["last_error"]
+    report = service.latency.report()
+    assert (report.tick.count, report.tick.drops) == (passing, failing)
+    assert report.stage(stage).drops == failing
+    run.worker.close()  # it may still hold what it found last
+    assert [slot.holds for slot in slots] == [0] * len(slots)
+
+
+@pytest.mark.parametrize("stage", ["map", "plan", "publish"])
+def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
+    while not (closed.service.pursuit.orders.driving and closed.drive.motion.v_mps > 0.2):
+        closed.step()
+    seen, before = blanks(closed, 20), len(closed.notes.goals)
+    run = running_of(closed, seen)
+    run.source.pose = closed.drive.motion.odometry
+    monkeypatch.setattr(*BREAKS[stage](run), broken)
+    run_out(run, seen)
+    assert [goal.kind for goal in closed.notes.goals[before:]] == ["look"]
+    assert closed.notes.goals[-1].pose == run.source.pose
+    # One second after the last good tick, which was a tenth of a second before the first bad one.
+    assert closed.notes.goals[-1].stamp_ns - closed.drive.motion.stamp_ns == pytest.approx(1e9, 2e8)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
+def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
+    run, slot = running(True, frames=1), Slot(holds=1)
+    run.source._observations[0] = replace(run.source._observations[0], slot=slot)
+
+    def ends(*_) -> None:
+        raise error
+
+    monkeypatch.setattr(run.service, "tick", ends)
+    with pytest.raises(error):
+        loop(run, threading.Event())
+    assert slot.holds == 0
+
+
+@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
+def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(make, monkeypatch):
+    closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
+    failing, passing = DEGRADED_AFTER + 2, 3
+    seen = blanks(closed, failing + passing)
+    detector = closed.service._worker.detector
+    run = running_of(closed, seen, worker=make(detector))
+    service, stop, states = run.service, threading.Event(), []
+    whole = detector.detect
+    monkeypatch.setattr(detector, "detect", broken)
+
+    def each() -> None:
+        if make is DetectorWorker:
+            eventually(run.worker.idle)
+        states.append(service.status_dict()["detector"])
+        if len(states) == failing:
+            monkeypatch.setattr(detector, "detect", whole)
+        if not seen:
+            stop.set()
+
+    loop(run, stop, each=each)
+    run.worker.close()
+    well, ill = ("ok", ""), ("degraded", "fails at every image: ZeroDivisionError: oh no")
+    assert [(s["state"], s["detail"]) for s in states] == [
+        *[well] * (DEGRADED_AFTER - 1), *[ill] * 3, *[well] * passing
+    ]  # fmt: skip
+    name = f"detector {detector.name}: "
+    told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
+    assert told == [f"degraded: {ill[1]}", "goes well again"]
+    assert service.status_dict()["loop"]["state"] == "ok"
+
+
+class Sink(SinkBase):
+    """Notes the stamps of the ticks that it is told of."""
+
+    def __init__(self) -> None:
+        self.stamps_ns: list[int] = []
+
+    def tick(self, service, observation, now_ns) -> None:
+        self.stamps_ns.append(observation.stamp_ns)
+
+
+class BadSink(SinkBase):
+    """Fails at everything."""
+
+    tick = goal = detections = event = answered = broken
+
+
+def test_a_sink_that_fails_costs_the_others_nothing():
+    sinks = [BadSink(), Sink()]
+    closed = ClosedLoop(
+        simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=sinks
+    )
+    seen = blanks(closed, DEGRADED_AFTER)
+    run_out(running_of(closed, seen), seen)
+    assert len(sinks[1].stamps_ns) == DEGRADED_AFTER
+    said = closed.service.faults.status()
+    assert said["state"] == "degraded"
+    assert said["failures"]["BadSink.tick: ZeroDivisionError"] == DEGRADED_AFTER
+    assert closed.service.latency.report().tick.drops == 0
+    assert closed.notes.goals
+
+
+@pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
+def test_a_frame_that_a_stage_fails_on_is_told_as_dealt_with(stage, monkeypatch):
+    """In lockstep the simulator's clock stands still until it is."""
+    sink = Sink()
+    closed = ClosedLoop(
+        simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=[sink]
+    )
+    seen = blanks(closed, 3)
+    stamps_ns = [observation.stamp_ns for observation in seen]
+    run = running_of(closed, seen, jump_at=0 if stage == "ingest" else -1)
+    monkeypatch.setattr(*BREAKS[stage](run), broken)
+    run_out(run, seen)
+    assert sink.stamps_ns == stamps_ns
+
+
+def ticks(run: Running) -> int:
+    return run.service.latency.report().tick.count
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "part", "method", "step"),
+    [
+        (False, "inbox", "poll", "goal_status"),
+        (False, "source", "poll", "source"),
+        (False, "desk", "poll", "orders"),
+        (False, "models", "poll", "model orders"),
+        (False, "service", "idle", "idle"),
+        (True, "inbox", "poll", "goal_status"),
+        (True, "source", "wait", "wait"),
+        (True, "source", "poll", "source"),
+        (True, "desk", "poll", "orders"),
+        (True, "models", "poll", "model orders"),
+    ],
+)
+def test_whatever_fails_around_the_ticks_the_loop_goes_on(
+    lockstep, part, method, step, monkeypatch
+):
+    run, stop, beats = running(lockstep, frames=1), threading.Event(), []
+    if part == "service":  # idle comes only where there is nothing to be seen
+        run.source.poll = lambda: run.source._observations.pop() if len(beats) > 2 else None
+    whole = getattr(getattr(run, part), method)
+
+    def sometimes(*args) -> object:
+        beats.append(len(beats))
+        return whole(*args) if len(beats) > 2 else broken()
+
+    monkeypatch.setattr(getattr(run, part), method, sometimes)
+    loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
+    assert ticks(run) == 1
+    assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
+
+
+def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
+    run, heard = running(True, frames=1), []
+    answers = [GoalStatus(stamp, "accepted") for stamp in (1, 2, 3)]
+
+    def hear(answer: GoalStatus) -> None:
+        heard.append(answer.stamp_ns)
+        if answer.stamp_ns == 2:
+            broken()
+
+    run.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
+    monkeypatch.setattr(run.service, "goal_answered", hear)
+    run_out(run, run.source._observations)
+    assert heard == [1, 2, 3]
+    assert run.service.faults.failed == 1
+
+
+def test_who_gave_an_order_that_fails_is_told_and_the_next_order_is_taken(monkeypatch):
+    run, said = running(True, frames=2), []
+    cancel = Request("cancel", None, said.append, said.append)
+    status = Request("status", None, said.append, said.append)
+    orders = [cancel, status]
+    run.desk = SimpleNamespace(poll=lambda: orders.pop(0) if orders else None)
+    monkeypatch.setattr(run.service.mission, "fail", broken)
+    run_out(run, run.source._observations)
+    assert said[0] == "internal error: ZeroDivisionError: oh no"
+    assert said[1]["phase"] == "searching"
+    assert run.service.faults.failures == {"orders: ZeroDivisionError": 1}
+    assert run.service.latency.report().tick.count == 2

@@ -1,0 +1,153 @@
+"""What the loop relies on from start-up, and which mission a service begins with."""
+
+from __future__ import annotations
+
+import gc
+import json
+import logging
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE_S
+from simulated import simulated
+
+from edge.config import Config
+from edge.errors import Stopped
+from edge.host.ports import free_port
+from edge.loop import runner
+from edge.loop.runner import loop, open_service
+from edge.mission.checkpoint import save
+from edge.mission.order import ask
+from edge.mission.saved import Saved
+
+UNFINISHED = Saved(
+    "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
+    False, 1.0, 0.5, None, 0, 0, (),
+)  # fmt: skip
+
+COMPILED_IN_THE_LOOP = """
+import json, sys
+from numba.core.registry import CPUDispatcher
+from closed_loop import ClosedLoop
+from simulated import simulated
+from edge.loop.warmup import warm_up
+
+SERVICE = ("edge.mapping", "edge.perception", "edge.policies", "edge.bus.wire", "edge.geometry")
+
+def signatures():
+    return {
+        f"{d.py_func.__module__}.{d.py_func.__name__}": len(d.signatures)
+        for name, module in list(sys.modules.items()) if name.startswith("edge.")
+        for d in vars(module).values()
+        if isinstance(d, CPUDispatcher) and d.py_func.__module__.startswith(SERVICE)
+    }
+
+config = simulated({"mission": {"target": "television"}, "loop": {"lockstep": True},
+                    "sim": {"lockstep": True}})
+warm_up(config)
+before = signatures()
+loop = ClosedLoop(config).run(60)
+after = signatures()
+late = [name for name, n in after.items() if n > before.get(name, 0)]
+print(json.dumps([loop.service.status.phase, sum(after.values()), late]))
+"""
+
+
+def test_nothing_is_compiled_once_the_loop_runs():
+    """In a process of its own: here, other tests have compiled everything already."""
+    tests = Path(__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED_IN_THE_LOOP],
+        capture_output=True,
+        text=True,
+        cwd=tests,
+        check=True,
+    )
+    phase, kernels, late = json.loads(done.stdout.splitlines()[-1])
+    assert phase == "reached"
+    assert kernels > 20
+    assert late == []
+
+
+@pytest.fixture(autouse=True)
+def as_before():
+    """What a service sets for the whole process holds no longer than the service."""
+    before = sys.getswitchinterval(), gc.get_freeze_count()
+    yield
+    assert (sys.getswitchinterval(), gc.get_freeze_count()) == before
+
+
+def config(**mission: object) -> Config:
+    return simulated({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}, "mission": mission})
+
+
+@pytest.mark.parametrize(
+    ("asked", "formula", "expected"),
+    [
+        (None, None, "go to the bed"),
+        ("go to the sofa", None, "go to the sofa"),
+        (None, "F sofa", "F sofa"),
+    ],
+)
+def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
+    tmp_path, asked, formula, expected
+):
+    save(tmp_path / "mission.json", UNFINISHED)
+    settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
+    with open_service(settings, [], asked, formula) as running:
+        assert running.service.mission.brief.translation.instruction == expected
+
+
+STEPS = ["prepare", "make_detector", "make_advisers", "warm_up"]
+
+
+@pytest.mark.parametrize("last", STEPS)
+def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeypatch, caplog, last):
+    caplog.set_level(logging.INFO, "edge")
+    stop, made = threading.Event(), []
+
+    def noting(name, step):
+        def note(*args, **kwargs):
+            made.append(name)
+            if name == last:
+                stop.set()
+            return step(*args, **kwargs)
+
+        return note
+
+    monkeypatch.setattr(runner, "warm_up", lambda config: None)
+    for name in STEPS:
+        monkeypatch.setattr(runner, name, noting(name, getattr(runner, name)))
+    with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):
+        raise AssertionError
+    assert made == STEPS[: STEPS.index(last) + 1]
+    told = [r.getMessage() for r in caplog.records if r.name == "edge"]
+    assert told == ["stopped before it was ready"]
+
+
+def test_the_status_tells_of_every_ring_that_was_overrun():
+    with open_service(config(target="bed"), []) as running:
+        running.inbox._ring.overruns = 3
+        running.desk._ring.overruns = 2
+        running.source.counters["overrun"] = 1
+        assert running.service.status_dict()["loop"]["overruns"] == {
+            "sensors": 1, "goal_status": 3, "mission/request": 2, "models/request": 0,
+        }  # fmt: skip
+
+
+def test_after_a_formula_orders_are_read_by_the_configured_translator():
+    settings, stop = config(target="bed"), threading.Event()
+    request = {"do": "new", "instruction": "go to the sofa"}
+    with (
+        ThreadPoolExecutor(1) as pool,
+        open_service(settings, [], formula="F chair") as running,
+    ):
+        assert running.service.mission.brief.targets == ("chair",)
+        answer = pool.submit(ask, running.session, settings.zenoh.prefix, request, PATIENCE_S)
+        answer.add_done_callback(lambda _: stop.set())
+        loop(running, stop)
+        assert answer.result()["formula"] == "F sofa"

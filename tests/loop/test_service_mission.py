@@ -1,0 +1,242 @@
+"""Missions with several targets, in closed loop with a simulated robot in the built-in house."""
+
+from __future__ import annotations
+
+import pytest
+from closed_loop import START_NS, ClosedLoop
+from simulated import simulated
+
+from edge.config import Config
+from edge.loop.requests import handle
+from edge.mission.brief import prepare
+from edge.perception.text import PromptError
+
+CHOICE = "F ((chair | sofa) & F television) & !bed W television"
+
+
+def config(formula: str, **sections: dict) -> Config:
+    mission = {"instruction": formula, "translator": {"kind": "ltl"}, **sections.pop("mission", {})}
+    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission}
+    return simulated({**base, **sections})
+
+
+def taken(loop: ClosedLoop, kind: str) -> list[str]:
+    return [step.label for step in loop.service.mission.steps if step.kind == kind]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("planner", ["vitl", "expected"])
+def test_a_choice_a_sequence_and_a_prohibition(planner, seed):
+    perception = {"detector": {"kind": "sim", "seed": seed}}
+    mission = {"planner": {"kind": planner}}
+    loop = ClosedLoop(config(CHOICE, mission=mission, perception=perception)).run(300)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    reached = taken(loop, "reached")
+    assert reached[-1] == "television"
+    assert reached[0] in ("chair", "sofa")
+    assert len(reached) == 2
+    assert loop.distance_m("television") <= 1.0
+    assert loop.drive.motion.collisions == 0
+
+
+def test_the_same_observations_give_the_same_mission():
+    runs = [ClosedLoop(config(CHOICE)).run(20) for _ in range(2)]
+    assert runs[0].service.mission.steps == runs[1].service.mission.steps
+    assert runs[0].notes.goals == runs[1].notes.goals
+
+
+def test_what_is_not_there_gives_way_to_what_is():
+    loop = ClosedLoop(config("F (surfboard | bed)", mission={"search_limit_s": 45.0})).run(250)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    assert taken(loop, "reached") == ["bed"]
+
+
+def test_driving_distances_can_be_the_weights():
+    mission = {"planner": {"kind": "vitl", "weights": "distance"}}
+    loop = ClosedLoop(config(CHOICE, mission=mission)).run(300)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    assert loop.service.mission.knowledge.distance_m is not None
+    loop.service.close()
+
+
+class Asked:
+    """An order and what came back."""
+
+    def __init__(self, do: str, brief=None, overtaken: int = 0) -> None:
+        self.do, self.prepared, self.overtaken = do, brief, overtaken
+        self.answers: list[dict] = []
+        self.errors: list[str] = []
+
+    def answer(self, data: dict) -> None:
+        self.answers.append(data)
+
+    def refuse(self, reason: str) -> None:
+        self.errors.append(reason)
+
+
+def order(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0) -> Asked:
+    asked = Asked(do, brief, overtaken)
+    handle(loop.service, asked, loop.drive.motion.stamp_ns)
+    assert len(asked.answers) + len(asked.errors) == 1
+    return asked
+
+
+def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
+    loop = ClosedLoop(config("F television")).run(10)
+    generation = loop.service.grid.reach.generation
+    brief = prepare(loop.config.mission, formula="F bed")
+    answer = order(loop, "new", brief).answers[0]
+    assert (answer["formula"], answer["target"]) == ("F bed", "bed")
+    loop.step()
+    assert loop.service.grid.reach.generation >= generation
+    loop.run(200)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.distance_m("bed") <= 1.0
+
+
+def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes_on(monkeypatch):
+    loop = ClosedLoop(config("F bed")).run(3)
+
+    def refuse(prompts):
+        raise PromptError("prompt 'qwerty': not in the vocabulary")
+
+    monkeypatch.setattr(loop.service._worker.detector, "set_prompts", refuse)
+    before = loop.service.mission
+    asked = order(loop, "new", prepare(loop.config.mission, formula="F qwerty"))
+    assert asked.errors == ["prompt 'qwerty': not in the vocabulary"]
+    assert loop.service.mission is before
+
+
+def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_on():
+    loop = ClosedLoop(config("F bed", mission={"planner": {"kind": "expected"}})).run(3)
+    before, prompts = loop.service.mission, loop.service._worker.detector.prompts
+    large = " & ".join(f"F object{i}" for i in range(12))
+    brief = prepare(config("F bed").mission, formula=large)
+    asked = order(loop, "new", brief)
+    assert "'expected' cannot take on a formula with 12 objects" in asked.errors[0]
+    assert loop.service.mission is before
+    assert loop.service._worker.detector.prompts == prompts
+
+
+def test_no_target_is_given_up_before_anything_was_seen():
+    loop = ClosedLoop(config("F bed", mission={"search_limit_s": 5.0}))
+    for second in range(20):
+        loop.service.idle(START_NS + second * 10**9, None)
+    assert not loop.service.mission.done
+    loop.step()
+    assert loop.service.mission.started
+    assert loop.service.mission.target == "bed"
+
+
+def test_a_pose_jump_ends_what_was_known_of_distances():
+    mission = {"planner": {"kind": "vitl", "weights": "distance"}}
+    loop = ClosedLoop(config(CHOICE, mission=mission))
+    while loop.service.mission.knowledge.distance_m is None:
+        loop.step()
+    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    assert loop.service.mission.knowledge.distance_m is None
+    assert loop.service._surveyor.poll() is None
+    loop.service.close()
+
+
+def test_pause_has_the_robot_stand_and_resume_go_on():
+    loop = ClosedLoop(config("F bed")).run(6)
+    assert order(loop, "pause").answers[0]["phase"] == "paused"
+    for _ in range(15):
+        loop.step()
+    at, elapsed_s = loop.drive.motion.pose, loop.service.status.elapsed_s
+    for _ in range(20):
+        loop.step()
+    assert loop.drive.motion.pose.distance_to(at.x_m, at.y_m) < 0.02
+    assert loop.service.status.elapsed_s == elapsed_s
+    assert order(loop, "resume").answers[0]["phase"] != "paused"
+    loop.run(200)
+    assert loop.service.status.phase == "reached", loop.notes.events
+
+
+def test_what_failed_before_a_pose_jump_may_be_seen_anew_after_it():
+    """Ids go on: an instance of the new frame is newer than all of the old one."""
+    loop = ClosedLoop(config("F (television | bed)")).run(3)
+    service, now_ns = loop.service, loop.drive.motion.stamp_ns
+    service.tracker.adopt(_thing_at(99, "television", 20.0, 20.0))
+    loop.step()
+    service.mission.give_up("no way to it", now_ns)
+    assert service.mission.failed == {"television"}
+    service.forget_places(now_ns)
+    assert service.tracker.all == []
+    loop.run(100)
+    assert service.mission.failed == frozenset()
+    assert service.status.phase == "reached"
+
+
+def test_a_goal_from_before_a_pause_is_not_sent_again():
+    """The one to stand is newer, so a controller would take the old one for replaced."""
+    loop = ClosedLoop(config("F bed")).run(1)
+    for _ in range(8):
+        order(loop, "pause")
+        for _ in range(3):
+            loop.step()
+        order(loop, "resume")
+        for _ in range(5):
+            loop.step()
+    stamps = [goal.stamp_ns for goal in loop.notes.goals]
+    assert stamps == sorted(set(stamps))
+    assert not any("replaced" in answer.reason for answer in loop.notes.answers)
+
+
+def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
+    loop = ClosedLoop(config("F bed")).run(3)
+    answer = order(loop, "cancel").answers[0]
+    assert (answer["phase"], "overtaken" in answer) == ("failed", False)
+    loop.step()
+    assert loop.service.status.reason == "cancelled"
+    assert "no mission" in order(loop, "pause").errors[0]
+    assert order(loop, "status").answers[0]["phase"] == "failed"
+
+
+@pytest.mark.parametrize("do", ["pause", "cancel"])
+def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
+    loop = ClosedLoop(config("F bed"))
+    order(loop, "cancel")
+    assert "no mission is under way" in order(loop, do).errors[0]
+    answer = order(loop, do, overtaken=2).answers[0]
+    assert (answer["phase"], answer["paused"], answer["overtaken"]) == ("failed", False, 2)
+    loop.service.close()
+
+
+def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
+    """The demo house has no such place, so the forbidden thing is put beside the goal."""
+    loop = ClosedLoop(config("F television & (!lamp W television)"))
+    while not any(step.kind == "target" for step in loop.service.mission.steps):
+        loop.step()
+    while loop.service.goal is None:
+        loop.step()
+    goal = loop.service.goal
+    lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
+    loop.service.tracker.adopt(lamp)
+    loop.service.pursuit._neighbours.look(
+        goal, loop.service.mission, loop.service.tracker, START_NS
+    )
+    step = loop.service.mission.steps[-1]
+    assert (step.kind, step.label) == ("warning", "lamp")
+    assert "0.4 m" in step.text
+
+
+def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
+    import numpy as np
+
+    from edge.types import Instance
+
+    point = np.array([[x_m, y_m, 0.5]], np.float32)
+    return Instance(instance_id, label, point[0], point, 0.9, 9, 0, 0)
+
+
+def test_status_tells_formula_state_plan_sets_and_why():
+    loop = ClosedLoop(config(CHOICE)).run(3)
+    told = loop.service.status_dict()["mission"]
+    assert told["formula"] == CHOICE
+    assert told["states"] >= 4
+    assert told["plan"][-1] == "television"
+    assert told["forbidden"] == ["bed"]
+    assert told["why"]
+    assert set(told) >= {"state", "detected", "reached", "failed", "english", "options", "word"}

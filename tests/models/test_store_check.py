@@ -1,0 +1,165 @@
+"""`edge models check` on small models written as ONNX's text, sound and unsound."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+
+import pytest
+
+from edge.cli.main import main
+from edge.host import resources
+
+pytest.importorskip("onnxruntime")
+parser = pytest.importorskip("onnx.parser")
+
+HEADER = '<ir_version: 8, opset_import: ["": 17]>'
+DETECTOR = """
+g (float[1,3,64,64] images, float[1,n,8] txt_feats) => (float[1,a,4] boxes, float[1,a,n] scores) {
+  boxes = Constant<value = float[1,2,4] {0.0, 0.0, 9.0, 9.0, 1.0, 1.0, 8.0, 8.0}> ()
+  shape = Constant<value = int64[3] {1, 2, 8}> ()
+  weights = ConstantOfShape<value = float[1] {0.5}> (shape)
+  text = Transpose<perm = [0, 2, 1]> (txt_feats)
+  raw = MatMul (weights, text)
+  scores = Sigmoid (raw)
+}"""
+TEXT = """
+g (int64[n,3] tokens) => (float[n,8] embeddings) {
+  shape = Constant<value = int64[2] {5, 8}> ()
+  table = ConstantOfShape<value = float[1] {0.5}> (shape)
+  rows = Gather (table, tokens)
+  embeddings = ReduceMean<axes = [1], keepdims = 0> (rows)
+}"""
+IMAGE = """
+g (float[1,3,64,64] pixels) => (float[1,d] embeddings) {
+  mean = ReduceMean<axes = [1, 2, 3], keepdims = 0> (pixels)
+  shape = Constant<value = int64[2] {1, 8}> ()
+  embeddings = Expand (mean, shape)
+}"""
+SHARED = {
+    "family": "f", "sha256": None, "sources": [], "license": "MIT", "precision": "fp32",
+    "derived_from": None, "parity": None,
+}  # fmt: skip
+SIZE = {"height": 64, "width": 64}
+PIXELS = {"color": "rgb", "scale": 1.0}
+CARDS = {
+    "detect": {
+        "input": SIZE, "text_dim": 8, "preprocess": {**PIXELS, "letterbox_pad": 0},
+    },
+    "text": {"dim": 8, "tokenizer": {"kind": "attributes"}},
+    "image": {"input": SIZE, "dim": 8, "preprocess": {**PIXELS, "mean": [0] * 3, "std": [1] * 3}},
+}  # fmt: skip
+MODELS = {"detect": DETECTOR, "text": TEXT, "image": IMAGE}
+
+
+def onnx_of(text):
+    return parser.parse_model(HEADER + text).SerializeToString()
+
+
+@pytest.fixture
+def put(store):
+    """put(task, change=(old, new)): a card named as its task, and the model it is of."""
+    resources.models_dir().mkdir(parents=True)
+
+    def write(task, change=("", ""), digest=None):
+        store({"name": task, "file": f"{task}.onnx", "task": task, **SHARED, **CARDS[task]})
+        content = onnx_of(MODELS[task].replace(*change))
+        path = resources.models_dir() / f"{task}.onnx"
+        path.write_bytes(content)
+        made = {"sha256": digest or hashlib.sha256(content).hexdigest()}
+        path.with_name(path.name + ".json").write_text(json.dumps(made))
+        return path
+
+    return write
+
+
+def check(capsys, *words):
+    """(exit code, lines of stdout, lines of stderr)."""
+    code = main(["models", "check", *map(str, words)])
+    out, err = capsys.readouterr()
+    return code, out.splitlines(), err.splitlines()
+
+
+def test_nothing_to_check(store, capsys):
+    code, out, (error,) = check(capsys)
+    assert (code, out) == (1, [])
+    assert "edge models list" in error
+
+
+def test_all_that_is_here(put, store, capsys):
+    for task in MODELS:
+        put(task)
+    store({"name": "missing", "file": "no.onnx", "task": "text", **SHARED, **CARDS["text"]})
+    code, out, err = check(capsys)
+    assert (code, err) == (0, [])
+    assert out == [
+        "detect: ok (hash, interface, 2 boxes, finite)",
+        "image: ok (hash, interface, embeddings of 8, finite)",
+        "text: ok (hash, interface, embeddings of 8, finite)",
+    ]
+
+
+def test_a_scorer_is_checked_by_its_parts(put, store, capsys):
+    put("text")
+    put("image")
+    scorer = {"name": "clip", "family": "f", "task": "similarity", "license": "MIT"}
+    store(scorer | {"image_encoder": "image", "text_encoder": "text"})
+    code, out, _ = check(capsys, "clip")
+    assert (code, len(out)) == (0, 2)
+    assert main(["models", "check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
+    assert "has no file of its own, it uses image and text" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("task", "change", "message"),
+    [
+        ("detect", ("Sigmoid (raw)", "Log (raw)"), "returns scores that are not finite"),
+        ("detect", ("Sigmoid (raw)", "Exp (raw)"), "scores must lie in 0..1"),
+        ("detect", ("9.0, 9.0", "inf, 9.0"), "returns boxes that are not finite"),
+        ("detect", ("{1, 2, 8}", "{1, 3, 8}"), "scores (1, 3, 2), must be (1, 2, 2)"),
+        ("text", ("{5, 8}", "{0, 8}"), "does not run"),
+        ("detect", ("Sigmoid (raw)", "NoSuch (raw)"), "onnxruntime cannot load it"),
+        ("detect", ("float[1,3,64,64]", "float[1,3,h,w]"), "must have inputs"),
+        ("text", ("{0.5}", "{0.0}"), "an embedding is all zeros"),
+        ("text", ("{0.5}", "{nan}"), "not finite"),
+        ("image", ("{1, 8}", "{1, 9}"), "embeddings (1, 9), must be (1, 8)"),
+    ],
+)
+def test_an_unsound_model_is_one_line(put, capsys, task, change, message):
+    path = put(task, change)
+    code, out, errors = check(capsys, task)
+    assert (code, out) == (1, [])
+    assert message in errors[0]
+    assert str(path) in errors[0]
+    assert len(errors) == 1
+
+
+def test_what_onnxruntime_says_in_no_known_letters_is_one_line(put, capfd):
+    path = put("detect")
+    path.write_bytes(path.read_bytes().replace(b"Sigmoid", b"Sig\xd3oid"))
+    assert main(["models", "check", "detect", "--file", str(path.rename(f"{path}.bad"))]) == 1
+    out, err = capfd.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "onnxruntime cannot load it" in err
+
+
+def test_the_others_are_still_checked(put, capsys):
+    put("detect", digest="0" * 64)
+    put("text")
+    code, out, (error,) = check(capsys)
+    assert (code, len(out)) == (1, 1)
+    assert "damaged or another model" in error
+
+
+def test_a_file_held_against_a_card(put, tmp_path, capsys):
+    path = put("text")
+    other = tmp_path / "other.onnx"
+    other.write_bytes(path.read_bytes())
+    assert check(capsys, "text", "--file", other)[1] == [
+        "text: ok (hash not known, interface, embeddings of 8, finite)"
+    ]
+    assert "must have inputs" in check(capsys, "text", "--file", put("image"))[2][0]
+    assert "no such file" in check(capsys, "text", "--file", tmp_path / "none.onnx")[2][0]
+    code, _, (error,) = check(capsys, "--file", other)
+    assert (code, "--file needs the NAME" in error) == (os.EX_UNAVAILABLE, True)

@@ -1,0 +1,251 @@
+"""Downloads from a real server: resumed, limited, whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import resource
+
+import pytest
+
+from edge.models.download import download, read_page, shown
+from edge.models.meter import Meter
+from edge.models.pace import Limits
+from edge.models.part import FetchError, Part
+from edge.perception.model_file import ModelError
+
+CONTENT = bytes(range(256)) * 400
+SHA256 = hashlib.sha256(CONTENT).hexdigest()
+LIMITS = Limits(read_s=5.0, tries=3, page_bytes=1000)
+HASTY = Limits(answer_s=0.2, read_s=0.2, tries=2)
+
+
+def part(tmp_path, sha256=SHA256, size=None):
+    return Part(tmp_path / "w.pt", sha256, size)
+
+
+def left(tmp_path):
+    """Bytes of what lies in the folder, by name."""
+    return {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+
+
+def fetch(server, tmp_path, limits=LIMITS, **expected):
+    with part(tmp_path, **expected) as target:
+        download(server.url("/w.pt"), target, limits)
+
+
+@pytest.mark.parametrize("content", [b"", CONTENT])
+def test_a_file_comes_whole(server, tmp_path, content):
+    server.put("/w.pt", content)
+    fetch(server, tmp_path, sha256=hashlib.sha256(content).hexdigest())
+    assert (tmp_path / "w.pt").read_bytes() == content
+    assert left(tmp_path) == {"w.pt": len(content)}
+
+
+def test_a_broken_connection_is_taken_up_where_it_ended(server, tmp_path):
+    how = server.put("/w.pt", CONTENT, cut=40_000)
+    fetch(server, tmp_path)
+    assert [asked.get("range") for asked in how.asked] == [None, "bytes=40000-", "bytes=80000-"]
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+
+
+def test_a_part_of_an_earlier_run_is_taken_up(server, tmp_path):
+    how = server.put("/w.pt", CONTENT, cut=30_000)
+    with pytest.raises(FetchError, match=r"w\.pt: the connection ended after 90000 of 102400 by"):
+        fetch(server, tmp_path)
+    assert list(left(tmp_path).values()) == [90_000]
+    how.cut = None
+    fetch(server, tmp_path)
+    assert how.asked[-1]["range"] == "bytes=90000-"
+    assert left(tmp_path) == {"w.pt": len(CONTENT)}
+
+
+def test_a_server_that_cannot_resume_sends_all_of_it_again(server, tmp_path):
+    part(tmp_path).path.write_bytes(CONTENT[:5])
+    server.put("/w.pt", CONTENT, ranges=False)
+    fetch(server, tmp_path)
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("earlier", [b"x" * 50, b"x" * 200_000], ids=["other", "longer"])
+def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, earlier):
+    part(tmp_path).path.write_bytes(earlier)
+    server.put("/w.pt", CONTENT)
+    fetch(server, tmp_path)
+    assert left(tmp_path) == {"w.pt": len(CONTENT)}
+
+
+@pytest.mark.parametrize("came", [CONTENT[:50], b"x" * 50], ids=["beginning", "other"])
+def test_what_a_source_left_that_broke_off_is_not_blamed_on_the_next(server, tmp_path, came):
+    how = server.put("/w.pt", CONTENT)
+    with part(tmp_path) as target:
+        target.write(came)
+        download(server.url("/w.pt"), target, LIMITS)
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+    assert how.asked[0]["range"] == "bytes=50-"
+
+
+def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
+    part(tmp_path).path.write_bytes(CONTENT)
+    fetch(server, tmp_path)
+    assert left(tmp_path) == {"w.pt": len(CONTENT)}
+
+
+@pytest.mark.parametrize(
+    ("how", "expected", "message"),
+    [
+        ({"content": CONTENT[::-1]}, {}, "sha256 is"),
+        ({"content": CONTENT * 2}, {"size": len(CONTENT)}, "offers 204800 bytes, the card says 10"),
+        ({"content": CONTENT[1:]}, {"size": len(CONTENT)}, "offers 102399 bytes, the card says 10"),
+        ({"content": CONTENT, "told": 1 << 40}, {}, "offers 1099511627776 bytes, more than any"),
+        ({"content": b"", "status": 404}, {}, "HTTP 404 Not Found"),
+        ({"status": 302, "location": "file:///etc/passwd"}, {}, "HTTP 302"),
+        ({"status": 302, "location": "/w.pt"}, {}, "infinite loop"),
+    ],
+    ids=["hash", "long", "short", "huge", "missing", "file", "loop"],
+)  # fmt: skip
+def test_what_is_not_the_file_is_refused_and_leaves_nothing(
+    server, tmp_path, how, expected, message
+):
+    server.put("/w.pt", **how)
+    with pytest.raises(FetchError) as error:
+        fetch(server, tmp_path, **expected)
+    assert message in str(error.value)
+    assert str(error.value).startswith(server.url("/w.pt"))
+    assert "\n" not in str(error.value)
+    assert left(tmp_path) == {}
+
+
+def test_a_server_that_sends_more_than_it_tells_is_not_heard_out(tmp_path, server):
+    server.put("/w.pt", CONTENT, told=len(CONTENT) // 2)
+    with pytest.raises(FetchError, match="sha256"):
+        fetch(server, tmp_path)
+    assert left(tmp_path) == {}
+
+
+def test_a_file_that_outgrows_its_size_is_let_go(tmp_path):
+    with part(tmp_path, size=10) as target:
+        target.write(b"123456789")
+        with pytest.raises(FetchError, match="longer than the 10 bytes"):
+            target.write(b"10")
+    assert left(tmp_path) == {}
+
+
+@pytest.mark.parametrize("cut", [0, 1000])
+def test_a_server_that_stalls_is_given_up(server, tmp_path, cut):
+    server.put("/w.pt", CONTENT, cut=cut, stall=True)
+    # A busy machine may not even answer in that time.
+    with pytest.raises(FetchError, match=r"(nothing came for|no answer within) 0\.2 s"):
+        fetch(server, tmp_path, limits=HASTY)
+    assert sum(left(tmp_path).values()) in {0, cut, 2 * cut}
+
+
+def test_a_server_that_trickles_is_given_up(server, tmp_path):
+    server.put("/w.pt", CONTENT, cut=1)
+    with pytest.raises(FetchError, match=r"only [01] bytes came in 0 s"):
+        fetch(server, tmp_path, limits=Limits(slow_s=0.0, slow_bytes=2, tries=1))
+
+
+def test_nobody_at_the_address(server, tmp_path):
+    server.shutdown()
+    server.server_close()
+    with pytest.raises(FetchError, match="refused"):
+        fetch(server, tmp_path)
+    assert left(tmp_path) == {}
+
+
+def test_a_redirect_is_followed_without_the_password(server, tmp_path):
+    first = server.put("/w.pt", status=302, location=server.url("/there"))
+    second = server.put("/there", CONTENT)
+    with part(tmp_path) as target:
+        download(server.url("/w.pt", user="me:secret@"), target, LIMITS)
+    assert "authorization" in first.asked[0]
+    assert "authorization" not in second.asked[0]
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+    assert shown("https://me:secret@host:8/x?y=1") == "https://host:8/x?***"
+
+
+def test_two_at_one_file_do_not_mix(tmp_path):
+    with part(tmp_path) as first:
+        first.write(CONTENT)
+        with pytest.raises(ModelError, match="another process is fetching it"), part(tmp_path):
+            pass
+        first.finish()
+    assert (tmp_path / "w.pt").read_bytes() == CONTENT
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with (
+        pytest.raises(ModelError, match="cannot be written"),
+        Part(tmp_path / "file" / "w", SHA256),
+    ):
+        pass
+
+
+def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
+    os.mkfifo(part(tmp_path).path)
+    with pytest.raises(ModelError, match=r"part: cannot be written \(Not a regular file\)"):
+        part(tmp_path).__enter__()
+
+
+@contextlib.contextmanager
+def full_disk(limit):
+    """No file may grow longer; what does not fit is refused as by a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def write_in_blocks(tmp_path):
+    with part(tmp_path) as target:
+        for begin in range(0, len(CONTENT), 1024):
+            target.write(CONTENT[begin : begin + 1024])
+
+
+def test_a_full_disk_is_one_line_and_what_fits_is_kept(tmp_path):
+    with full_disk(50_000), pytest.raises(ModelError, match=r"part: cannot be written \(File too"):
+        write_in_blocks(tmp_path)
+    with part(tmp_path) as target:
+        assert target.have == 50_000
+        target.write(CONTENT[target.have :])
+        target.finish()
+    assert left(tmp_path) == {"w.pt": len(CONTENT)}
+
+
+def test_a_page_is_small(server):
+    server.put("/page", b"x" * 1000, kind="text/html")
+    assert read_page(server.url("/page"), "*/*", LIMITS)[1:] == ("text/html", b"x" * 1000)
+    server.put("/page", b"x" * 1001)
+    with pytest.raises(FetchError, match="longer than 1000 bytes"):
+        read_page(server.url("/page"), "*/*", LIMITS)
+
+
+class Screen:
+    def __init__(self, terminal):
+        self.text, self._terminal = "", terminal
+
+    def isatty(self):
+        return self._terminal
+
+    def write(self, text):
+        self.text += text
+
+    def flush(self):
+        pass
+
+
+@pytest.mark.parametrize(("terminal", "lines"), [(False, 2), (True, 0)])
+def test_progress_is_a_line_now_and_then_or_one_rewritten(terminal, lines):
+    now_s, screen = [0.0], Screen(terminal)
+    with Meter("w.pt", 0, screen, lambda: now_s[0]) as meter:
+        for second in range(12):
+            now_s[0] = float(second)
+            meter.update(second * 1_000_000, 20_000_000)
+    assert screen.text.count("\n") == lines
+    assert "w.pt: 5.0 of 20.0 MB (25 %), 1.0 MB/s, 15 s left" in screen.text
+    assert screen.text.endswith("\r\x1b[2K") == terminal

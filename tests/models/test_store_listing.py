@@ -1,0 +1,51 @@
+"""`edge models list`: a row for each card, aligned, or JSON."""
+
+from __future__ import annotations
+
+import json
+
+from edge.cli.main import main
+from edge.host import resources
+
+SHARED = {"family": "f", "license": "MIT", "sources": [], "derived_from": None, "parity": None}
+TEXT = {
+    **SHARED, "name": "words", "task": "text", "file": "words.onnx", "sha256": None, "dim": 8,
+    "precision": "fp32", "tokenizer": {"kind": "attributes"},
+    "measured": {"held-out": {"ap50": 0.9, "seed": 1, "made by": "train"}},
+}  # fmt: skip
+SCORER = {"name": "scorer", "family": "f", "task": "similarity", "license": "MIT", "detector": "d"}
+
+
+def test_no_cards(store, capsys):
+    assert main(["models", "list"]) == 0
+    assert main(["models", "list", "--json"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["no model cards", "[]"]
+
+
+def test_rows_are_aligned(store, capsys):
+    store(TEXT)
+    store(SCORER)
+    assert main(["models", "list"]) == 0
+    head, scorer, words = capsys.readouterr().out.splitlines()
+    for heading, cells in {
+        "task": ("similarity", "text"), "precision": ("-", "fp32"), "file": ("-", "missing"),
+    }.items():  # fmt: skip
+        at = head.index(heading)
+        assert (scorer[at:].split()[0], words[at:].split()[0]) == cells
+    resources.models_dir().mkdir(parents=True)
+    (resources.models_dir() / "words.onnx").write_bytes(b"x" * 2_900_000)
+    assert main(["models", "list"]) == 0
+    assert "2.9 MB" in capsys.readouterr().out
+
+
+def test_json_has_all_that_the_cards_say_and_where_files_are(store, capsys):
+    store(TEXT)
+    store(SCORER)
+    resources.models_dir().mkdir(parents=True)
+    path = resources.models_dir() / "words.onnx"
+    path.write_bytes(b"x")
+    assert main(["models", "list", "--json"]) == 0
+    scorer, words = json.loads(capsys.readouterr().out)
+    assert (scorer["detector"], scorer["path"]) == ("d", None)
+    assert words["path"] == str(path)
+    assert words["measured"]["held-out"] == {"ap50": 0.9, "seed": 1, "made by": "train"}

@@ -1,0 +1,162 @@
+"""`edge models export` and `quantize`: what they ask for, and what they tell the exporter."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import pytest
+import yaml
+
+from edge.cli.main import main
+from edge.host import resources
+from edge.host.children import python_module
+from edge.models import export
+from edge.models.export import need_modules
+from edge.models.places import weights_path
+from edge.perception.cards import load_card
+
+ORIGINAL = {
+    "name": "big", "family": "f", "task": "detect", "file": "big.onnx", "sha256": None,
+    "sources": [{"kind": "url", "url": "https://example.org/w.pt", "sha256": "0" * 64}],
+    "license": "MIT", "input": {"height": 64, "width": 64}, "precision": "fp32",
+    "derived_from": None, "text_dim": 8, "parity": None,
+    "preprocess": {"color": "rgb", "scale": 1.0, "letterbox_pad": 0},
+}  # fmt: skip
+TRAINED = {**ORIGINAL, "name": "own", "family": "mini-house", "sources": []}
+DERIVED = {**ORIGINAL, "name": "small", "file": "small.onnx", "derived_from": "big"}
+SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
+
+
+@pytest.fixture
+def started(store, monkeypatch):
+    """The command lines of the exporters that would have been started."""
+    for card in (ORIGINAL, DERIVED, SCORER, TRAINED):
+        store(card)
+    lines = []
+
+    class Done:
+        returncode = 0
+
+    monkeypatch.setattr(export, "need_modules", lambda *_: None)
+    monkeypatch.setattr("edge.models.quantize.need_modules", lambda *_: None)
+    monkeypatch.setattr(export.subprocess, "run", lambda line, **_: lines.append(line) or Done)
+    return lines
+
+
+@pytest.mark.parametrize("sources", [[], ORIGINAL["sources"]])
+def test_no_weights_here(started, store, capsys, sources):
+    store({**DERIVED, "sources": sources})
+    assert main(["models", "export", "small"]) == os.EX_UNAVAILABLE
+    error = capsys.readouterr().err
+    assert "name them with --weights" in error
+    assert ("run `edge models pull small`" in error) == bool(sources)
+    assert started == []
+
+
+def test_weights_that_were_pulled_are_exported(started):
+    path = weights_path(load_card("small").sources[0])
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"weights")
+    assert main(["models", "export", "small", "--calibration", "pictures"]) == 0
+    (line,) = started
+    assert tuple(line[:5]) == python_module("exporters")
+    assert line[5:] == [
+        "small", "--weights", str(path), "--calibration", "pictures",
+        "--cache", str(resources.models_dir()), "--cards", str(resources.data_dir("models")),
+    ]  # fmt: skip
+
+
+def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
+    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
+    words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
+    assert main(["models", "quantize", "small", *words]) == 0
+    (line,) = started
+    assert line[4:-4] == ["exporters", "small", *words]
+
+
+@pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
+@pytest.mark.parametrize("gate", [[], ["--no-gate"]])
+def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
+    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
+    monkeypatch.setattr("edge.models.quantize.find_vocabulary", lambda _: None)
+    action, *options = words
+    assert main(["models", action, "small", "--calibration", "p", *options, *gate]) == 0
+    assert ("--no-gate" in started[0]) == bool(gate)
+
+
+def test_an_own_card_is_exported_from_its_folder(started):
+    resources.models_dir().mkdir(parents=True)
+    card = yaml.safe_dump({**ORIGINAL, "name": "mine"})
+    (resources.models_dir() / "mine.yaml").write_text(card)
+    assert main(["models", "export", "mine", "--weights", "w.pt"]) == 0
+    assert started[0][-2:] == ["--cards", str(resources.models_dir())]
+
+
+@pytest.mark.parametrize("words", [["export"], ["export", "--weights", "w.pt"], ["pull"]])
+def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words):
+    action, *options = words
+    assert main(["models", action, "own", *options]) == os.EX_UNAVAILABLE
+    error = capsys.readouterr().err
+    assert "`python -m exporters.train_mini --out RUN && python -m exporters.mini.export" in error
+    assert ".pt" not in error
+    assert started == []
+
+
+@pytest.mark.parametrize("lacking", ["source", "place"])
+def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys, lacking):
+    (tmp_path / "words.npz").write_bytes(b"words")
+    if lacking == "source":
+        (tmp_path / "words.npz").unlink()
+    else:
+        resources.cache_dir().write_text("a file in the way")
+    words = ["--weights", "w.pt", "--vocabulary", str(tmp_path / "words.npz")]
+    assert main(["models", "export", "big", *words]) == os.EX_UNAVAILABLE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{tmp_path}/words.npz: cannot be kept as ")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("big", "is not derived from another model; `edge models export big` makes it"),
+        ("own", "is not derived from another model; `python -m exporters.train_mini --out RUN && "),
+        ("small", "big.onnx: model big is not there"),
+        ("s", "has no file of its own, it uses big"),
+        ("none", "no such card"),
+    ],
+)
+def test_what_cannot_be_quantized(started, capsys, name, message):
+    assert main(["models", "quantize", name, "--calibration", "pictures"]) == os.EX_UNAVAILABLE
+    assert message in capsys.readouterr().err
+    assert started == []
+
+
+@pytest.mark.parametrize(
+    ("lacking", "words", "said"),
+    [
+        ("torch", ["export", "--weights", "w.pt"], "torch not .*'edge-vln.export.'"),
+        (
+            "ultralytics", ["export", "--weights", "w.pt"],
+            "'edge-vln.export.', then pip install --no-deps ultralytics$",
+        ),
+        ("onnxruntime", ["export", "--weights", "w.pt"], "onnxruntime .*'edge-vln.cpu,export.'"),
+        ("onnxruntime", ["quantize"], "onnxruntime not installed here: .*'edge-vln.cpu,quantize.'"),
+        ("onnx", ["quantize"], "onnx not installed here: pip install 'edge-vln.quantize.'"),
+        ("torch", ["quantize"], None),
+    ],
+)  # fmt: skip
+def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
+    for module in ("export", "quantize"):
+        monkeypatch.setattr(f"edge.models.{module}.need_modules", need_modules)
+    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
+    find = lambda name: None if name == lacking else name  # noqa: E731
+    monkeypatch.setattr(export.importlib.util, "find_spec", find)
+    action, *options = words
+    code = main(["models", action, "small", *options, "--calibration", "p", "--vocabulary", "v"])
+    error = capsys.readouterr().err
+    assert (code == 0, len(started)) == ((said is None), int(said is None))
+    if said is None:
+        assert error == ""
+    else:
+        assert re.search(said, error)
