@@ -57,6 +57,49 @@ class SE2:
         return wrap_angle(math.atan2(y_m - self.y_m, x_m - self.x_m) - self.yaw_rad)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Square cells over a piece of `map`; row = y, column = x.
+
+    Attributes:
+        cells: (h, w) of any type. An occupancy grid has int8: -1 unknown, 0 free, 100 occupied;
+            1 to 99 for what is only nearer to an obstacle than the robot may go, where that is
+            told apart.
+        origin_xy_m: the corner of cell (0, 0).
+        resolution_m: side of a cell.
+    """
+
+    cells: np.ndarray
+    origin_xy_m: tuple[float, float]
+    resolution_m: float
+
+    def of_metres(self, xy_m: np.ndarray) -> np.ndarray:
+        """Points (…, 2) in cells: cell (row r, column c) spans [c, c + 1) x [r, r + 1)."""
+        return (np.asarray(xy_m, np.float64) - self.origin_xy_m) / self.resolution_m
+
+    def to_metres(self, xy: np.ndarray) -> np.ndarray:
+        """The inverse of `of_metres`."""
+        return np.asarray(xy) * self.resolution_m + np.asarray(self.origin_xy_m)
+
+    def centres_m(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """(…, 2) centres of cells."""
+        return self.to_metres(np.stack([columns, rows], axis=-1) + 0.5)
+
+    def cell_of(self, x_m: float, y_m: float) -> tuple[int, int] | None:
+        """(row, column) of a point; None outside the grid."""
+        x = (x_m - self.origin_xy_m[0]) / self.resolution_m
+        y = (y_m - self.origin_xy_m[1]) / self.resolution_m
+        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
+            return None  # NaN as well
+        return int(y), int(x)
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """(x_min, x_max, y_min, y_max)."""
+        (h, w), (x_m, y_m) = self.cells.shape, self.origin_xy_m
+        return x_m, x_m + w * self.resolution_m, y_m, y_m + h * self.resolution_m
+
+
 def se2_of(T: np.ndarray) -> SE2:
     """The planar part of a (4, 4) transform."""
     return SE2(float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0]))

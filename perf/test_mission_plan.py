@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.config import PlannerExpected, PlannerVitl
-from edge.mapping.results import OccupancySnapshot
+from edge.geometry import Grid
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse
 from edge.mission.planner import Knowledge, make_planner, warm_up
@@ -74,6 +74,6 @@ def test_distances_1000(benchmark):
         cells[y - 11 : y + 11, x - 11 : x + 11] = 99
         cells[y - 6 : y + 6, x - 6 : x + 6] = 100
     places = [rng.uniform(2.0, 48.0, (2, 2)) for _ in range(6)]
-    snapshot = OccupancySnapshot(cells, (0.0, 0.0), 0.05)
+    snapshot = Grid(cells, (0.0, 0.0), 0.05)
     out = benchmark(distances, snapshot, (25.0, 25.0), places)
     assert np.isfinite(out).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.config import parse
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.motion.controller import Controller
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import from_occupancy, from_weights
@@ -37,7 +37,7 @@ def house(side: int) -> np.ndarray:
 
 @pytest.mark.parametrize("side", [250, 500, 1000])
 def test_astar_weighted_maze(benchmark, side):
-    costmap = from_weights(maze(side), (0.0, 0.0), 1.0, unit=1)
+    costmap = from_weights(Grid(maze(side), (0.0, 0.0), 1.0), unit=1)
     workspace = astar.Workspace()
     ends = (0.5, 0.5), (side - 0.5, side - 0.5)
     plan = astar.plan(costmap, *ends, workspace)
@@ -47,7 +47,7 @@ def test_astar_weighted_maze(benchmark, side):
 
 
 def test_astar_house(benchmark):
-    costmap = from_occupancy(house(400), (0.0, 0.0), 0.05)
+    costmap = from_occupancy(Grid(house(400), (0.0, 0.0), 0.05))
     workspace = astar.Workspace()
     ends = (2.0, 2.0), (18.0, 14.0)
     plan = astar.plan(costmap, *ends, workspace)
@@ -59,11 +59,11 @@ def test_astar_house(benchmark):
 def test_costmap_from_occupancy(benchmark):
     cells = house(1000)
     benchmark.extra_info["budget"] = "costmap_1000"
-    benchmark.pedantic(from_occupancy, (cells, (0.0, 0.0), 0.05), rounds=30, warmup_rounds=3)
+    benchmark.pedantic(from_occupancy, (Grid(cells, (0.0, 0.0), 0.05),), rounds=30, warmup_rounds=3)
 
 
 def test_smoothing(benchmark):
-    costmap = from_occupancy(house(400), (0.0, 0.0), 0.05)
+    costmap = from_occupancy(Grid(house(400), (0.0, 0.0), 0.05))
     path = astar.plan(costmap, (2.0, 2.0), (18.0, 14.0)).path_m
     benchmark.extra_info["budget"] = "path_smoothing_400"
     benchmark.pedantic(smoothing.smooth, (costmap, path), rounds=50, warmup_rounds=3)
@@ -72,7 +72,7 @@ def test_smoothing(benchmark):
 def test_controller_step(benchmark):
     """A step that follows its path; the one that plans again costs an `astar_house_400` more."""
     controller = Controller(parse({"perception": {"detector": {"kind": "sim"}}}))
-    controller.on_map(house(400), (0.0, 0.0), 0.05)
+    controller.on_map(Grid(house(400), (0.0, 0.0), 0.05))
     controller.on_goal(1, SE2(18.0, 14.0, 0.0))
     step = (SE2(2.0, 2.0, 0.0), 0.0, 0.0, 0)
     controller.step(*step)

@@ -8,7 +8,7 @@ import pytest
 from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import parse
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Grid
 from edge.sources.assembler import Assembler
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
@@ -74,4 +74,4 @@ def test_decode_a_cloud(benchmark, n):
 def test_encode_a_map(benchmark):
     cells = np.zeros((1000, 1000), np.int8)
     benchmark.extra_info["budget"] = "encode_map_1000"
-    benchmark(messages.encode_occupancy_grid, 1, cells, (0.0, 0.0), 0.05)
+    benchmark(messages.encode_occupancy_grid, 1, Grid(cells, (0.0, 0.0), 0.05))

@@ -85,7 +85,7 @@ class ClosedLoop:
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + 500_000_000
             grid = self.service.grid.snapshot()
-            self.controller.on_map(grid.cells, grid.origin_xy_m, grid.resolution_m)
+            self.controller.on_map(grid)
         answers: list[GoalStatus] = []
         for goal in self.notes.goals[before:]:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)

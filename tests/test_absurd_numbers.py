@@ -19,7 +19,7 @@ from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.wire import DecodeError, messages
-from edge.geometry import se2_of
+from edge.geometry import Grid, se2_of
 from edge.motion.controller import Controller
 from edge.sources.assembler import PATIENCE_NS, Assembler
 
@@ -71,9 +71,8 @@ def test_no_number_breaks_the_controller(controller, number, value):
     goal[:2, 3] = 0.777, 0.888
     odometry = messages.encode_odometry(STAMP_NS, pose, 0.444, 0.555)
     order = messages.encode_pose_stamped(STAMP_NS, se2_of(goal))
-    grid = messages.encode_occupancy_grid(
-        STAMP_NS, np.zeros((40, 40), np.int8), (-0.999, -0.999), 0.0625
-    )
+    empty = Grid(np.zeros((40, 40), np.int8), (-0.999, -0.999), 0.0625)
+    grid = messages.encode_occupancy_grid(STAMP_NS, empty)
     for code, sign in (("d", 1), ("d", -1), ("f", 1)):
         old = struct.pack(f"<{code}", sign * number)
         odometry, order, grid = (
@@ -82,7 +81,7 @@ def test_no_number_breaks_the_controller(controller, number, value):
         )
     if (found := taken(messages.decode_occupancy_grid, grid)) is not None:
         with suppress(ValueError):  # what it says of a map that it does not take
-            controller.on_map(*found[1:])
+            controller.on_map(found[1])
     if (sent := taken(messages.decode_pose_stamped, order)) is not None:
         controller.on_goal(*sent)
     if (said := taken(messages.decode_odometry, odometry)) is not None:

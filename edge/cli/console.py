@@ -11,7 +11,7 @@ from edge.config import Config
 from edge.loop.service import Service
 from edge.mission.run import MissionRun
 from edge.report.drawing.shapes import shorten
-from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.record import RunRecord, Story
 from edge.report.recorder import Recorder
 from edge.sinks import SinkBase
 from edge.types import Detections, Goal, Instance, Observation
@@ -92,12 +92,11 @@ class RecorderSink(SinkBase):
     def record(self, service: Service, counters: dict[str, int]) -> RunRecord:
         """The run so far, with the map as it stands now."""
         grid = service.grid
-        snapshot = grid.snapshot(inflated=_TOO_CLOSE)
         self._recorder.targets = service.mission.brief.targets
         return self._recorder.finish(
             service.status,
             service.latency.report(),
-            MapSnapshot(snapshot.cells, snapshot.origin_xy_m, snapshot.resolution_m),
+            grid.snapshot(inflated=_TOO_CLOSE),
             np.array(grid.frontiers.xy_m[: grid.frontiers.n]),
             _instances(service),
             counters,

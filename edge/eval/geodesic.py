@@ -22,21 +22,20 @@ def distance_field(
         (rows, columns) float64 on the plan's raster; inf where there is no way.
     """
     free = plan.clearance_m > robot_radius_m
-    distance = np.full(free.shape, np.inf)
+    distance, cell_m = np.full(free.shape, np.inf), plan.grid.resolution_m
     for item in objects:
-        reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + plan.cell_m
-        low = (np.array(item.center_m[:2]) - reach_m - plan.origin_m) / plan.cell_m
-        high = (np.array(item.center_m[:2]) + reach_m - plan.origin_m) / plan.cell_m
+        reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + cell_m
+        low = plan.grid.of_metres(np.array(item.center_m[:2]) - reach_m)
+        high = plan.grid.of_metres(np.array(item.center_m[:2]) + reach_m)
         left, bottom = np.maximum(low.astype(int), 0)
         right, top = np.maximum(high.astype(int) + 1, 0)
         row, col = np.nonzero(free[bottom:top, left:right])
         row, col = row + bottom, col + left
-        xy_m = plan.origin_m + (np.stack([col, row], axis=1) + 0.5) * plan.cell_m
-        near = _is_near(item, xy_m, within_m)
+        near = _is_near(item, plan.grid.centres_m(row, col), within_m)
         distance[row[near], col[near]] = 0.0
     while sweep(free, distance):
         pass
-    return distance * plan.cell_m
+    return distance * cell_m
 
 
 def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:
@@ -48,10 +47,8 @@ def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray
 
 def at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
     """The value of a field on the plan's raster at a point; inf outside."""
-    row = math.floor((y_m - plan.origin_m[1]) / plan.cell_m)
-    col = math.floor((x_m - plan.origin_m[0]) / plan.cell_m)
-    inside = 0 <= row < field.shape[0] and 0 <= col < field.shape[1]
-    return float(field[row, col]) if inside else math.inf
+    cell = plan.grid.cell_of(x_m, y_m)
+    return math.inf if cell is None else float(field[cell])
 
 
 @njit(nogil=True, cache=True)

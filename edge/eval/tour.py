@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,8 +51,7 @@ def _drive(config: Config, world: World, seconds: float) -> Iterator[Motion]:
     controller = Controller(config)
     plan = world.plan
     inflated = plan.clearance_m <= config.robot.radius_m
-    cells = np.where(inflated, np.int8(100), np.int8(0))
-    controller.on_map(cells, tuple(plan.origin_m), plan.cell_m)
+    controller.on_map(replace(plan.grid, cells=np.where(inflated, np.int8(100), np.int8(0))))
     stops = iter(free_poses(world, _STOPS, config.sim.seed, config.robot.radius_m, 0.3))
     dt_s = 1.0 / config.sensors.odometry_hz
     goal_id = 0

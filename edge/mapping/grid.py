@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from edge import config
-from edge.geometry import FARTHEST_M, SE2, CameraModel
+from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, unknown, update
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
 from edge.mapping.coverage import Coverage, View
 from edge.mapping.reach import ReachField
-from edge.mapping.results import Frontiers, MapUpdate, OccupancySnapshot
+from edge.mapping.results import Frontiers, MapUpdate
 from edge.types import Observation
 
 # An obstacle this wide and high is sampled twice across at full range, and four times up: its
@@ -244,7 +244,7 @@ class RollingMap:
         """Area that was seen; costs with the map's size, so not for every tick."""
         return float(np.count_nonzero(self._layers.raw)) * self.resolution_m**2
 
-    def snapshot(self, inflated: int = OCCUPIED) -> OccupancySnapshot:
+    def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; costs with the map's size, so never in the steady tick.
 
         Args:
@@ -256,7 +256,7 @@ class RollingMap:
         while True:
             origin = self._origin
             if origin is None:
-                return OccupancySnapshot(np.zeros((0, 0), np.int8), (0.0, 0.0), self.resolution_m)
+                return Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), self.resolution_m)
             margin, n = len(self._disc) // 2, self._n
             x0, y0 = (max(int(v) - margin, 0) for v in self._explored[:2])
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
@@ -265,7 +265,7 @@ class RollingMap:
             compose(self._layers, self._body, *corner, inflated, cells)
             if self._origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
-                return OccupancySnapshot(cells, corner_m, self.resolution_m)
+                return Grid(cells, corner_m, self.resolution_m)
 
     def unknown_ratio(self, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray) -> None:
         """Share of unknown cells around points (VL-Nav eq. 6), into out[:n].

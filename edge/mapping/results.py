@@ -42,17 +42,3 @@ class Frontiers:
     xy_m: np.ndarray
     cells: np.ndarray
     cluster: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OccupancySnapshot:
-    """A copy of the explored part of the map.
-
-    Attributes:
-        cells: (h, w) int8, row = y, -1 unknown, 0 free, 100 occupied (inflated).
-        origin_xy_m: lower-left corner of cell (0, 0) in `map`.
-    """
-
-    cells: np.ndarray
-    origin_xy_m: tuple[float, float]
-    resolution_m: float

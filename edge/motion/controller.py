@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge import config
-from edge.geometry import SE2, wrap_angle
+from edge.geometry import SE2, Grid, wrap_angle
 from edge.motion.progress import Progress
 from edge.motion.pursuit import (
     STOP,
@@ -100,26 +100,23 @@ class Controller:
 
     # -- what comes in --------------------------------------------------------------------------
 
-    def on_map(
-        self, cells: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float
-    ) -> None:
+    def on_map(self, grid: Grid) -> None:
         """Take a newer map; a path that it closes is planned again at the next step.
 
         Args:
-            cells: (h, w) int8, -1 unknown, 0 free, 100 occupied, inflated by the robot's radius.
+            grid: an occupancy grid, inflated by the robot's radius.
 
         Raises:
             ValueError: not a map; the one before stays.
         """
-        if not MIN_CELL_M <= resolution_m <= MAX_CELL_M:
+        if not MIN_CELL_M <= grid.resolution_m <= MAX_CELL_M:
             raise ValueError(
-                f"map resolution has to be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got {resolution_m:g}"
+                f"map resolution has to be {MIN_CELL_M:g} to {MAX_CELL_M:g} m, "
+                f"got {grid.resolution_m:g}"
             )
         m = self._motion
         self._map = costmap.from_occupancy(
-            cells,
-            origin_xy_m,
-            resolution_m,
+            grid,
             clearance_m=m.clearance_m,
             near_m=m.near_m,
             near_cost=m.near_cost,

@@ -23,7 +23,7 @@ from edge.bus.session import Ring, declare_publisher, zenoh_session
 from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config
-from edge.geometry import SE2, se2_of
+from edge.geometry import SE2, Grid, se2_of
 from edge.host.interruptible import unless_stopped
 from edge.motion.controller import Controller
 from edge.motion.pursuit import STOP, Command
@@ -58,7 +58,7 @@ def main(config: Config, stop: threading.Event) -> int:
 def warm_up(config: Config) -> None:
     """Drive one step on a small map, so that no goal waits for a compiler."""
     controller = Controller(config)
-    controller.on_map(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05)
+    controller.on_map(Grid(np.zeros((64, 64), np.int8), (0.0, 0.0), 0.05))
     controller.on_goal(1, SE2(2.0, 1.0, 0.0))
     controller.step(SE2(0.5, 0.5, 0.0), 0.0, 0.0, 0)
 
@@ -115,11 +115,9 @@ class Bus:
 
     def feed(self, controller: Controller) -> None:
         """Give the controller the newest map and all goals, and send its answers."""
-        for _, cells, origin_xy_m, resolution_m in self.read(
-            topics.MAP, messages.decode_occupancy_grid
-        ):
+        for _, grid in self.read(topics.MAP, messages.decode_occupancy_grid):
             try:
-                controller.on_map(cells, origin_xy_m, resolution_m)
+                controller.on_map(grid)
                 self.map_heard_s = time.monotonic()
             except ValueError as error:
                 self._count(topics.MAP, error)

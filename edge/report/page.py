@@ -17,7 +17,7 @@ from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
-from edge.report import palette, picture, story
+from edge.report import palette, picture, raster, story
 from edge.report.record import Frame, RunRecord
 from edge.report.style import CSS
 
@@ -115,7 +115,7 @@ def _tiles(record: RunRecord) -> str:
     tiles = [
         (f"{mission.elapsed_s:.1f} s", "time"),
         (f"{mission.path_m:.1f} m", "driven"),
-        (f"{record.map.known_m2:.0f} m²" if record.map is not None else "–", "mapped"),
+        (f"{raster.known_m2(record.map):.0f} m²" if record.map is not None else "–", "mapped"),
         *_reached(record),
         (f"{len(record.goals)}", "goals"),
         (f"{len(record.instances)}", "instances"),

@@ -102,7 +102,7 @@ def _view(record: RunRecord) -> raster.Box:
         ys.append(np.array([goal.pose.y_m, goal.candidate_xy_m[1]]))
     known = raster.crop(record.map) if record.map is not None else None
     if known is not None:
-        x_min, x_max, y_min, y_max = raster.box_of(known)
+        x_min, x_max, y_min, y_max = known.extent_m
         xs.append(np.array([x_min, x_max]))
         ys.append(np.array([y_min, y_max]))
     (x_min, x_max), (y_min, y_max) = _span(np.concatenate(xs)), _span(np.concatenate(ys))
@@ -138,10 +138,8 @@ def _map(axes: Axes, record: RunRecord) -> None:
             0.5, 0.5, "nothing mapped", transform=axes.transAxes, ha="center", color=palette.MUTED
         )
         return
-    cells, k = raster.thin(known.cells)
-    (h, w), (x_m, y_m), step_m = cells.shape, known.origin_xy_m, k * known.resolution_m
-    extent = (x_m, x_m + w * step_m, y_m, y_m + h * step_m)
-    image = raster.colour(cells)
+    thinned = raster.thin(known)
+    image, extent = raster.colour(thinned.cells), thinned.extent_m
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=0)
 
 
@@ -191,7 +189,7 @@ def subtitle(record: RunRecord) -> str:
     mission = record.mission
     parts = [f"{mission.elapsed_s:.1f} s", f"{mission.path_m:.1f} m driven"]
     if record.map is not None:
-        parts.append(f"{record.map.known_m2:.0f} m² mapped")
+        parts.append(f"{raster.known_m2(record.map):.0f} m² mapped")
     parts.append(f"{len(record.goals)} goals")
     if mission.reason:
         parts.append(mission.reason)

@@ -4,48 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.geometry import Grid
 from edge.report import palette
-from edge.report.record import MapSnapshot
 
 MAX_SIDE_PX = 1600
 Box = tuple[float, float, float, float]
+"""(x_min, x_max, y_min, y_max) in metres of `map`, as matplotlib's `extent`."""
 
 
-def thin(cells: np.ndarray, max_side: int = MAX_SIDE_PX) -> tuple[np.ndarray, int]:
+def thin(grid: Grid, max_side: int = MAX_SIDE_PX) -> Grid:
     """Blocks of k x k cells as one: the highest of them, so occupied before free before unknown.
 
-    Args:
-        cells: (h, w) int8, -1 to 100.
-
-    Returns:
-        (ceil(h / k), ceil(w / k)) int8, and the smallest k that keeps both within `max_side`.
+    k is the smallest that keeps both sides within `max_side`.
     """
-    h, w = cells.shape
+    h, w = grid.cells.shape
     k = max(1, -(-max(h, w) // max_side))
     if k == 1:
-        return cells, 1
+        return grid
     padded = np.full((-(-h // k) * k, -(-w // k) * k), -1, dtype=np.int8)
-    padded[:h, :w] = cells
+    padded[:h, :w] = grid.cells
     blocks = padded.reshape(padded.shape[0] // k, k, padded.shape[1] // k, k)
-    return blocks.max(axis=(1, 3)), k
+    return Grid(blocks.max(axis=(1, 3)), grid.origin_xy_m, k * grid.resolution_m)
 
 
-def crop(snapshot: MapSnapshot) -> MapSnapshot | None:
+def crop(grid: Grid) -> Grid | None:
     """The smallest part of the map that holds every known cell; None when nothing is known."""
-    known = snapshot.cells >= 0
+    known = grid.cells >= 0
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not len(rows):
         return None
-    y, x, resolution_m = int(rows[0]), int(columns[0]), snapshot.resolution_m
-    origin_x_m, origin_y_m = snapshot.origin_xy_m
-    origin = (origin_x_m + x * resolution_m, origin_y_m + y * resolution_m)
-    return MapSnapshot(snapshot.cells[y : rows[-1] + 1, x : columns[-1] + 1], origin, resolution_m)
+    y, x = int(rows[0]), int(columns[0])
+    cells = grid.cells[y : rows[-1] + 1, x : columns[-1] + 1]
+    return Grid(cells, tuple(grid.to_metres((x, y)).tolist()), grid.resolution_m)
 
 
-def box_of(snapshot: MapSnapshot) -> Box:
-    """(x_min, x_max, y_min, y_max) in m, as matplotlib's `extent`."""
-    (h, w), (x_m, y_m) = snapshot.cells.shape, snapshot.origin_xy_m
-    return (x_m, x_m + w * snapshot.resolution_m, y_m, y_m + h * snapshot.resolution_m)
+def known_m2(grid: Grid) -> float:
+    """Area that was seen."""
+    return float(np.count_nonzero(grid.cells >= 0)) * grid.resolution_m**2
 
 
 def colour(cells: np.ndarray) -> np.ndarray:

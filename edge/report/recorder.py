@@ -11,11 +11,11 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyReport
 from edge.report.album import Album
 from edge.report.drawing.shapes import shorten
-from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.record import RunRecord, Story
 from edge.text import without_secrets
 from edge.types import Detections, Goal, Instance, MissionStatus
 
@@ -138,7 +138,7 @@ class Recorder:
         self,
         mission: MissionStatus,
         latency: LatencyReport,
-        map_snapshot: MapSnapshot | None = None,
+        map_snapshot: Grid | None = None,
         frontiers_m: np.ndarray | None = None,
         instances: Iterable[Instance] = (),
         counters: Mapping[str, float] | None = None,

@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.config import Lidar
 from edge.errors import UserError
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Grid
 
 # Thresholds, sills and carpets below this are driven over.
 FLOOR_CLEARANCE_M = 0.05
@@ -87,43 +87,35 @@ class FloorPlan:
     """Where a robot can stand, as a raster of the geometry from 0.05 m up to its height.
 
     Attributes:
-        occupied: (rows, columns) uint8, 1 = something is there.
+        grid: uint8, 1 = something is there.
         clearance_m: (rows, columns) float32, distance to the nearest occupied cell's edge.
-        origin_m: x, y of the corner of cell (0, 0).
     """
 
-    def __init__(self, occupied: np.ndarray, origin_m: tuple[float, float], cell_m: float) -> None:
-        self.occupied = occupied
-        self.origin_m = np.array(origin_m)
-        self.cell_m = cell_m
-        self.clearance_m = np.empty(occupied.shape, np.float32)
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self.clearance_m = np.empty(grid.cells.shape, np.float32)
         self.update()
 
     def update(self) -> None:
-        """Measure the clearance again after `occupied` has changed."""
-        free = np.uint8(1) - self.occupied
+        """Measure the clearance again after the grid's cells have changed."""
+        free, cell_m = np.uint8(1) - self.grid.cells, self.grid.resolution_m
         distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        np.multiply(distance, self.cell_m, out=self.clearance_m)
-        np.maximum(self.clearance_m - 0.5 * self.cell_m, 0.0, out=self.clearance_m)
+        np.multiply(distance, cell_m, out=self.clearance_m)
+        np.maximum(self.clearance_m - 0.5 * cell_m, 0.0, out=self.clearance_m)
 
     def clearance_at(self, x_m: float, y_m: float) -> float:
         """Distance to the nearest obstacle, within a cell; 0 inside one or off the plan."""
-        col = math.floor((x_m - self.origin_m[0]) / self.cell_m)
-        row = math.floor((y_m - self.origin_m[1]) / self.cell_m)
-        if not (0 <= row < self.occupied.shape[0] and 0 <= col < self.occupied.shape[1]):
-            return 0.0
-        return float(self.clearance_m[row, col])
+        cell = self.grid.cell_of(x_m, y_m)
+        return 0.0 if cell is None else float(self.clearance_m[cell])
 
     def reachable(self, x_m: float, y_m: float, clearance_m: float) -> np.ndarray:
         """(rows, columns) bool: where a robot of radius `clearance_m` gets to from a point."""
         free = (self.clearance_m > clearance_m).astype(np.uint8)
-        col = math.floor((x_m - self.origin_m[0]) / self.cell_m)
-        row = math.floor((y_m - self.origin_m[1]) / self.cell_m)
-        inside = 0 <= row < free.shape[0] and 0 <= col < free.shape[1]
-        if not inside or not free[row, col]:
+        cell = self.grid.cell_of(x_m, y_m)
+        if cell is None or not free[cell]:
             return np.zeros(free.shape, bool)
         _, component = cv2.connectedComponents(free, connectivity=4)
-        return component == component[row, col]
+        return component == component[cell]
 
 
 class World(Protocol):
@@ -173,6 +165,5 @@ def free_poses(
         )
     picks = rng.integers(0, len(rows), count)
     yaws = rng.uniform(-math.pi, math.pi, count)
-    xs = plan.origin_m[0] + (cols[picks] + 0.5) * plan.cell_m
-    ys = plan.origin_m[1] + (rows[picks] + 0.5) * plan.cell_m
-    return [SE2(float(x), float(y), float(a)) for x, y, a in zip(xs, ys, yaws, strict=True)]
+    places = plan.grid.centres_m(rows[picks], cols[picks])
+    return [SE2(*xy, a) for xy, a in zip(places.tolist(), yaws.tolist(), strict=True)]

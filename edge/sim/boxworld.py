@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Grid
 from edge.sim import kernels, shading
 from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
 
@@ -86,8 +86,8 @@ class BoxWorld:
         kernels.render_depth(self.shape, self.pose, T_map_camera, *lens, out_depth_m, self._prim)
         shading.shade(
             self.shape, self.pose, self.color, self.texture, self.owner, T_map_camera, *lens,
-            out_depth_m, self._prim, self.plan.clearance_m, self.plan.origin_m,
-            self.plan.cell_m, _SKY, out_rgb, out_ids,
+            out_depth_m, self._prim, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m),
+            CELL_M, _SKY, out_rgb, out_ids,
         )  # fmt: skip
         near, far = self._depth_range_m
         out_depth_m[(out_depth_m < near) | (out_depth_m > far)] = np.nan
@@ -107,8 +107,9 @@ class BoxWorld:
         self.pose[mine, 0] += x_m - item.center_m[0]
         self.pose[mine, 1] += y_m - item.center_m[1]
         self.objects[k] = replace(item, center_m=(x_m, y_m, item.center_m[2]))
-        self.plan.occupied[:] = 0
-        self._rasterise(self.plan.occupied, self.plan.origin_m)
+        grid = self.plan.grid
+        grid.cells[:] = 0
+        self._rasterise(grid.cells, np.array(grid.origin_xy_m))
         self.plan.update()
 
     def _floor_plan(self) -> FloorPlan:
@@ -119,7 +120,7 @@ class BoxWorld:
         cols, rows = np.ceil((high - low) / CELL_M).astype(int)
         occupied = np.zeros((rows, cols), np.uint8)
         self._rasterise(occupied, low)
-        return FloorPlan(occupied, (float(low[0]), float(low[1])), CELL_M)
+        return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
 
     def _rasterise(self, occupied: np.ndarray, origin_m: np.ndarray) -> None:
         heights = (FLOOR_CLEARANCE_M, self._robot_height_m)

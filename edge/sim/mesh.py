@@ -13,7 +13,7 @@ import numpy as np
 
 from edge import names
 from edge.config import Config, WorldMesh
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Grid
 from edge.host import resources
 from edge.host.files import read_regular
 from edge.sim import mesh_kernels
@@ -275,25 +275,24 @@ class MeshWorld:
         occupied = np.zeros((rows, cols), np.uint8)
         heights = (FLOOR_CLEARANCE_M, robot_height_m)
         mesh_kernels.rasterise_triangles(triangles, *heights, low, CELL_M, occupied)
-        return FloorPlan(occupied, (float(low[0]), float(low[1])), CELL_M)
+        return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
 
     def _roomiest(self) -> SE2:
         """The place farthest from everything, inside the house."""
         plan = self.plan
         inside = plan.clearance_m * _over_floor(self._scene, plan)
         row, col = np.unravel_index(int(np.argmax(inside)), inside.shape)
-        x, y = plan.origin_m + (np.array([col, row]) + 0.5) * plan.cell_m
-        return SE2(float(x), float(y), 0.0)
+        return SE2(*plan.grid.centres_m(row, col).tolist(), 0.0)
 
 
 def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
     """(rows, columns) bool: whether there is a floor under a cell."""
-    rows, cols = plan.occupied.shape
-    y, x = np.mgrid[0:rows, 0:cols].astype(np.float32)
-    x, y = plan.origin_m[0] + (x + 0.5) * plan.cell_m, plan.origin_m[1] + (y + 0.5) * plan.cell_m
-    origins = np.stack([x, y, np.full_like(x, FLOOR_CLEARANCE_M)], axis=-1).reshape(-1, 3)
+    rows, cols = plan.grid.cells.shape
+    origins = np.full((rows, cols, 3), FLOOR_CLEARANCE_M, np.float32)
+    origins[..., :2] = plan.grid.centres_m(*np.mgrid[0:rows, 0:cols])
+    origins = origins.reshape(-1, 3)
     down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(origins), 1))
-    hit = scene.run(np.ascontiguousarray(origins, np.float32), down, output=True)
+    hit = scene.run(origins, down, output=True)
     near = (hit["primID"] >= 0) & (hit["tfar"] < 3 * FLOOR_CLEARANCE_M)
     return near.reshape(rows, cols)
 

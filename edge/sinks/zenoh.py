@@ -12,15 +12,15 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import zenoh
 
 from edge.bus import topics
 from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
+from edge.geometry import Grid
 from edge.sinks import SinkBase
 from edge.sinks.mailbox import Mailbox
 from edge.types import Goal, GoalStatus, MissionStatus, Observation
@@ -35,14 +35,6 @@ LATENCY_HZ = 1.0
 _CLOSE_S = 1.0
 
 WRITTEN = tuple(topic for topic in topics.ALL if topic.writer == "service")
-
-
-class Snapshot(Protocol):
-    """A copy of the map: (h, w) int8 cells, the corner of cell (0, 0), metres a cell."""
-
-    cells: np.ndarray
-    origin_xy_m: tuple[float, float]
-    resolution_m: float
 
 
 @dataclass(slots=True)
@@ -125,7 +117,7 @@ class ZenohSink(SinkBase):
         """Stop sending a goal, or only send it less often while it is not `settled`."""
         self._mailbox.queue("answered", (stamp_ns, settled))
 
-    def publish_map(self, stamp_ns: int, snapshot: Callable[[], Snapshot]) -> None:
+    def publish_map(self, stamp_ns: int, snapshot: Callable[[], Grid]) -> None:
         """`snapshot` is called on the mailbox's thread: copying a large map takes too long for a
         tick. In lockstep it is called at once, since the map must be the one of this tick."""
         if self._lockstep:
@@ -204,12 +196,9 @@ def _json(item: Any) -> bytes:
     return json.dumps(item, separators=(",", ":"), allow_nan=False).encode()
 
 
-def _encode_map(item: tuple[int, Callable[[], Snapshot]]) -> bytes:
+def _encode_map(item: tuple[int, Callable[[], Grid]]) -> bytes:
     stamp_ns, take = item
-    snapshot = take()
-    return messages.encode_occupancy_grid(
-        stamp_ns, snapshot.cells, snapshot.origin_xy_m, snapshot.resolution_m
-    )
+    return messages.encode_occupancy_grid(stamp_ns, take())
 
 
 _ENCODERS: dict[str, Callable[[Any], bytes]] = {

@@ -188,7 +188,7 @@ def nearest_open(
     costmap: CostMap, cell: tuple[int, int], xy_m: tuple[float, float], within_m: float
 ) -> tuple[int, int] | None:
     """The open cell whose centre is nearest to a point, or None within `within_m`."""
-    reach = math.ceil(within_m / costmap.resolution_m)
+    reach = math.ceil(within_m / costmap.grid.resolution_m)
     row, column = max(cell[0] - reach, 0), max(cell[1] - reach, 0)
     window = costmap.weight[row : cell[0] + reach + 1, column : cell[1] + reach + 1]
     rows, columns = np.nonzero(window)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
+from edge.geometry import Grid
 from edge.trajectory.kernels import MAX_SIDE
 
 OCCUPIED = 50  # cells from here on are closed
@@ -21,8 +22,7 @@ class CostMap:
     Attributes:
         weight: (h + 2, w + 2) uint8 with a border of zeros; 0 = not to be entered. Entering a
             cell costs weight / unit times the length of the step.
-        origin_xy_m: the lower left corner of the first cell inside the border.
-        resolution_m: length of a cell's side.
+        grid: the weights inside the border.
         min_weight: the least weight above 0.
         h_weight: what the search's heuristic takes for every cell ahead: `min_weight`, or 0
             (no heuristic) where weights are so much higher that it would not pay.
@@ -30,8 +30,7 @@ class CostMap:
     """
 
     weight: np.ndarray
-    origin_xy_m: tuple[float, float]
-    resolution_m: float
+    grid: Grid
     min_weight: int
     h_weight: int
     unit: int = UNIT
@@ -42,21 +41,17 @@ class CostMap:
         return self.weight.shape[1]
 
     def grid_of(self, xy_m: np.ndarray) -> np.ndarray:
-        """Points (…, 2) in metres in grid coordinates: cell (r, c) spans [c, c+1) x [r, r+1)."""
-        return (np.asarray(xy_m, dtype=np.float64) - self.origin_xy_m) / self.resolution_m + 1.0
+        """Points (…, 2) in cells of `weight`: cell (r, c) spans [c, c + 1) x [r, r + 1)."""
+        return self.grid.of_metres(xy_m) + 1.0
 
     def metres_of(self, grid_xy: np.ndarray) -> np.ndarray:
         """The inverse of `grid_of`."""
-        return (grid_xy - 1.0) * self.resolution_m + np.asarray(self.origin_xy_m)
+        return self.grid.to_metres(grid_xy - 1.0)
 
     def cell_of(self, x_m: float, y_m: float) -> tuple[int, int] | None:
         """(row, column) in `weight`; None outside the map."""
-        gx = (x_m - self.origin_xy_m[0]) / self.resolution_m
-        gy = (y_m - self.origin_xy_m[1]) / self.resolution_m
-        rows, columns = self.weight.shape
-        if not (0 <= gx < columns - 2 and 0 <= gy < rows - 2):  # NaN is outside too
-            return None
-        return int(gy) + 1, int(gx) + 1
+        inside = self.grid.cell_of(x_m, y_m)
+        return None if inside is None else (inside[0] + 1, inside[1] + 1)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
         """Whether the cell may be entered; False outside the map."""
@@ -64,17 +59,16 @@ class CostMap:
         return cell is not None and self.weight[cell] != 0
 
 
-def from_weights(
-    weights: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float, unit: int = UNIT
-) -> CostMap:
+def from_weights(grid: Grid, unit: int = UNIT) -> CostMap:
     """A cost map of given weights.
 
     Args:
-        weights: (h, w) uint8, 0 = not to be entered.
+        grid: uint8, 0 = not to be entered.
 
     Raises:
         ValueError: not a grid of uint8, or a side too long for the search.
     """
+    weights = grid.cells
     if weights.ndim != 2 or weights.dtype != np.uint8:
         raise ValueError(f"weights: expected (h, w) uint8, got {weights.shape} {weights.dtype}")
     if max(weights.shape) + 2 > MAX_SIDE:
@@ -85,13 +79,11 @@ def from_weights(
     least = int(np.flatnonzero(counts)[0]) + 1 if cells else 1
     mean = float(counts @ np.arange(1, 256)) / max(cells, 1.0)
     h_weight = least if mean <= H_PAYS * least else 0
-    return CostMap(padded, origin_xy_m, resolution_m, least, h_weight, unit)
+    return CostMap(padded, replace(grid, cells=padded[1:-1, 1:-1]), least, h_weight, unit)
 
 
 def from_occupancy(
-    cells: np.ndarray,
-    origin_xy_m: tuple[float, float],
-    resolution_m: float,
+    grid: Grid,
     *,
     clearance_m: float = 0.0,
     near_m: float = 0.4,
@@ -104,8 +96,7 @@ def from_occupancy(
     near_cost (1 - d / near_m)^2 within near_m of the closed cells.
 
     Args:
-        cells: (h, w) int8, -1 unknown, 0 free, 100 occupied (50 and above count as occupied).
-        origin_xy_m: lower left corner of cell (0, 0) in `map`.
+        grid: an occupancy grid; 50 and above count as occupied.
         clearance_m: closes cells whose centre is nearer than this to an occupied cell's centre;
             0 where the map is inflated already.
         unknown_cost: cost factor of the unknown; None closes it.
@@ -113,10 +104,11 @@ def from_occupancy(
     Raises:
         ValueError: not a grid of int8, or a side too long for the search.
     """
+    cells, resolution_m = grid.cells, grid.resolution_m
     if cells.ndim != 2 or cells.dtype != np.int8:
         raise ValueError(f"cells: expected (h, w) int8, got {cells.shape} {cells.dtype}")
     if cells.size == 0:
-        return from_weights(np.zeros((0, 0), np.uint8), origin_xy_m, resolution_m)
+        return from_weights(replace(grid, cells=np.zeros((0, 0), np.uint8)))
     closed = cells >= OCCUPIED
     if not closed.any():
         distance = np.full(cells.shape, near_m + clearance_m, np.float32)
@@ -136,4 +128,4 @@ def from_occupancy(
         table[1] = 0
     index = np.minimum(distance / np.float32(step_m), entries - 1).astype(np.int32)
     index += (cells < 0) * np.int32(entries)
-    return from_weights(table.ravel()[index], origin_xy_m, resolution_m)
+    return from_weights(replace(grid, cells=table.ravel()[index]))

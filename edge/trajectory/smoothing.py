@@ -57,4 +57,4 @@ def polyline_cost_m(costmap: CostMap, path_m: np.ndarray) -> float:
     """Cost along a polyline in metres of free ground; inf where it enters a closed cell."""
     grid = costmap.grid_of(path_m)
     cost = kernels.polyline_cost(costmap.weight, grid)
-    return cost * costmap.resolution_m / costmap.unit if cost >= 0 else math.inf
+    return cost * costmap.grid.resolution_m / costmap.unit if cost >= 0 else math.inf

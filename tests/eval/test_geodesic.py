@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.eval import geodesic
+from edge.geometry import Grid
 from edge.sim.base import FloorPlan, WorldObject
 
 
@@ -49,7 +50,7 @@ def room() -> FloorPlan:
     """A 4 m by 2 m corridor with walls around it."""
     occupied = np.ones((50, 90), np.uint8)
     occupied[5:45, 5:85] = 0
-    return FloorPlan(occupied, (0.0, 0.0), 0.05)
+    return FloorPlan(Grid(occupied, (0.0, 0.0), 0.05))
 
 
 def crate(x: float, y: float) -> WorldObject:

@@ -87,10 +87,10 @@ def test_what_held_it_up_may_go(tmp_path, reach_cells_per_tick):
         loop.step()
     loop.service.grid.coverage._looks[:] = 255
     plan = loop.world.plan
-    rows, columns = ((at - plan.origin_m[k]) / plan.cell_m for k, at in ((1, 1.5), (0, 4.0)))
-    sill = (slice(int(rows) - 19, int(rows) + 19), slice(int(columns) - 3, int(columns) + 4))
-    assert plan.occupied[sill].any()
-    plan.occupied[sill] = 0
+    row, column = plan.grid.cell_of(4.0, 1.5)
+    sill = (slice(row - 19, row + 19), slice(column - 3, column + 4))
+    assert plan.grid.cells[sill].any()
+    plan.grid.cells[sill] = 0
     plan.update()
     loop.run(150)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission_plan_twins import grid_dijkstra
 
-from edge.mapping.results import OccupancySnapshot
+from edge.geometry import Grid
 from edge.mission.planning import distances as d
 
 INF = math.inf
@@ -24,7 +24,7 @@ def at(*points: tuple[float, float]) -> np.ndarray:
 
 def room(width_m: float, height_m: float, resolution_m=0.05, origin=(0.0, 0.0), value=0):
     shape = round(height_m / resolution_m), round(width_m / resolution_m)
-    return OccupancySnapshot(np.full(shape, value, np.int8), origin, resolution_m)
+    return Grid(np.full(shape, value, np.int8), origin, resolution_m)
 
 
 def fill(snapshot, x0, y0, x1, y1, value=100):

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import simulated
 
-from edge.geometry import SE2, wrap_angle
+from edge.geometry import SE2, Grid, wrap_angle
 from edge.motion.controller import REPLACED, SNAP_M, Controller
 from edge.motion.pursuit import length_m
 from edge.types import GoalStatus
@@ -71,7 +71,7 @@ class Walk:
         cells = cells.copy()
         for x, y in self.blocked:
             cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), round(0.25 / RES_M), 100, -1)
-        self.controller.on_map(cells, (0.0, 0.0), RES_M)
+        self.controller.on_map(Grid(cells, (0.0, 0.0), RES_M))
 
     def goal(self, stamp_ns: int, pose: SE2) -> None:
         self.answers += self.controller.on_goal(stamp_ns, pose)
@@ -507,7 +507,7 @@ def test_a_pose_that_is_no_place_stops_the_robot(pose):
 def test_a_map_of_no_sensible_resolution_is_refused(resolution):
     controller = Controller(CONFIG)
     with pytest.raises(ValueError, match="resolution"):
-        controller.on_map(room(2.0, 2.0), (0.0, 0.0), resolution)
+        controller.on_map(Grid(room(2.0, 2.0), (0.0, 0.0), resolution))
 
 
 def test_clearance_keeps_off_a_map_that_is_not_inflated():

@@ -21,7 +21,7 @@ from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
 from edge.config import Config
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
 from edge.motion import process
 from edge.sources.goal_status import parse_goal_status
@@ -59,7 +59,7 @@ class Robot:
         self.put(topics.TICK, json.dumps({"stamp": self.stamp_ns}).encode())
 
     def map(self) -> None:
-        grid = messages.encode_occupancy_grid(self.stamp_ns, CELLS, (0.0, 0.0), 0.05)
+        grid = messages.encode_occupancy_grid(self.stamp_ns, Grid(CELLS, (0.0, 0.0), 0.05))
         self.put(topics.MAP, grid)
 
     def map_and_goal(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.config import Robot
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.motion.progress import DETOURS, Progress
 from edge.motion.pursuit import Limits
 from edge.motion.recovery import BACK_M, TIME_NS, Recovery
@@ -101,7 +101,7 @@ def test_progress_forgives_detours_but_not_for_ever():
 
 
 def _recovery(weights: np.ndarray) -> Recovery:
-    costmap = from_weights(weights, (0.0, 0.0), 0.1)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 0.1))
     return Recovery(HERE, costmap, Limits.of(Robot()), 0)
 
 

@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 from simulated import simulated
 
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyRing
 from edge.loop.stages import STAGES
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
-from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.record import RunRecord, Story
 from edge.report.recorder import Recorder
 from edge.types import Detections, Goal, Instance, MissionStatus, Observation, Step
 
@@ -42,7 +42,7 @@ WAY = (
 )
 
 
-def flat() -> MapSnapshot:
+def flat() -> Grid:
     """Nine by seven metres with walls and furniture; one room's end not yet seen."""
     h, w = int(10 / RESOLUTION_M), int(12 / RESOLUTION_M)
     cells = np.full((h, w), -1, dtype=np.int8)
@@ -59,7 +59,7 @@ def flat() -> MapSnapshot:
         fill((x0, y0, x1, y0 + 0.15), 100)
         fill((x0, y0, x0 + 0.15, y1), 100)
     fill((7.9, 0, 9.5, 3.4), -1)
-    return MapSnapshot(cells, (-1.5, -1.5), RESOLUTION_M)
+    return Grid(cells, (-1.5, -1.5), RESOLUTION_M)
 
 
 def image(rng: np.random.Generator) -> np.ndarray:

@@ -250,7 +250,7 @@ def test_aws_house_agrees_with_its_makers_map(aws, shared_dir: Path):
     assert ours.mean() > 0.93, "what the makers' robot found free is free"
     reachable = aws.plan.reachable(aws.start.x_m, aws.start.y_m, 0.2)
     row, col = np.nonzero(reachable)
-    x, y = (aws.plan.origin_m + (np.stack([col, row], axis=1) + 0.5) * aws.plan.cell_m).T
+    x, y = aws.plan.grid.centres_m(row, col).T
     u = ((x - about["origin"][0]) / about["resolution"]).astype(int)
     v = ((y - about["origin"][1]) / about["resolution"]).astype(int)
     assert (pixels[v, u] >= 250).mean() > 0.93, "what is reachable here was free there"
@@ -261,7 +261,7 @@ def test_aws_targets_are_there_and_can_be_stood_beside(aws, label: str):
     mine = [item for item in aws.objects if item.label == label]
     assert mine
     row, col = np.nonzero(aws.plan.reachable(aws.start.x_m, aws.start.y_m, 0.2))
-    places = aws.plan.origin_m + (np.stack([col, row], axis=1) + 0.5) * aws.plan.cell_m
+    places = aws.plan.grid.centres_m(row, col)
     for item in mine:
         x, y = item.center_m[:2]
         near = places[np.argsort(np.hypot(*(places - (x, y)).T))[:300]]

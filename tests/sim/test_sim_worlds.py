@@ -148,13 +148,11 @@ def test_demo_house_is_one_connected_furnished_home(demo: BoxWorld):
     assert len(house.rooms) >= 4
     reachable = demo.plan.reachable(demo.start.x_m, demo.start.y_m, 0.25)
     for room in house.rooms:
-        x0, y0, x1, y1 = room.rect
-        cols = slice(*(int((x - demo.plan.origin_m[0]) / CELL_M) for x in (x0, x1)))
-        rows = slice(*(int((y - demo.plan.origin_m[1]) / CELL_M) for y in (y0, y1)))
-        assert reachable[rows, cols].any(), room.name
+        (x0, y0), (x1, y1) = demo.plan.grid.of_metres(np.reshape(room.rect, (2, 2))).astype(int)
+        assert reachable[y0:y1, x0:x1].any(), room.name
     # Every floor-standing thing can be stood beside.
     row, col = np.nonzero(reachable)
-    places = demo.plan.origin_m + (np.stack([col, row], axis=1) + 0.5) * CELL_M
+    places = demo.plan.grid.centres_m(row, col)
     for item in demo.objects:
         if item.center_m[2] - item.size_m[2] / 2 < 0.1:
             x, y = item.center_m[:2]

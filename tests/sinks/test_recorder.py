@@ -13,7 +13,7 @@ from edge.loop.latency import LatencyRing
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
 from edge.report.album import MAX_FRAME_PX
-from edge.report.record import MapSnapshot, RunRecord, Story
+from edge.report.record import RunRecord, Story
 from edge.report.recorder import STEP_M, Ends, Recorder, Trail, detector_name
 from edge.types import Detections, Goal, MissionStatus, Observation
 
@@ -220,11 +220,6 @@ def test_large_images_are_thinned_with_their_boxes():
     assert frame.rgb.shape == (334, 500, 3)
     assert max(frame.rgb.shape) <= MAX_FRAME_PX
     np.testing.assert_allclose(frame.xyxy_px, [[2 / 3, 4 / 3, 8 / 3, 4]], rtol=1e-6)
-
-
-def test_known_area():
-    cells = np.array([[-1, 0], [100, -1]], np.int8)
-    assert MapSnapshot(cells, (0.0, 0.0), 0.5).known_m2 == 0.5
 
 
 @pytest.mark.parametrize(

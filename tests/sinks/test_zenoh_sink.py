@@ -118,9 +118,9 @@ def test_a_first_tick_says_everything_once(sink, ears):
     service = Fake()
     for now_ns in (10**9, 10**9 + 1):
         sink.tick(service, observation(now_ns), now_ns)
-    stamp_ns, cells, origin, resolution = messages.decode_occupancy_grid(ears.hear("map"))
-    assert (stamp_ns, origin, resolution) == (10**9, (-1.0, 2.0), 0.05)
-    assert cells.tolist() == [[-1, 0], [100, 0]]
+    stamp_ns, grid = messages.decode_occupancy_grid(ears.hear("map"))
+    assert (stamp_ns, grid.origin_xy_m, grid.resolution_m) == (10**9, (-1.0, 2.0), 0.05)
+    assert grid.cells.tolist() == [[-1, 0], [100, 0]]
     assert json.loads(ears.hear("status")) == {"phase": "searching"}
     assert json.loads(ears.hear("latency")) == service.latency.report().as_dict()
     mission = json.loads(ears.hear("mission"))

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.geometry import Grid
 from edge.trajectory import astar, kernels
 from edge.trajectory.costmap import from_weights
 
@@ -51,7 +52,7 @@ def centre(cell: tuple[int, int]) -> tuple[float, float]:
 
 
 def plan_cells(weights: np.ndarray, start: tuple[int, int], goal: tuple[int, int]) -> astar.Plan:
-    costmap = from_weights(weights, (0.0, 0.0), 1.0, unit=1)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0), unit=1)
     return astar.plan(costmap, centre(start), centre(goal), WORKSPACE, escape_m=0.0)
 
 
@@ -125,7 +126,7 @@ def test_large_grid_with_walls_against_dijkstra(seed, top):
     ],
 )
 def test_edges_of_the_map(shape, start, goal, reason):
-    costmap = from_weights(np.ones(shape, np.uint8), (0.0, 0.0), 1.0)
+    costmap = from_weights(Grid(np.ones(shape, np.uint8), (0.0, 0.0), 1.0))
     plan = astar.plan(costmap, start, goal)
     assert plan.reason == reason
     assert plan.ok == (len(plan.path_m) > 0) == math.isfinite(plan.cost_m)
@@ -137,7 +138,7 @@ def test_edges_of_the_map(shape, start, goal, reason):
 def test_refusals_name_what_is_blocked():
     weights = np.ones((9, 9), np.uint8)
     weights[:, 4] = 0
-    costmap = from_weights(weights, (0.0, 0.0), 1.0)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0))
     assert astar.plan(costmap, (0.5, 0.5), (4.5, 0.5)).reason == "goal blocked"
     assert astar.plan(costmap, (4.5, 0.5), (0.5, 0.5), escape_m=0.3).reason == "start blocked"
     walled = astar.plan(costmap, (0.5, 0.5), (8.5, 0.5))
@@ -148,7 +149,7 @@ def test_refusals_name_what_is_blocked():
 def test_start_in_an_obstacle_escapes_to_the_nearest_open_cell():
     weights = np.ones((9, 9), np.uint8)
     weights[:, :3] = 0
-    costmap = from_weights(weights, (0.0, 0.0), 0.1)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 0.1))
     plan = astar.plan(costmap, (0.18, 0.42), (0.85, 0.45), escape_m=0.3)
     assert plan.ok
     assert tuple(plan.path_m[0]) == (0.18, 0.42)
@@ -169,7 +170,7 @@ def test_workspace_is_clean_after_every_search():
     for side in (40, 7, 63, 12):
         weights = rng.integers(0, 9, (side, side)).astype(np.uint8)
         weights[0, 0] = weights[-1, -1] = 1
-        costmap = from_weights(weights, (0.0, 0.0), 1.0)
+        costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0))
         ends = (0.5, 0.5), (side - 0.5, side - 0.5)
         again, fresh = astar.plan(costmap, *ends, workspace), astar.plan(costmap, *ends)
         assert again.cost_m == fresh.cost_m
@@ -181,7 +182,7 @@ def test_workspace_is_clean_after_every_search():
 def test_small_pool_and_path_grow_without_changing_the_answer():
     rng = np.random.default_rng(6)
     weights = rng.integers(1, 200, (80, 80)).astype(np.uint8)
-    costmap = from_weights(weights, (0.0, 0.0), 1.0)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0))
     small = astar.Workspace(pool=np.empty(16, np.int64), path=np.empty(4, np.int32))
     ends = (0.5, 0.5), (79.5, 79.5)
     assert astar.plan(costmap, *ends, small).cost_m == astar.plan(costmap, *ends).cost_m
@@ -191,7 +192,7 @@ def test_small_pool_and_path_grow_without_changing_the_answer():
 
 
 def test_heuristic_saves_work_on_open_ground():
-    costmap = from_weights(np.full((200, 200), 16, np.uint8), (0.0, 0.0), 0.05)
+    costmap = from_weights(Grid(np.full((200, 200), 16, np.uint8), (0.0, 0.0), 0.05))
     plan = astar.plan(costmap, (1.0, 5.0), (9.0, 5.0), WORKSPACE)
     assert plan.cost_m == pytest.approx(8.0)
     assert plan.expansions < 2000
@@ -203,7 +204,7 @@ def test_heuristic_changes_the_work_and_not_the_cost(h_weight):
     weights = rng.integers(2, 6, (90, 90)).astype(np.uint8)
     weights[rng.random(weights.shape) < 0.2] = 0
     weights[0, 0] = weights[89, 89] = 2
-    costmap = from_weights(weights, (0.0, 0.0), 1.0, unit=1)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0), unit=1)
     assert costmap.h_weight == 2
     ends = (0.5, 0.5), (89.5, 89.5)
     plan = astar.plan(replace(costmap, h_weight=h_weight), *ends, WORKSPACE)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.geometry import Grid
 from edge.trajectory.costmap import UNIT, from_occupancy, from_weights
 
 
@@ -39,10 +40,9 @@ def test_weights_agree_with_the_twin(seed, share, unknown_cost, clearance_m):
     rng = np.random.default_rng(seed)
     cells = rng.choice([-1, 0], (17, 23)).astype(np.int8)
     cells[rng.random(cells.shape) < share] = 100
-    got = from_occupancy(
-        cells, (0.0, 0.0), 0.1,
-        clearance_m=clearance_m, near_m=0.4, near_cost=4.0, unknown_cost=unknown_cost,
-    ).weight[1:-1, 1:-1]  # fmt: skip
+    grid = Grid(cells, (0.0, 0.0), 0.1)
+    near = {"near_m": 0.4, "near_cost": 4.0, "unknown_cost": unknown_cost}
+    got = from_occupancy(grid, clearance_m=clearance_m, **near).weight[1:-1, 1:-1]
     wanted = twin(cells, 0.1, clearance_m, 0.4, 4.0, unknown_cost)
     assert ((got == 0) == (wanted == 0)).all()
     # The 5x5 chamfer distance is off by up to 2 %, and the table steps a sixteenth of a cell.
@@ -50,7 +50,7 @@ def test_weights_agree_with_the_twin(seed, share, unknown_cost, clearance_m):
 
 
 def test_empty_map_has_only_its_border():
-    costmap = from_occupancy(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05)
+    costmap = from_occupancy(Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05))
     assert costmap.weight.shape == (2, 2)
     assert not costmap.weight.any()
     assert costmap.cell_of(0.0, 0.0) is None
@@ -59,7 +59,7 @@ def test_empty_map_has_only_its_border():
 def test_occupied_is_closed_and_free_is_a_unit():
     cells = np.zeros((40, 40), np.int8)
     cells[0, 0], cells[39, 39] = 100, -1
-    costmap = from_occupancy(cells, (0.0, 0.0), 0.05, near_m=0.2, unknown_cost=3.0)
+    costmap = from_occupancy(Grid(cells, (0.0, 0.0), 0.05), near_m=0.2, unknown_cost=3.0)
     assert costmap.weight[1, 1] == 0
     assert costmap.weight[20, 20] == UNIT
     assert costmap.weight[40, 40] == 3 * UNIT
@@ -80,12 +80,12 @@ def test_occupied_is_closed_and_free_is_a_unit():
     ],
 )
 def test_heuristic_is_left_out_where_it_would_not_pay(weights, least, h_weight):
-    costmap = from_weights(np.array(weights, np.uint8), (0.0, 0.0), 1.0)
+    costmap = from_weights(Grid(np.array(weights, np.uint8), (0.0, 0.0), 1.0))
     assert (costmap.min_weight, costmap.h_weight) == (least, h_weight)
 
 
 def test_grid_and_metres_are_inverse():
-    costmap = from_weights(np.ones((4, 6), np.uint8), (-1.0, 2.0), 0.5)
+    costmap = from_weights(Grid(np.ones((4, 6), np.uint8), (-1.0, 2.0), 0.5))
     points = np.array([[-1.0, 2.0], [0.3, 3.9]])
     assert costmap.metres_of(costmap.grid_of(points)) == pytest.approx(points)
     assert costmap.cell_of(-0.9, 2.1) == (1, 1)
@@ -96,16 +96,16 @@ def test_grid_and_metres_are_inverse():
     ("x_m", "y_m"), [(-0.01, 0.5), (1.0, 0.5), (0.5, 1.0), (math.nan, 0.5), (0.5, math.inf)]
 )
 def test_outside_is_not_free(x_m, y_m):
-    costmap = from_weights(np.ones((10, 10), np.uint8), (0.0, 0.0), 0.1)
+    costmap = from_weights(Grid(np.ones((10, 10), np.uint8), (0.0, 0.0), 0.1))
     assert not costmap.is_free(x_m, y_m)
 
 
 @pytest.mark.parametrize("cells", [np.zeros(4, np.int8), np.zeros((2, 2), np.float32)])
 def test_what_is_no_grid_is_refused(cells):
     with pytest.raises(ValueError, match="expected"):
-        from_occupancy(cells, (0.0, 0.0), 0.05)
+        from_occupancy(Grid(cells, (0.0, 0.0), 0.05))
 
 
 def test_too_long_a_side_is_refused():
     with pytest.raises(ValueError, match="cells a side"):
-        from_weights(np.ones((1, 20000), np.uint8), (0.0, 0.0), 0.05)
+        from_weights(Grid(np.ones((1, 20000), np.uint8), (0.0, 0.0), 0.05))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.geometry import Grid
 from edge.trajectory import astar, kernels, smoothing
 from edge.trajectory.costmap import from_weights
 
@@ -71,7 +72,7 @@ def test_smooth_path_costs_no_more_and_stays_open(seed):
     weights = rng.integers(16, 60, (40, 40)).astype(np.uint8)
     weights[rng.random(weights.shape) < 0.15] = 0
     weights[2, 2] = weights[37, 37] = 16
-    costmap = from_weights(weights, (-1.0, 0.5), 0.05)
+    costmap = from_weights(Grid(weights, (-1.0, 0.5), 0.05))
     start, goal = costmap.metres_of(np.array([[3.5, 3.5], [38.5, 38.5]]))
     plan = astar.plan(costmap, tuple(start), tuple(goal))
     if not plan.ok:
@@ -85,7 +86,7 @@ def test_smooth_path_costs_no_more_and_stays_open(seed):
 
 
 def test_open_ground_becomes_a_straight_line():
-    costmap = from_weights(np.full((60, 60), 16, np.uint8), (0.0, 0.0), 0.05)
+    costmap = from_weights(Grid(np.full((60, 60), 16, np.uint8), (0.0, 0.0), 0.05))
     plan = astar.plan(costmap, (0.1, 0.2), (2.7, 1.4))
     path = smoothing.smooth(costmap, plan.path_m, 0.1)
     length = np.hypot(*np.diff(path, axis=0).T).sum()
@@ -109,7 +110,7 @@ def test_resample(path, points):
 
 
 def test_path_of_one_point_stays():
-    costmap = from_weights(np.ones((3, 3), np.uint8), (0.0, 0.0), 1.0)
+    costmap = from_weights(Grid(np.ones((3, 3), np.uint8), (0.0, 0.0), 1.0))
     one = np.array([[0.5, 0.5]])
     assert smoothing.smooth(costmap, one) is one
     assert smoothing.polyline_cost_m(costmap, one) == 0.0

@@ -33,6 +33,7 @@ from edge.geometry import (
     FARTHEST_M,
     SE2,
     CameraModel,
+    Grid,
     quaternion_of,
     se2_of,
     se3_from_quaternion,
@@ -199,22 +200,20 @@ def decode_camera_info(payload: bytes) -> tuple[int, CameraModel]:
         raise DecodeError(str(error)) from None
 
 
-def encode_occupancy_grid(
-    stamp_ns: int, cells: np.ndarray, origin_xy_m: tuple[float, float], resolution_m: float
-) -> bytes:
-    """nav_msgs/OccupancyGrid of (h, w) int8 cells; `origin_xy_m` is the corner of cell (0, 0)."""
-    h, w = cells.shape
+def encode_occupancy_grid(stamp_ns: int, grid: Grid) -> bytes:
+    """nav_msgs/OccupancyGrid of a grid of int8."""
+    h, w = grid.cells.shape
     writer = Writer().header(stamp_ns, MAP_FRAME).stamp_ns(stamp_ns)
-    writer.write(_GRID_INFO, 4, resolution_m, w, h)
-    writer.write(_POSE, 8, origin_xy_m[0], origin_xy_m[1], 0.0, 0.0, 0.0, 0.0, 1.0)
+    writer.write(_GRID_INFO, 4, grid.resolution_m, w, h)
+    writer.write(_POSE, 8, *grid.origin_xy_m, 0.0, 0.0, 0.0, 0.0, 1.0)
     writer.write(U32, 4, h * w)
-    return writer.bytes(memoryview(np.ascontiguousarray(cells, dtype=np.int8).reshape(-1)))
+    return writer.bytes(memoryview(np.ascontiguousarray(grid.cells, dtype=np.int8).reshape(-1)))
 
 
-def decode_occupancy_grid(payload: bytes) -> tuple[int, np.ndarray, tuple[float, float], float]:
-    """(stamp_ns, cells, origin_xy_m, resolution_m) of a nav_msgs/OccupancyGrid.
+def decode_occupancy_grid(payload: bytes) -> tuple[int, Grid]:
+    """(stamp_ns, grid) of a nav_msgs/OccupancyGrid.
 
-    `cells` (h, w) int8 is a read-only view of the payload. The resolution is the shortest decimal
+    Its cells, int8, are a read-only view of the payload. The resolution is the shortest decimal
     that its float32 stands for (0.05, not 0.0500000007), so that cells do not creep.
     """
     reader = Reader(payload)
@@ -228,4 +227,5 @@ def decode_occupancy_grid(payload: bytes) -> tuple[int, np.ndarray, tuple[float,
     if count != width * height:
         raise DecodeError(f"not a grid: {count} cells for {width}x{height}")
     cells = np.ndarray((height, width), np.int8, payload, begin)
-    return stamp_ns, cells, (float(T[0, 3]), float(T[1, 3])), float(str(np.float32(resolution)))
+    origin_xy_m = float(T[0, 3]), float(T[1, 3])
+    return stamp_ns, Grid(cells, origin_xy_m, float(str(np.float32(resolution))))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from edge.mapping.results import OccupancySnapshot
+from edge.geometry import Grid
 
 # Steps as integers: 17/12 is sqrt(2) but for 0.2 %.
 STRAIGHT, DIAGONAL = 12, 17
@@ -23,7 +23,7 @@ _MAX_UNKNOWN_COST = 100.0
 
 
 def distances(
-    snapshot: OccupancySnapshot,
+    snapshot: Grid,
     robot_xy_m: tuple[float, float],
     places: Sequence[np.ndarray],
     unknown_cost: float = 3.0,
@@ -71,7 +71,7 @@ def distances(
 
 def warm_up() -> None:
     """Compile the kernels, or read them from the cache."""
-    snapshot = OccupancySnapshot(np.zeros((4, 4), np.int8), (0.0, 0.0), 0.2)
+    snapshot = Grid(np.zeros((4, 4), np.int8), (0.0, 0.0), 0.2)
     distances(snapshot, (0.1, 0.1), [np.array([[0.7, 0.7]])])
 
 

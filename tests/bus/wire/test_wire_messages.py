@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from rosbags.typesys import Stores, get_typestore
 
 from edge.bus.wire import DecodeError, messages
-from edge.geometry import SE2, CameraModel, se3
+from edge.geometry import SE2, CameraModel, Grid, se3
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 CAMERA = CameraModel(320, 256, 208.5, 208.25, 159.5, 127.5)
@@ -52,7 +52,7 @@ PAYLOADS = {
     "geometry_msgs/msg/PoseStamped": messages.encode_pose_stamped(STAMP_NS, SE2(1.0, 2.0, -3.0)),
     "geometry_msgs/msg/TwistStamped": messages.encode_twist_stamped(STAMP_NS, 0.5, -0.1),
     "nav_msgs/msg/OccupancyGrid": messages.encode_occupancy_grid(
-        STAMP_NS, grid(), (-1.0, 2.0), 0.05
+        STAMP_NS, Grid(grid(), (-1.0, 2.0), 0.05)
     ),
 }
 
@@ -265,10 +265,10 @@ def test_twist_round_trip(stamp_ns, v, w):
 
 @given(hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=8)))
 def test_grid_round_trip(cells):
-    payload = messages.encode_occupancy_grid(7, cells, (-1.25, 3.5), 0.05)
-    stamp_ns, back, origin, resolution = messages.decode_occupancy_grid(payload)
-    assert (stamp_ns, origin, resolution) == (7, (-1.25, 3.5), 0.05)
-    np.testing.assert_array_equal(back, cells)
+    payload = messages.encode_occupancy_grid(7, Grid(cells, (-1.25, 3.5), 0.05))
+    stamp_ns, back = messages.decode_occupancy_grid(payload)
+    assert (stamp_ns, back.origin_xy_m, back.resolution_m) == (7, (-1.25, 3.5), 0.05)
+    np.testing.assert_array_equal(back.cells, cells)
 
 
 @given(
