@@ -15,6 +15,7 @@ from numba import njit
 
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
 from edge.mapping.reach import STRAIGHT, ReachField
+from edge.mapping.window import Window
 from edge.types import Observation
 
 PLACE_M = 0.25
@@ -56,32 +57,28 @@ class Coverage:
         view: what `search` found, the best of all views; None when none is worth a goal.
     """
 
-    def __init__(self, layers: Layers, resolution_m: float) -> None:
+    def __init__(self, layers: Layers, window: Window) -> None:
         self.camera_yaw_rad = 0.0
         self.view: View | None = None
-        self._layers = layers
-        self._resolution_m = resolution_m
+        self._layers, self._window = layers, window
+        resolution_m, n = window.resolution_m, window.n
         # The window's rolls are multiples of 64 cells, and so of a place's side.
         self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
         self._least = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
-        self._n = n = layers.raw.shape[0]
         self._looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
         self._fresh = np.zeros(MAX_RAYS, np.int32)
-        self._origin = (0, 0)
         self._fov_rad = self._range_m = 0.0
         self._enough = 1
         self._next = 0  # lattice point that the search goes on with
         self._best = np.zeros(4)
 
-    def move_window(self, origin_x: int, origin_y: int) -> None:
-        """The map's window rolled: its lower-left world cell is now (origin_x, origin_y)."""
-        for axis, new in ((1, origin_x), (0, origin_y)):
-            old = self._origin[1 - axis]
-            by = min(abs(new - old), self._n)
-            start = old if new > old else old + self._n - by
-            strip = np.arange(start >> self._bits, (start + by) >> self._bits) % len(self._looks)
-            self._looks[(slice(None), strip) if axis else strip] = 0
-        self._origin = (origin_x, origin_y)
+    def roll(self, axis: int, by: int) -> None:
+        """Forget what the window is about to leave, moving by so many cells along x (0) or y."""
+        start, n = self._window.origin[axis], self._window.n
+        gone = min(abs(by), n)
+        start += 0 if by > 0 else n - gone
+        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self._looks)
+        self._looks[(slice(None), strip) if axis == 0 else strip] = 0
 
     def forget(self) -> None:
         """The detector looks for something else: nothing was looked at for that."""
@@ -102,7 +99,7 @@ class Coverage:
         mount, T = seen.T_base_camera, seen.T_map_base @ seen.T_base_camera
         self.camera_yaw_rad = math.atan2(mount[1, 2], mount[0, 2])
         heading = math.atan2(T[1, 2], T[0, 2])
-        far = range_m / self._resolution_m
+        far = range_m / self._window.resolution_m
         between, rays = sector(camera.hfov_rad, far, self._bits)
         first = heading - 0.5 * (rays - 1) * between
         self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
@@ -132,12 +129,12 @@ class Coverage:
         self.view = None
         if self._fov_rad == 0.0 or reach.generation == 0:
             return True
-        res = self._resolution_m
+        res = self._window.resolution_m
         distance, rect = reach.field
         self._next = best_view(
-            self._layers, distance, *rect, *self._origin, self._looks, self._bits, self._enough,
-            SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res, START_M / res,
-            self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
+            self._layers, distance, *rect, *self._window.origin, self._looks, self._bits,
+            self._enough, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
+            START_M / res, self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
         )  # fmt: skip
         if self._next > 0:
             return False
@@ -148,7 +145,7 @@ class Coverage:
         return True
 
     def _planned(self, view: View, then: int) -> int:
-        far = SURE * self._range_m / self._resolution_m
+        far = SURE * self._range_m / self._window.resolution_m
         between, width = sector(SURE * self._fov_rad, far, self._bits)
         first = view.heading_rad - 0.5 * (width - 1) * between
         return self._show(view.x_m, view.y_m, first, between, width, far, then)
@@ -157,9 +154,9 @@ class Coverage:
         self, x_m: float, y_m: float, first: float, between: float, rays: int, far: float, then: int
     ) -> int:
         """See `show`; in metres of `map`."""
-        res, n, (ox, oy) = self._resolution_m, self._n, self._origin
+        window, res, (ox, oy) = self._window, self._window.resolution_m, self._window.origin
         return show(
-            self._layers.raw, self._looks, self._bits, ox % n, oy % n,
+            self._layers.raw, self._looks, self._bits, *window.shift,
             x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
             self._enough, then, self._fresh,
         )  # fmt: skip
@@ -203,11 +200,9 @@ def show(
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     for cy in range(y0, y1):
-        sy = cy + (shift_y >> bits)
-        sy -= m if sy >= m else 0
+        sy = _stored(cy, shift_y >> bits, m)
         for cx in range(x0, x1):
-            sx = cx + (shift_x >> bits)
-            sx -= m if sx >= m else 0
+            sx = _stored(cx, shift_x >> bits, m)
             if looks[sy, sx] < _FLAG:
                 continue
             before = looks[sy, sx] - _FLAG
@@ -217,6 +212,13 @@ def show(
                 before = _MOST
             looks[sy, sx] = before
     return total
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _stored(at, shift, n):
+    """Where a row or column of the window is stored."""
+    at += shift
+    return at - n if at >= n else at
 
 
 @njit(nogil=True, cache=True)
@@ -240,8 +242,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, enough):
         sx, sy = math.floor(x + along * dx), math.floor(y + along * dy)
         if sx < 0 or sy < 0 or sx >= n or sy >= n:
             break
-        sx += shift_x - (n if sx + shift_x >= n else 0)
-        sy += shift_y - (n if sy + shift_y >= n else 0)
+        sx, sy = _stored(sx, shift_x, n), _stored(sy, shift_y, n)
         state = raw[sy, sx]
         if state == UNSEEN:
             break
@@ -264,11 +265,9 @@ def _bad_around(looks, bits, shift_x, shift_y, x, y, far, enough):
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     count = 0
     for cy in range(y0, y1):
-        sy = cy + (shift_y >> bits)
-        sy -= m if sy >= m else 0
+        sy = _stored(cy, shift_y >> bits, m)
         for cx in range(x0, x1):
-            sx = cx + (shift_x >> bits)
-            sx -= m if sx >= m else 0
+            sx = _stored(cx, shift_x >> bits, m)
             count += looks[sy, sx] < enough
     return count
 

@@ -16,6 +16,7 @@ from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
 from edge.mapping.coverage import Coverage, View
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
+from edge.mapping.window import Window
 from edge.types import Observation
 
 # An obstacle this wide and high is sampled twice across at full range, and four times up: its
@@ -54,6 +55,8 @@ class RollingMap:
         reach: geodesic distances from the robot; its `step` is called once a tick.
         coverage: where the detector looked; its `look` is called for each image that it searched.
         resolution_m: side of a cell.
+        window: what of the world is held; only the map moves it.
+        layers: by storage cell, for others to read only (see `edge.mapping.layers`).
     """
 
     def __init__(self, config: config.Mapping) -> None:
@@ -68,12 +71,12 @@ class RollingMap:
         # Cells that must lie in the window on each side of the sensor.
         self._need = self._half + len(self._disc) // 2 + 1
         cells = max(math.ceil(c.extent_m / res), 2 * self._need + 1 + ly.WORD)
-        self._n = n = ly.WORD * math.ceil(cells / ly.WORD)
-        self._layers = ly.make_layers(n)
+        n = ly.WORD * math.ceil(cells / ly.WORD)
+        self.window = Window(n, res)
+        self.layers = ly.make_layers(n)
         self._clusters = cl.make_clusters(n)
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
-        self._origin: tuple[int, int] | None = None
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
         self._bumps: dict[tuple[int, int], _Bump] = {}  # by world cell, oldest first
         self._opened: dict[tuple[int, int], int] = {}  # by `open_bumps`; until when remembered
@@ -91,9 +94,9 @@ class RollingMap:
             np.zeros(c.max_frontiers, np.int32),
         )
         self.reach = ReachField(
-            self._layers, res, self._inflation_cells, self._body, c.reach_cells_per_tick
+            self.layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
         )
-        self.coverage = Coverage(self._layers, res)
+        self.coverage = Coverage(self.layers, self.window)
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -154,7 +157,7 @@ class RollingMap:
         """
         until_ns = now_ns + int(self.config.bump_memory_s * 1e9)
         touching = 2 * self._inflation_cells + _ROUNDING_CELLS
-        found = [self._cell(x_m, y_m)]
+        found = [self.window.cell_of(x_m, y_m)]
         while found:
             cell = found.pop()
             # What was opened beside it is the same sill, and still there.
@@ -162,7 +165,7 @@ class RollingMap:
             for c in beside:
                 del self._opened[c]
             found += beside
-            if self._holds(*cell):
+            if self.window.holds(*cell):
                 self._close(cell, until_ns)
 
     def expire_bumps(self, now_ns: int) -> None:
@@ -189,12 +192,12 @@ class RollingMap:
     @property
     def bumps_m(self) -> list[tuple[float, float]]:
         """Centres of the cells that are closed by `bump`, oldest first."""
-        return [self._centre_m(cell) for cell in self._bumps]
+        return [self.window.centre_m(cell) for cell in self._bumps]
 
     @property
     def held_up_m(self) -> list[tuple[float, float]]:
         """Like `bumps_m`, with those that `open_bumps` opened and the robot did not stand on."""
-        return [self._centre_m(cell) for cell in (*self._opened, *self._bumps)]
+        return [self.window.centre_m(cell) for cell in (*self._opened, *self._bumps)]
 
     def shows_obstacle(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
         """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
@@ -206,19 +209,19 @@ class RollingMap:
         Args:
             radius_m: the robot's.
         """
-        if self._origin is None:
+        if not self.window.placed:
             return False
         res, beyond_m = self.resolution_m, self.config.inflation_m
         reach = math.ceil((max(radius_m, beyond_m) + radius_m) / res)
         offset = np.arange(-reach, reach + 1)
-        at_x, at_y = self._cell(*place_m)
+        at_x, at_y = self.window.cell_of(*place_m)
         x, y = at_x + offset[None, :], at_y + offset[:, None]
         dx, dy = (x + 0.5) * res - place_m[0], (y + 0.5) * res - place_m[1]
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
         c, s = math.cos(heading), math.sin(heading)
         along, across = dx * c + dy * s, dy * c - dx * s
-        n, (ox, oy) = self._n, self._origin
-        raw = self._layers.raw[y % n, x % n]
+        n, (ox, oy) = self.window.n, self.window.origin
+        raw = self.layers.raw[y % n, x % n]
         return bool(
             np.any(
                 (raw >= ly.OCCUPIED)
@@ -231,18 +234,18 @@ class RollingMap:
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
-        x, y = self._cell(x_m, y_m)
-        if not self._holds(x, y):
+        x, y = self.window.cell_of(x_m, y_m)
+        if not self.window.holds(x, y):
             return UNKNOWN
-        n = self._n
-        if self._layers.near[y % n, x % n]:
+        n = self.window.n
+        if self.layers.near[y % n, x % n]:
             return OCCUPIED
-        return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
+        return FREE if self.layers.raw[y % n, x % n] else UNKNOWN
 
     @property
     def known_m2(self) -> float:
         """Area that was seen; costs with the map's size, so not for every tick."""
-        return float(np.count_nonzero(self._layers.raw)) * self.resolution_m**2
+        return float(np.count_nonzero(self.layers.raw)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; costs with the map's size, so never in the steady tick.
@@ -254,16 +257,16 @@ class RollingMap:
         and a window that moved meanwhile is read again.
         """
         while True:
-            origin = self._origin
-            if origin is None:
+            origin = self.window.origin
+            if not self.window.placed:
                 return Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), self.resolution_m)
-            margin, n = len(self._disc) // 2, self._n
+            margin, n = len(self._disc) // 2, self.window.n
             x0, y0 = (max(int(v) - margin, 0) for v in self._explored[:2])
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            compose(self._layers, self._body, *corner, inflated, cells)
-            if self._origin == origin:
+            compose(self.layers, self._body, *corner, inflated, cells)
+            if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
                 return Grid(cells, corner_m, self.resolution_m)
 
@@ -285,17 +288,13 @@ class RollingMap:
                     f"of {self.resolution_m} m"
                 )
             self._flood_disc = (radius_m, ly.disc_half_widths(radius_m / self.resolution_m))
-        if self._origin is None:
+        if not self.window.placed:
             out[:n] = 1.0
             return
         unknown.ratios(
-            self._layers.known, self._layers.blocked, *self._shift, *self._origin,
+            self.layers.known, self.layers.blocked, *self.window.shift, *self.window.origin,
             1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
         )  # fmt: skip
-
-    @property
-    def _shift(self) -> tuple[int, int]:
-        return self._origin[0] % self._n, self._origin[1] % self._n
 
     def _use_camera(self, camera: CameraModel) -> None:
         """Precompute what depends on the intrinsics alone."""
@@ -344,7 +343,7 @@ class RollingMap:
         rolled: bool,
     ) -> MapUpdate:
         """Everything that follows once scan.xyz holds the points."""
-        c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
+        c, polar, scan, layers = self.config, self._polar, self._scan, self.layers
         sensor_z = float(T[2, 3])
         n = points.bin_points(
             n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
@@ -363,13 +362,13 @@ class RollingMap:
         if count:
             self._floor_z_m += 0.2 * (total / count - self._floor_z_m)
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m)
-        shift, origin = self._shift, self._origin
+        shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
         n_new, n_cleared = update.apply_scan(
             layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
             self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
-        robot = self._cell(pose.x_m, pose.y_m)
+        robot = self.window.cell_of(pose.x_m, pose.y_m)
         update.free_footprint(
             layers, *shift, robot[0] - origin[0], robot[1] - origin[1],
             self._footprint, self._changed, self._explored,
@@ -382,25 +381,11 @@ class RollingMap:
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
 
-    def _cell(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """The world cell of a point."""
-        return math.floor(x_m / self.resolution_m), math.floor(y_m / self.resolution_m)
-
-    def _centre_m(self, cell: tuple[int, int]) -> tuple[float, float]:
-        return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
-
-    def _holds(self, x: int, y: int) -> bool:
-        """Whether a world cell lies in the window."""
-        if self._origin is None:
-            return False
-        ox, oy = self._origin
-        return ox <= x < ox + self._n and oy <= y < oy + self._n
-
     def _close(self, cell: tuple[int, int], until_ns: int) -> None:
         before = self._bumps.pop(cell, None)
         if before is None:
-            at = cell[1] % self._n, cell[0] % self._n
-            before = _Bump(0, int(self._layers.raw[at]), int(self._layers.top[at]))
+            at = cell[1] % self.window.n, cell[0] % self.window.n
+            before = _Bump(0, int(self.layers.raw[at]), int(self.layers.top[at]))
             self._write(*cell, ly.BUMPED)
         self._bumps[cell] = before._replace(until_ns=until_ns)
         if len(self._bumps) > _MOST_BUMPS:
@@ -413,7 +398,7 @@ class RollingMap:
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""
-        layers, n, (ox, oy) = self._layers, self._n, self._origin
+        layers, n, (ox, oy) = self.layers, self.window.n, self.window.origin
         sx, sy, x, y = x % n, y % n, x - ox, y - oy
         before, after = layers.raw[sy, sx] >= ly.OCCUPIED, state >= ly.OCCUPIED
         layers.raw[sy, sx], layers.top[sy, sx] = state, top
@@ -421,60 +406,61 @@ class RollingMap:
         if after != before:
             by = 1 if after else -1
             clip = (0, 0, n, n)
-            ly.add_disc(layers, *self._shift, x, y, by, self._disc, clip, self._changed)
+            ly.add_disc(layers, *self.window.shift, x, y, by, self._disc, clip, self._changed)
         ly.grow(self._changed, x, y)
         ly.grow(self._explored, x, y)
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
         """The robot's body fits where it is: see `layers.on_trail`."""
-        before, (ox, oy) = self._robot, self._origin
+        before, (ox, oy) = self._robot, self.window.origin
         if before is None or math.dist(before, robot) > _TRAIL_STEP_CELLS:
             before = robot
         ly.mark_trail(
-            self._layers, *self._shift,
+            self.layers, *self.window.shift,
             before[0] - ox, before[1] - oy, robot[0] - ox, robot[1] - oy,
         )  # fmt: skip
         self._robot = robot
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Test what changed again and list the target points; returns the changed world cells."""
-        layers, shift, origin, c = self._layers, self._shift, self._origin, self.config
+        layers, window, c = self.layers, self.window, self.config
         x0, y0, x1, y1 = (int(v) for v in self._changed)
         world = (0, 0, 0, 0)
         if x1 > x0:
             self._retest(x0 - 1, y0 - 1, x1 + 1, y1 + 1)
-            world = (x0 + origin[0], y0 + origin[1], x1 + origin[0], y1 + origin[1])
+            ox, oy = window.origin
+            world = (x0 + ox, y0 + oy, x1 + ox, y1 + oy)
             self._changed[:] = _NOTHING
         res = self.resolution_m
         moved = cl.regroup(
-            layers, *shift, self._clusters, self._n_pending,
+            layers, *window.shift, self._clusters, self._n_pending,
             c.frontier_large_cells, c.frontier_spacing_m / res,
         )  # fmt: skip
         self._n_pending = 0
         if moved or rolled:
             f = self.frontiers
             f.n = cl.list_targets(
-                self._n, *shift, *origin, res, self._clusters, c.frontier_min_cells,
+                window.n, *window.shift, *window.origin, res, self._clusters, c.frontier_min_cells,
                 f.xy_m, f.cells, f.cluster,
             )  # fmt: skip
         return world
 
     def _retest(self, x0: int, y0: int, x1: int, y1: int) -> None:
         self._n_pending = cl.retest(
-            self._layers, *self._shift, x0, y0, x1, y1, self._clusters, self._n_pending
+            self.layers, *self.window.shift, x0, y0, x1, y1, self._clusters, self._n_pending
         )
 
     def _follow(self, x: int, y: int) -> bool:
         """Keep the sensor's surroundings inside the window; whether it had to roll."""
-        n, word = self._n, ly.WORD
-        if self._origin is None:
-            self._origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
-            self._tell_window()
+        window, n, word = self.window, self.window.n, ly.WORD
+        if not window.placed:
+            window.origin = ((x - n // 2) // word * word, (y - n // 2) // word * word)
+            window.placed = True
             return False
         rolled = False
         for axis, at in enumerate((x, y)):
             low, high = at - self._need, at + self._need + 1
-            origin = self._origin[axis]
+            origin = window.origin[axis]
             shift = 0
             if low < origin:
                 shift = (low - origin) // word * word
@@ -484,26 +470,22 @@ class RollingMap:
                 self._roll(axis, shift)
                 rolled = True
         if rolled:
-            self._tell_window()
-            self._bumps = {c: bump for c, bump in self._bumps.items() if self._holds(*c)}
+            self._bumps = {c: bump for c, bump in self._bumps.items() if window.holds(*c)}
         return rolled
-
-    def _tell_window(self) -> None:
-        self.reach.move_window(*self._origin)
-        self.coverage.move_window(*self._origin)
 
     def _roll(self, axis: int, by: int) -> None:
         """Move the window along one axis by a multiple of 64 cells, forgetting a strip."""
-        n, layers, shift = self._n, self._layers, self._shift
+        window, n, layers, shift = self.window, self.window.n, self.layers, self.window.shift
         margin = len(self._disc) // 2
         gone = min(abs(by), n)
         out = (0, gone) if by > 0 else (n - gone, n)
         come = (n - gone, n) if by > 0 else (0, gone)
         ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
         ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
-        origin = list(self._origin)
+        self.coverage.roll(axis, by)
+        origin = list(window.origin)
         origin[axis] += by
-        self._origin = (origin[0], origin[1])
+        window.origin = (origin[0], origin[1])
         for rect, low, high in ((self._changed, 0, n), (self._explored, 0, n)):
             rect[axis] = max(rect[axis] - by, low)
             rect[axis + 2] = min(rect[axis + 2] - by, high)
@@ -512,7 +494,7 @@ class RollingMap:
         if self._changed[axis] >= self._changed[axis + 2]:
             self._changed[:] = _NOTHING
         edge = (come[0] - margin, come[0]) if by > 0 else (come[1], come[1] + margin)
-        shift = self._shift
+        shift = window.shift
         ly.inflate_into(
             layers, *shift, _band(axis, edge, n), _band(axis, come, n), self._disc, self._changed
         )
@@ -551,6 +533,6 @@ def warmup(mapping: config.Mapping) -> None:
     grid.coverage.worth(View(0.0, 0.0, 0.0))
     grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
-    far = grid._n * grid.resolution_m
+    far = grid.window.n * grid.resolution_m
     T[0, 3] = far
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(far, 0.0, 0.0))

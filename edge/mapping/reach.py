@@ -10,6 +10,7 @@ from numba import njit
 
 from edge.geometry import SE2
 from edge.mapping.layers import FREE, Layers, bit_get, on_trail
+from edge.mapping.window import Window
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
 # make a priority queue (Dial).
@@ -54,7 +55,7 @@ class ReachField:
     def __init__(
         self,
         layers: Layers,
-        resolution_m: float,
+        window: Window,
         inflation_cells: float,
         body: np.ndarray,
         per_tick: int,
@@ -63,11 +64,9 @@ class ReachField:
         Args:
             body: disc that has to be free for the robot to go back where it was; see `on_trail`.
         """
-        n = layers.raw.shape[0]
+        n = window.n
         self.generation = 0
-        self._layers = layers
-        self._n = n
-        self._resolution_m = resolution_m
+        self._layers, self._window = layers, window
         self._escape_cells = inflation_cells + 1.0
         self._body = body
         self._per_tick = per_tick
@@ -83,15 +82,10 @@ class ReachField:
             )
             for _ in range(2)
         ]
-        self._origin = (0, 0)
-        self._windows = [(0, 0), (0, 0)]
+        self._origins = [(0, 0), (0, 0)]  # of the window, when the fields began
         self._current = 0
         self._growing = False
         self._clear_row = -1
-
-    def move_window(self, origin_x: int, origin_y: int) -> None:
-        """The map's window rolled: its lower-left world cell is now (origin_x, origin_y)."""
-        self._origin = (origin_x, origin_y)
 
     def step(self, pose: SE2) -> None:
         """Grow the next field; take it into use when it is complete.
@@ -104,16 +98,15 @@ class ReachField:
         if not self._growing:
             if not self._clear(wave):
                 return
-            self._windows[nxt] = self._origin
-            x = math.floor(pose.x_m / self._resolution_m)
-            y = math.floor(pose.y_m / self._resolution_m)
-            n, (ox, oy) = self._n, self._origin
-            if not (ox <= x < ox + n and oy <= y < oy + n):
+            window = self._window
+            self._origins[nxt] = window.origin
+            x, y = window.cell_of(pose.x_m, pose.y_m)
+            if not window.holds(x, y):
                 return
-            start_wave(self._layers, wave, x % n, y % n, self._escape_cells)
+            start_wave(self._layers, wave, x % window.n, y % window.n, self._escape_cells)
             self._growing = True
         x0, y0, x1, y1 = self._common(nxt)
-        ox, oy = self._origin
+        ox, oy = self._window.origin
         if grow_wave(self._layers, wave, self._body, ox, oy, x0, y0, x1, y1, self._per_tick):
             self._growing = False
             self._current = nxt
@@ -129,14 +122,15 @@ class ReachField:
         """Geodesic distance to a point's cell in metres; inf where it was not reached."""
         if self.generation == 0:
             return math.inf
-        x, y = math.floor(x_m / self._resolution_m), math.floor(y_m / self._resolution_m)
+        window = self._window
+        x, y = window.cell_of(x_m, y_m)
         x0, y0, x1, y1 = self._common(self._current)
         if not (x0 <= x < x1 and y0 <= y < y1):
             return math.inf
-        steps = int(self._waves[self._current].distance[y % self._n, x % self._n])
+        steps = int(self._waves[self._current].distance[y % window.n, x % window.n])
         if steps == _UNREACHED:
             return math.inf
-        return (steps - 1) / STRAIGHT * self._resolution_m
+        return (steps - 1) / STRAIGHT * window.resolution_m
 
     def nearest(self, x_m: float, y_m: float, radius_m: float) -> tuple[float, float, float] | None:
         """The free cell nearest to a point, within `radius_m`, that the robot can get to.
@@ -146,7 +140,7 @@ class ReachField:
         """
         if self.generation == 0:
             return None
-        res = self._resolution_m
+        res = self._window.resolution_m
         distance, common = self.field
         x, y, steps = nearest_reached(
             self._layers, distance, *common, float(x_m / res), float(y_m / res), radius_m / res
@@ -157,7 +151,7 @@ class ReachField:
 
     def _common(self, which: int) -> tuple[int, int, int, int]:
         """World cells that lie in a field's window and in the map's: half-open rectangle."""
-        (ax, ay), (bx, by), n = self._windows[which], self._origin, self._n
+        (ax, ay), (bx, by), n = self._origins[which], self._window.origin, self._window.n
         return max(ax, bx), max(ay, by), min(ax, bx) + n, min(ay, by) + n
 
     def _clear(self, wave: Wave) -> bool:

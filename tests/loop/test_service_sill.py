@@ -176,7 +176,8 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
     service, pose = loop.service, loop.drive.motion.odometry
     person = SE2(*pose.ahead(0.4), 0.0)
     for across_m in (-0.05, 0.0, 0.05):
-        service.grid._write(*service.grid._cell(person.x_m, person.y_m + across_m), ly.OCCUPIED)
+        cell = service.grid.window.cell_of(person.x_m, person.y_m + across_m)
+        service.grid._write(*cell, ly.OCCUPIED)
     service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
     assert service.grid.bumps_m == []
     (said,) = held_up(loop)

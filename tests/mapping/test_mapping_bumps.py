@@ -91,8 +91,8 @@ BEHIND_IT = (1.8, 0.0)
 
 def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, bool]:
     """raw, top and known of the cell."""
-    x, y = (math.floor(v / grid.resolution_m) % grid._n for v in place)
-    layers = grid._layers
+    x, y = (math.floor(v / grid.resolution_m) % grid.window.n for v in place)
+    layers = grid.layers
     return int(layers.raw[y, x]), int(layers.top[y, x]), bool(ly.bit_get(layers.known, y, x))
 
 
@@ -191,7 +191,7 @@ def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():
 def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
     grid = seen_around()
     strip_m = ly.WORD * grid.resolution_m
-    left_m = grid._origin[0] * grid.resolution_m
+    left_m = grid.window.origin[0] * grid.resolution_m
     # In the strip that goes, and on both sides of its edge, within inflation of it.
     for x in (left_m + 1.0, left_m + strip_m - 0.07, left_m + strip_m + 0.07, 1.0):
         grid.bump(x, 0.0, 0)

@@ -15,6 +15,7 @@ from edge.mapping import coverage as cv
 from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, View
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
+from edge.mapping.window import Window
 from edge.types import Observation
 
 BITS = 2
@@ -41,7 +42,7 @@ def searched(grid: RollingMap) -> View | None:
 def window(grid: RollingMap) -> np.ndarray:
     """The looks in window coordinates."""
     looks, bits = grid.coverage._looks, grid.coverage._bits
-    (x, y), m = grid._origin, len(looks)
+    (x, y), m = grid.window.origin, len(looks)
     return np.roll(looks, (-((y >> bits) % m), -((x >> bits) % m)), axis=(0, 1))
 
 
@@ -247,7 +248,7 @@ def test_a_map_from_a_cloud_serves_as_well():
 
 @pytest.mark.parametrize("resolution_m", [0.01, 0.05, 0.1, 0.3, 1.0])
 def test_a_place_is_about_a_quarter_of_a_metre(resolution_m):
-    side_m = resolution_m * 2 ** Coverage(make_layers(64), resolution_m)._bits
+    side_m = resolution_m * 2 ** Coverage(make_layers(64), Window(64, resolution_m))._bits
     assert side_m == pytest.approx(max(0.25, resolution_m), rel=0.45)
 
 
@@ -259,13 +260,16 @@ def test_a_place_is_about_a_quarter_of_a_metre(resolution_m):
 def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
     rng = np.random.default_rng(seed)
     n = 128
-    cover, m = Coverage(make_layers(n), 0.05), n >> BITS
+    window, m = Window(n, 0.05), n >> BITS
+    cover = Coverage(make_layers(n), window)
     known: dict[tuple[int, int], int] = {}
-    at = np.zeros(2, np.int64)
     for move in moves:
-        at += 64 * np.array(move)
-        cover.move_window(*at.tolist())
-        px, py = at >> BITS
+        for axis, cells in enumerate(move):
+            cover.roll(axis, 64 * cells)
+            window.origin = tuple(
+                at + 64 * cells * (k == axis) for k, at in enumerate(window.origin)
+            )
+        px, py = (at >> BITS for at in window.origin)
         known = {(x, y): v for (x, y), v in known.items() if px <= x < px + m and py <= y < py + m}
         for x, y in known:
             assert cover._looks[y % m, x % m] == known[x, y]
@@ -275,10 +279,9 @@ def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
             cover._looks[(py + y) % m, (px + x) % m] = value
 
 
-def test_the_window_of_the_map_is_that_of_its_coverage():
+def test_coverage_rolls_with_the_map():
     grid = explored()
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
     for x in np.arange(0.0, 40.0, 1.0):
         look(grid, SE2(float(x), 0.0, 0.0), [])
-    assert grid.coverage._origin == grid._origin
     assert not grid.coverage._looks.any()

@@ -59,7 +59,7 @@ def check(grid: RollingMap, cut: bool = False) -> None:
 
 def check_targets(grid: RollingMap, expected: np.ndarray, label: np.ndarray) -> None:
     f, c = grid.frontiers, grid.config
-    cells = np.floor(f.xy_m[: f.n] / grid.resolution_m).astype(int) - grid._origin
+    cells = np.floor(f.xy_m[: f.n] / grid.resolution_m).astype(int) - grid.window.origin
     assert all(expected[y, x] for x, y in cells), "targets are frontier cells"
     np.testing.assert_array_equal([label[y, x] for x, y in cells], f.cluster[: f.n])
     size = grid._clusters.size
@@ -99,12 +99,12 @@ def test_a_change_behind_the_robot_moves_the_frontier_there():
     """A cell freed or blocked outside the forward wedge keeps the set right too."""
     grid = RollingMap(SMALL)
     look(grid, SE2(0, 0, 0), room(2.0))
-    x = math.floor(-1.0 / grid.resolution_m) - grid._origin[0]
-    y = 0 - grid._origin[1]
+    x = math.floor(-1.0 / grid.resolution_m) - grid.window.origin[0]
+    y = 0 - grid.window.origin[1]
     from edge.mapping import layers
 
     for dx in range(12):
-        layers.set_free(grid._layers, *grid._shift, x + dx, y, grid._changed)
+        layers.set_free(grid.layers, *grid.window.shift, x + dx, y, grid._changed)
     look(grid, SE2(0, 0, 0), room(2.0))
     check(grid)
     assert any(fx < -0.4 for fx in grid.frontiers.xy_m[: grid.frontiers.n, 0])
@@ -161,7 +161,7 @@ def test_clusters_are_cut_at_their_limit(n_cells):
     from edge.mapping import layers
 
     for x in range(n_cells):
-        layers.set_free(grid._layers, *grid._shift, 100 + x, 300, grid._changed)
+        layers.set_free(grid.layers, *grid.window.shift, 100 + x, 300, grid._changed)
     grid._refresh_frontiers(True)
     size = grid._clusters.size
     assert size.sum() == n_cells

@@ -77,8 +77,8 @@ def test_a_walking_person_leaves_no_ghost():
     for _ in range(grid.config.clear_after):
         look(grid, ORIGIN, room(2.5))
     occupied = np.argwhere(twins.window(grid, "raw") >= 2)
-    x_m = (occupied[:, 1] + grid._origin[0]) * grid.resolution_m
-    y_m = (occupied[:, 0] + grid._origin[1]) * grid.resolution_m
+    x_m = (occupied[:, 1] + grid.window.origin[0]) * grid.resolution_m
+    y_m = (occupied[:, 0] + grid.window.origin[1]) * grid.resolution_m
     assert not (np.hypot(x_m - 1.6, y_m) < 0.8).any()
     assert all(grid.state_at(1.6, y) == 0 for y in np.arange(-0.7, 0.7, 0.05))
     assert len(occupied) > 20, "the walls stay"
@@ -136,7 +136,7 @@ def test_the_changed_rectangle_holds_every_change():
         assert not result.rolled
         ys, xs = np.nonzero(before != twins.states(grid))
         x0, y0, x1, y1 = result.changed
-        xs, ys = xs + grid._origin[0], ys + grid._origin[1]
+        xs, ys = xs + grid.window.origin[0], ys + grid.window.origin[1]
         assert ((xs >= x0) & (xs < x1) & (ys >= y0) & (ys < y1)).all()
         if len(xs) == 0:
             assert result.changed == (0, 0, 0, 0)
@@ -239,7 +239,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
     pose = SE2(0.0, 0.0, 0.0)
     T = pose.matrix() @ T_BASE_CAMERA
     depth = twins.render(camera, T, room(3.0))
-    size = sum(layer.nbytes for layer in grid._layers)
+    size = sum(layer.nbytes for layer in grid.layers)
     for _ in range(3):
         grid.update_depth(depth, camera, T, pose)
         grid.reach.step(pose)
@@ -251,7 +251,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
         assert tracemalloc.get_traced_memory()[1] < 64 * 1024
     finally:
         tracemalloc.stop()
-    assert sum(layer.nbytes for layer in grid._layers) == size < 10 * 1024 * 1024
+    assert sum(layer.nbytes for layer in grid.layers) == size < 10 * 1024 * 1024
 
 
 def signatures() -> dict[str, int]:

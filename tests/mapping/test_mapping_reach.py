@@ -35,11 +35,11 @@ def test_the_field_agrees_with_dijkstra(seed, per_tick):
     grid, pose = explored(seed, per_tick)
     complete(grid, pose)
     state = twins.states(grid)
-    x = math.floor(pose.x_m / grid.resolution_m) - grid._origin[0]
-    y = math.floor(pose.y_m / grid.resolution_m) - grid._origin[1]
+    x = math.floor(pose.x_m / grid.resolution_m) - grid.window.origin[0]
+    y = math.floor(pose.y_m / grid.resolution_m) - grid.window.origin[1]
     assert state[y, x] == 0
     expected = twins.geodesic(state, x, y, STRAIGHT, DIAGONAL)
-    n, shift = grid._n, grid._shift
+    n, shift = grid.window.n, grid.window.shift
     field = grid.reach._waves[grid.reach._current].distance
     field = np.roll(field, (-shift[1], -shift[0]), axis=(0, 1)).astype(np.int64) - 1
     np.testing.assert_array_equal(field, expected)
@@ -79,8 +79,8 @@ def test_the_nearest_cell_is_free_reached_and_nearest():
         found = grid.reach.nearest(px, py, 0.6)
         best = math.inf
         for y, x in np.argwhere(state == 0):
-            cx = (x + grid._origin[0] + 0.5) * grid.resolution_m
-            cy = (y + grid._origin[1] + 0.5) * grid.resolution_m
+            cx = (x + grid.window.origin[0] + 0.5) * grid.resolution_m
+            cy = (y + grid.window.origin[1] + 0.5) * grid.resolution_m
             if math.isfinite(grid.reach.distance_m(cx, cy)):
                 best = min(best, math.hypot(cx - px, cy - py))
         if best > 0.6:
@@ -123,6 +123,6 @@ def test_what_was_reached_is_still_known_after_the_window_rolled():
         rolled = look(grid, SE2(x, 0, 0), []).rolled
     assert grid.reach.distance_m(2.0, 0.0) == before
     assert grid.reach.distance_m(-50.0, 0.0) == math.inf
-    assert grid.reach.distance_m(2.0 + grid._n * grid.resolution_m, 0.0) == math.inf
+    assert grid.reach.distance_m(2.0 + grid.window.n * grid.resolution_m, 0.0) == math.inf
     complete(grid, SE2(x, 0, 0))
     assert grid.reach.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)

@@ -16,21 +16,21 @@ def random_map(rng: np.random.Generator) -> RollingMap:
     """Random free, occupied and unknown patches, a window whose seam lies anywhere."""
     grid = RollingMap(twins.SMALL.model_copy(update={"inflation_m": 0.06}))
     grid._follow(*(int(v) for v in rng.integers(-500, 500, 2)))
-    n, shift, changed = grid._n, grid._shift, grid._changed
+    n, shift, changed = grid.window.n, grid.window.shift, grid._changed
     for _ in range(60):
         x, y = (int(v) for v in rng.integers(0, n - 12, 2))
         for dy in range(int(rng.integers(1, 12))):
             for dx in range(int(rng.integers(1, 12))):
                 sy, sx = (y + dy + shift[1]) % n, (x + dx + shift[0]) % n
-                if grid._layers.raw[sy, sx] == 0:
-                    layers.set_free(grid._layers, *shift, x + dx, y + dy, changed)
+                if grid.layers.raw[sy, sx] == 0:
+                    layers.set_free(grid.layers, *shift, x + dx, y + dy, changed)
     for _ in range(300):
         x, y = (int(v) for v in rng.integers(0, n, 2))
         sy, sx = (y + shift[1]) % n, (x + shift[0]) % n
-        if grid._layers.raw[sy, sx] < 2:
-            grid._layers.raw[sy, sx] = 2
-            layers.bit_set(grid._layers.known, sy, sx, True)
-            layers.add_disc(grid._layers, *shift, x, y, 1, grid._disc, (0, 0, n, n), changed)
+        if grid.layers.raw[sy, sx] < 2:
+            grid.layers.raw[sy, sx] = 2
+            layers.bit_set(grid.layers.known, sy, sx, True)
+            layers.add_disc(grid.layers, *shift, x, y, 1, grid._disc, (0, 0, n, n), changed)
     return grid
 
 
@@ -39,7 +39,7 @@ def random_map(rng: np.random.Generator) -> RollingMap:
 def test_the_ratio_agrees_with_a_search(seed, radius_m):
     rng = np.random.default_rng(seed)
     grid = random_map(rng)
-    n, origin = grid._n, np.array(grid._origin)
+    n, origin = grid.window.n, np.array(grid.window.origin)
     cells = np.concatenate([rng.integers(-3, n + 3, (12, 2)), [[0, 0], [n - 1, n - 1], [0, n - 1]]])
     xy = ((cells + origin + 0.5) * grid.resolution_m).astype(np.float32)
     out = np.full(len(xy) + 1, 7.0, np.float32)
