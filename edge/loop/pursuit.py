@@ -136,7 +136,7 @@ class Pursuit:
             self._second_chance = True
             self._pool.lift_discards()
             self._tracker.forget_refuted(target)
-            opened = grid.open_bumps()  # doors open, and people go
+            opened = grid.bumps.open_all()  # doors open, and people go
             # The reach field that is growing may have begun before; the one after it leads there.
             self._retry = (grid.reach.generation + 2, now_ns + _RETRY_NS) if opened else None
             return None

@@ -163,7 +163,7 @@ class Service:
 
     def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
-        self.grid.expire_bumps(now_ns)
+        self.grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
             if observation.cloud_m is not None:
                 T = observation.T_map_base @ observation.T_base_lidar
@@ -245,7 +245,7 @@ class Service:
         target, views = self.mission.target, self.pursuit.views
         found = "no way to" if target in self.mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        barred = _held_up_at(self.grid.held_up_m)
+        barred = _held_up_at(self.grid.bumps.known_m)
         return f"explored all that can be reached{again}, {found} {target}{barred}"
 
     def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
@@ -309,11 +309,11 @@ class Service:
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
         """Where no sensor shows what is there only driving can tell: the map closes."""
         where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
-        if self.grid.shows_obstacle(self.pose, place, self.config.robot.radius_m):
+        if self.grid.bumps.explained(self.pose, place, self.config.robot.radius_m):
             self.event(f"{where} by what the map shows", now_ns)
             return
         self.event(f"{where}: the map closes there", now_ns)
-        self.grid.bump(*place, now_ns)
+        self.grid.bumps.close(*place, now_ns)
 
     # -- what comes from outside --------------------------------------------------------------
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
 from edge.mapping import points, unknown, update
+from edge.mapping.bumps import ROUNDING_CELLS, Bumps
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
 from edge.mapping.coverage import Coverage, View
 from edge.mapping.reach import ReachField
@@ -24,25 +24,9 @@ from edge.types import Observation
 _SMALLEST_OBSTACLE_M = 0.1
 _SAMPLES_ACROSS, _SAMPLES_UP = 2, 4
 _FOOTPRINT_M = 0.3
-# Rounding an obstacle and the robot's place to cells takes up to this much off the gap between.
-_ROUNDING_CELLS = 2
 # Poses farther apart are not joined to one trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
-_MOST_BUMPS = 64
 _NOTHING = (1 << 40, 1 << 40, -(1 << 40), -(1 << 40))
-
-
-class _Bump(NamedTuple):
-    """A cell that is closed by hand.
-
-    Attributes:
-        until_ns: when it opens.
-        raw, top: what the layers of these names held before.
-    """
-
-    until_ns: int
-    raw: int
-    top: int
 
 
 class RollingMap:
@@ -53,6 +37,7 @@ class RollingMap:
     Attributes:
         frontiers: refreshed in place by every update.
         reach: geodesic distances from the robot; its `step` is called once a tick.
+        bumps: where the robot was held up by what no sensor shows.
         coverage: where the detector looked; its `look` is called for each image that it searched.
         resolution_m: side of a cell.
         window: what of the world is held; only the map moves it.
@@ -64,7 +49,7 @@ class RollingMap:
         self.resolution_m = res = c.resolution_m
         self._inflation_cells = c.inflation_m / res
         self._disc = ly.disc_half_widths(self._inflation_cells)
-        self._body = ly.disc_half_widths(max(self._inflation_cells - _ROUNDING_CELLS, 0.0))
+        self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
         self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
         self._polar = points.make_polar(c.range_m, res)
         self._half = self._polar.bin_of.shape[0] // 2
@@ -78,8 +63,6 @@ class RollingMap:
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
         self._robot: tuple[int, int] | None = None  # its world cell at the last update
-        self._bumps: dict[tuple[int, int], _Bump] = {}  # by world cell, oldest first
-        self._opened: dict[tuple[int, int], int] = {}  # by `open_bumps`; until when remembered
         self._floor_z_m = 0.0
         self._changed = np.array(_NOTHING, np.int64)
         self._explored = np.array(_NOTHING, np.int64)
@@ -97,6 +80,7 @@ class RollingMap:
             self.layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
         )
         self.coverage = Coverage(self.layers, self.window)
+        self.bumps = Bumps(self.layers, self.window, c, self._write)
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -145,92 +129,6 @@ class RollingMap:
             _plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
         return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
-
-    def bump(self, x_m: float, y_m: float, now_ns: int) -> None:
-        """Close the cell where the robot was held up by something that the map does not show.
-
-        Sensors see through it, so no ray clears it: it opens after `bump_memory_s`, when the
-        robot stands there, or by `open_bumps`. Outside the window nothing happens.
-
-        Args:
-            now_ns: of the clock that `expire_bumps` is told.
-        """
-        until_ns = now_ns + int(self.config.bump_memory_s * 1e9)
-        touching = 2 * self._inflation_cells + _ROUNDING_CELLS
-        found = [self.window.cell_of(x_m, y_m)]
-        while found:
-            cell = found.pop()
-            # What was opened beside it is the same sill, and still there.
-            beside = [c for c in self._opened if math.dist(c, cell) <= touching]
-            for c in beside:
-                del self._opened[c]
-            found += beside
-            if self.window.holds(*cell):
-                self._close(cell, until_ns)
-
-    def expire_bumps(self, now_ns: int) -> None:
-        """Open and forget what was closed by `bump` long enough ago."""
-        while self._opened:
-            cell, until_ns = next(iter(self._opened.items()))
-            if now_ns < until_ns:
-                break
-            del self._opened[cell]
-        while self._bumps:
-            cell, bump = next(iter(self._bumps.items()))
-            if now_ns < bump.until_ns:
-                break
-            self._open(cell)
-
-    def open_bumps(self) -> bool:
-        """Open all that was closed by `bump`, to be tried once more; whether there was any."""
-        self._opened.update((cell, bump.until_ns) for cell, bump in self._bumps.items())
-        any_closed = bool(self._bumps)
-        while self._bumps:
-            self._open(next(iter(self._bumps)))
-        return any_closed
-
-    @property
-    def bumps_m(self) -> list[tuple[float, float]]:
-        """Centres of the cells that are closed by `bump`, oldest first."""
-        return [self.window.centre_m(cell) for cell in self._bumps]
-
-    @property
-    def held_up_m(self) -> list[tuple[float, float]]:
-        """Like `bumps_m`, with those that `open_bumps` opened and the robot did not stand on."""
-        return [self.window.centre_m(cell) for cell in (*self._opened, *self._bumps)]
-
-    def shows_obstacle(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
-        """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
-
-        It does where it stands on the line from the robot through the place: from `radius_m`
-        before the place to the inflation behind it. Half the robot's width counts: what is
-        beside it, as the jambs of a door are beside its sill, does not hold it up.
-
-        Args:
-            radius_m: the robot's.
-        """
-        if not self.window.placed:
-            return False
-        res, beyond_m = self.resolution_m, self.config.inflation_m
-        reach = math.ceil((max(radius_m, beyond_m) + radius_m) / res)
-        offset = np.arange(-reach, reach + 1)
-        at_x, at_y = self.window.cell_of(*place_m)
-        x, y = at_x + offset[None, :], at_y + offset[:, None]
-        dx, dy = (x + 0.5) * res - place_m[0], (y + 0.5) * res - place_m[1]
-        heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
-        c, s = math.cos(heading), math.sin(heading)
-        along, across = dx * c + dy * s, dy * c - dx * s
-        n, (ox, oy) = self.window.n, self.window.origin
-        raw = self.layers.raw[y % n, x % n]
-        return bool(
-            np.any(
-                (raw >= ly.OCCUPIED)
-                & (raw != ly.BUMPED)
-                & (-radius_m <= along) & (along <= beyond_m)
-                & (np.abs(across) <= 0.5 * radius_m)
-                & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
-            )
-        )  # fmt: skip
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -374,27 +272,9 @@ class RollingMap:
             self._footprint, self._changed, self._explored,
         )  # fmt: skip
         self._extend_trail(robot)
-        if robot in self._bumps:
-            del self._bumps[robot]
-            self._write(*robot, ly.FREE)
-        self._opened.pop(robot, None)
+        self.bumps.stand_on(robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
-
-    def _close(self, cell: tuple[int, int], until_ns: int) -> None:
-        before = self._bumps.pop(cell, None)
-        if before is None:
-            at = cell[1] % self.window.n, cell[0] % self.window.n
-            before = _Bump(0, int(self.layers.raw[at]), int(self.layers.top[at]))
-            self._write(*cell, ly.BUMPED)
-        self._bumps[cell] = before._replace(until_ns=until_ns)
-        if len(self._bumps) > _MOST_BUMPS:
-            self._open(next(iter(self._bumps)))
-
-    def _open(self, cell: tuple[int, int]) -> None:
-        """Give one cell that `bump` closed back the state that it had."""
-        bump = self._bumps.pop(cell)
-        self._write(*cell, bump.raw, bump.top)
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""
@@ -470,7 +350,7 @@ class RollingMap:
                 self._roll(axis, shift)
                 rolled = True
         if rolled:
-            self._bumps = {c: bump for c, bump in self._bumps.items() if window.holds(*c)}
+            self.bumps.follow_window()
         return rolled
 
     def _roll(self, axis: int, by: int) -> None:
@@ -524,8 +404,8 @@ def warmup(mapping: config.Mapping) -> None:
     T[2, 3] = 0.5
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
-    grid.bump(0.0, 0.0, 0)
-    grid.open_bumps()
+    grid.bumps.close(0.0, 0.0, 0)
+    grid.bumps.open_all()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)

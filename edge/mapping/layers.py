@@ -16,7 +16,7 @@ from numba import njit
 
 WORD = 64
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
-BUMPED = 255  # occupied too, but no ray clears it: see `RollingMap.bump`
+BUMPED = 255  # occupied too, but no ray clears it: see `edge.mapping.bumps`
 
 
 class Layers(NamedTuple):

@@ -40,7 +40,10 @@ class Case:
         coverage = SimpleNamespace(view=None, start_over=lambda: None, search=lambda reach: True)
         reach = SimpleNamespace(nearest=lambda x, y, within_m: (x, y, 1.0), generation=7)
         self.grid = SimpleNamespace(
-            coverage=coverage, reach=reach, state_at=lambda x, y: 0, open_bumps=lambda: False
+            coverage=coverage,
+            reach=reach,
+            state_at=lambda x, y: 0,
+            bumps=SimpleNamespace(open_all=lambda: False),
         )
         self.mission = SimpleNamespace(forbidden=())
         self.now_ns = S
@@ -81,7 +84,7 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
 @pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
 def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
     case = Case()
-    case.grid.open_bumps = lambda: True
+    case.grid.bumps.open_all = lambda: True
     case.turn_round()
     opened_ns = case.now_ns
     while case.now_ns < opened_ns + max(reach_s, 2.5) * S:

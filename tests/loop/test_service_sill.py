@@ -101,7 +101,7 @@ def test_the_reason_tells_of_what_was_opened_and_not_tried(tmp_path):
     loop = closed_loop(tmp_path, way_round=False)
     while not held_up(loop):
         loop.step()
-    loop.service.grid.open_bumps()
+    loop.service.grid.bumps.open_all()
     assert "; held up at (3.9, 1." in loop.service._why_given_up()
 
 
@@ -119,7 +119,7 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
     service.goal_answered(GoalStatus(stamp_ns, "accepted", blocked=place))
     service.goal_answered(GoalStatus(stamp_ns, "accepted"))  # sent again before the next tick
     loop.step()
-    assert bool(service.grid.bumps_m) == closes
+    assert bool(service.grid.bumps.closed_m) == closes
     assert len(held_up(loop)) == closes
 
 
@@ -138,7 +138,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
         if goal is not None:
             late = now_ns - given_ns >= fails_after_s * 1e9
             service.goal_answered(GoalStatus(goal.stamp_ns, "failed" if late else "accepted"))
-        if service.grid.bumps_m:
+        if service.grid.bumps.closed_m:
             break
     return now_ns - begun_ns
 
@@ -154,7 +154,7 @@ def test_a_robot_that_stands_whatever_it_is_told_teaches_the_map(tmp_path, fails
         loop.step()
     pose, stuck_s = loop.drive.motion.odometry, loop.config.mission.stuck_s
     stood_ns = stand(loop, fails_after_s, 100.0)
-    ((x, y),) = loop.service.grid.bumps_m
+    ((x, y),) = loop.service.grid.bumps.closed_m
     assert pose.distance_to(x, y) == pytest.approx(loop.config.robot.radius_m, abs=0.05)
     assert abs(pose.bearing_to(x, y)) < 0.3
     assert stuck_s - 1.0 <= stood_ns / 1e9 <= stuck_s + within_s
@@ -179,6 +179,6 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
         cell = service.grid.window.cell_of(person.x_m, person.y_m + across_m)
         service.grid._write(*cell, ly.OCCUPIED)
     service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
-    assert service.grid.bumps_m == []
+    assert service.grid.bumps.closed_m == []
     (said,) = held_up(loop)
     assert said.endswith("by what the map shows")

@@ -10,7 +10,7 @@ import pytest
 from mapping_twins import SMALL, complete, look, seen_around
 
 from edge.geometry import SE2
-from edge.mapping import grid as grid_module
+from edge.mapping import bumps
 from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 
@@ -30,23 +30,23 @@ def assert_consistent(grid: RollingMap) -> None:
 
 def test_without_a_bump_nothing_is_to_be_forgotten():
     grid = RollingMap(SMALL)
-    grid.bump(*PLACE, 0)  # before the first frame there is no map
-    grid.expire_bumps(10**18)
-    grid.open_bumps()
-    assert grid.bumps_m == []
+    grid.bumps.close(*PLACE, 0)  # before the first frame there is no map
+    grid.bumps.expire(10**18)
+    grid.bumps.open_all()
+    assert grid.bumps.closed_m == []
     look(grid, HOME, [])
     assert grid.state_at(*PLACE) == 0
 
 
 def test_a_bump_closes_a_disc_that_no_ray_clears():
     grid = seen_around()
-    grid.bump(*PLACE, 0)
+    grid.bumps.close(*PLACE, 0)
     for _ in range(10 * SMALL.clear_after):
         look(grid, HOME, [])
     assert_consistent(grid)
     cells = grid.snapshot(inflated=50).cells
     assert np.count_nonzero(cells == 100) == 1
-    assert grid.bumps_m == [pytest.approx((1.025, 0.025))]
+    assert grid.bumps.closed_m == [pytest.approx((1.025, 0.025))]
     for away_m, state in ((0.0, 100), (0.19, 100), (0.26, 0)):
         assert grid.state_at(PLACE[0] + away_m, PLACE[1]) == state
         assert grid.state_at(PLACE[0], PLACE[1] - away_m) == state
@@ -55,32 +55,32 @@ def test_a_bump_closes_a_disc_that_no_ray_clears():
 @pytest.mark.parametrize(
     "open_again",
     [
-        lambda grid: grid.expire_bumps(MEMORY_NS),
-        lambda grid: grid.open_bumps(),
+        lambda grid: grid.bumps.expire(MEMORY_NS),
+        lambda grid: grid.bumps.open_all(),
         lambda grid: look(grid, SE2(*PLACE, 0.0), []),
     ],
     ids=["time", "lifted", "the robot stands there"],
 )
 def test_a_bump_is_forgotten(open_again):
     grid = seen_around()
-    grid.bump(*PLACE, 0)
+    grid.bumps.close(*PLACE, 0)
     look(grid, HOME, [])
-    grid.expire_bumps(MEMORY_NS - 1)
+    grid.bumps.expire(MEMORY_NS - 1)
     assert grid.state_at(*PLACE) == 100
     open_again(grid)
     look(grid, HOME, [])
     assert grid.state_at(*PLACE) == 0
-    assert grid.bumps_m == []
+    assert grid.bumps.closed_m == []
     assert_consistent(grid)
 
 
 def test_the_same_place_again_is_remembered_afresh():
     grid = seen_around()
-    grid.bump(*PLACE, 0)
-    grid.bump(-1.0, 0.0, 5)
-    grid.bump(*PLACE, 10)
-    grid.expire_bumps(MEMORY_NS + 9)
-    assert grid.bumps_m == [pytest.approx((1.025, 0.025))]
+    grid.bumps.close(*PLACE, 0)
+    grid.bumps.close(-1.0, 0.0, 5)
+    grid.bumps.close(*PLACE, 10)
+    grid.bumps.expire(MEMORY_NS + 9)
+    assert grid.bumps.closed_m == [pytest.approx((1.025, 0.025))]
     look(grid, HOME, [])
     assert_consistent(grid)
 
@@ -97,7 +97,9 @@ def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, b
 
 
 @pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize("open_again", [RollingMap.open_bumps, lambda g: g.expire_bumps(10**18)])
+@pytest.mark.parametrize(
+    "open_again", [lambda g: g.bumps.open_all(), lambda g: g.bumps.expire(10**18)]
+)
 @pytest.mark.parametrize(
     ("place", "raw"),
     [((0.6, 0.0), ly.FREE), (PLACE, ly.OCCUPIED), (BEHIND_IT, ly.UNSEEN)],
@@ -111,7 +113,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
     assert before[0] == raw
     assert (before[1] > 0, before[2]) == (raw == ly.OCCUPIED, raw != ly.UNSEEN)
     for now_ns in range(times):
-        grid.bump(*place, now_ns)
+        grid.bumps.close(*place, now_ns)
     look(grid, HOME, BOX)
     assert layers_at(grid, place) == (ly.BUMPED, 0, True)
     assert_consistent(grid)
@@ -126,7 +128,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
 def test_where_the_robot_stands_is_free_whatever_was_seen_there(place):
     grid = RollingMap(SMALL)
     look(grid, HOME, BOX)
-    grid.bump(*place, 0)
+    grid.bumps.close(*place, 0)
     look(grid, SE2(*place, 0.0), [])
     assert layers_at(grid, place) == (ly.FREE, 0, True)
     assert_consistent(grid)
@@ -134,22 +136,22 @@ def test_where_the_robot_stands_is_free_whatever_was_seen_there(place):
 
 def test_where_it_was_held_up_is_known_after_the_opening_too():
     grid = seen_around()
-    assert grid.held_up_m == []
+    assert grid.bumps.known_m == []
     for k, place in enumerate([PLACE, (-1.0, 0.0), (0.0, 1.0)]):
-        grid.bump(*place, k)
-    assert grid.held_up_m == grid.bumps_m
-    held_up = grid.held_up_m
-    assert grid.open_bumps()
-    assert (grid.bumps_m, grid.held_up_m) == ([], held_up)
-    assert not grid.open_bumps()
+        grid.bumps.close(*place, k)
+    assert grid.bumps.known_m == grid.bumps.closed_m
+    held_up = grid.bumps.known_m
+    assert grid.bumps.open_all()
+    assert (grid.bumps.closed_m, grid.bumps.known_m) == ([], held_up)
+    assert not grid.bumps.open_all()
     look(grid, SE2(-1.0, 0.0, 0.0), [])  # nothing holds it up there
-    assert grid.held_up_m == [held_up[0], held_up[2]]
-    grid.bump(*PLACE, 5)
-    assert grid.held_up_m == [held_up[2], held_up[0]]
-    grid.expire_bumps(MEMORY_NS + 2)
-    assert grid.held_up_m == [held_up[0]]
-    grid.expire_bumps(MEMORY_NS + 5)
-    assert grid.held_up_m == []
+    assert grid.bumps.known_m == [held_up[0], held_up[2]]
+    grid.bumps.close(*PLACE, 5)
+    assert grid.bumps.known_m == [held_up[2], held_up[0]]
+    grid.bumps.expire(MEMORY_NS + 2)
+    assert grid.bumps.known_m == [held_up[0]]
+    grid.bumps.expire(MEMORY_NS + 5)
+    assert grid.bumps.known_m == []
 
 
 @pytest.mark.parametrize(
@@ -167,11 +169,11 @@ def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, 
     look(grid, HOME, BOX)
     pose = SE2(x_m, 0.0, yaw_rad)
     place = pose.ahead(0.2)
-    assert not empty.shows_obstacle(pose, place, 0.2)
-    assert grid.shows_obstacle(pose, place, 0.2) == shows
+    assert not empty.bumps.explained(pose, place, 0.2)
+    assert grid.bumps.explained(pose, place, 0.2) == shows
     beside = seen_around()
-    beside.bump(*place, 0)
-    assert not beside.shows_obstacle(pose, place, 0.2)  # a bump explains nothing
+    beside.bumps.close(*place, 0)
+    assert not beside.bumps.explained(pose, place, 0.2)  # a bump explains nothing
 
 
 def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():
@@ -179,9 +181,9 @@ def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():
     grid = seen_around()
     sill = [(1.02, y) for y in (-0.8, -0.4, 0.0, 0.4)]
     for place in (*sill, (-1.0, 0.0)):
-        grid.bump(*place, 0)
-    grid.open_bumps()
-    grid.bump(1.02, 0.2, 1)
+        grid.bumps.close(*place, 0)
+    grid.bumps.open_all()
+    grid.bumps.close(1.02, 0.2, 1)
     look(grid, HOME, [])
     assert all(grid.state_at(*place) == 100 for place in sill)
     assert grid.state_at(-1.0, 0.0) == 0
@@ -194,32 +196,32 @@ def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
     left_m = grid.window.origin[0] * grid.resolution_m
     # In the strip that goes, and on both sides of its edge, within inflation of it.
     for x in (left_m + 1.0, left_m + strip_m - 0.07, left_m + strip_m + 0.07, 1.0):
-        grid.bump(x, 0.0, 0)
+        grid.bumps.close(x, 0.0, 0)
     x, rolled = 0.0, False
     while not rolled:
         x += 0.2
         rolled = look(grid, SE2(x, 0.3, 0.0), []).rolled
         assert_consistent(grid)
-    assert [bx for bx, _ in grid.bumps_m] == pytest.approx([left_m + strip_m + 0.075, 1.025])
+    assert [bx for bx, _ in grid.bumps.closed_m] == pytest.approx([left_m + strip_m + 0.075, 1.025])
     look(grid, SE2(x + 50.0, 0.0, 0.0), [])
-    assert grid.bumps_m == []
-    grid.open_bumps()
+    assert grid.bumps.closed_m == []
+    grid.bumps.open_all()
     assert_consistent(grid)
 
 
 @pytest.mark.parametrize("far", [1e9, -1e9, 40.0])
 def test_outside_the_window_nothing_is_closed(far):
     grid = seen_around()
-    grid.bump(far, 0.0, 0)
-    assert grid.bumps_m == []
+    grid.bumps.close(far, 0.0, 0)
+    assert grid.bumps.closed_m == []
 
 
 def test_no_more_are_kept_than_there_is_room_for(monkeypatch):
-    monkeypatch.setattr(grid_module, "_MOST_BUMPS", 3)
+    monkeypatch.setattr(bumps, "_MOST", 3)
     grid = seen_around()
     for k in range(5):
-        grid.bump(-1.0 + 0.5 * k, 0.5, k)
-    assert [round(x, 1) for x, _ in grid.bumps_m] == [0.0, 0.5, 1.0]
+        grid.bumps.close(-1.0 + 0.5 * k, 0.5, k)
+    assert [round(x, 1) for x, _ in grid.bumps.closed_m] == [0.0, 0.5, 1.0]
     look(grid, HOME, [])
     assert_consistent(grid)
 
@@ -237,7 +239,7 @@ def test_a_bump_in_a_doorway_cuts_off_what_is_behind_and_does_not_shut_the_robot
     at_the_sill = SE2(0.8, y, 0.0)
     complete(grid, at_the_sill)
     assert math.isfinite(grid.reach.distance_m(2.0, 0.0))
-    grid.bump(*at_the_sill.ahead(0.2), 0)
+    grid.bumps.close(*at_the_sill.ahead(0.2), 0)
     look(grid, at_the_sill, doorway())
     complete(grid, at_the_sill)
     assert grid.reach.distance_m(2.0, 0.0) == math.inf

@@ -284,8 +284,8 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.reach.step(pose)
         grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         grid.unknown_ratio(grid.frontiers.xy_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
-    grid.bump(24.0, 0.0, 0)
-    grid.open_bumps()
+    grid.bumps.close(24.0, 0.0, 0)
+    grid.bumps.open_all()
     grid.snapshot()
     assert signatures() == before
 
