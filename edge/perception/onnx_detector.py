@@ -14,9 +14,9 @@ from edge import config, names
 from edge.host import resources
 from edge.perception import kernels
 from edge.perception.backends.binding import Bound, bind
+from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import (
     TENSORRT_PROVIDERS,
-    EngineOptions,
     failing_as,
     open_session,
 )
@@ -28,8 +28,9 @@ from edge.perception.cards import (
     load_detector_card,
     loading,
 )
-from edge.perception.detector import Health, Progress, check_rgb, log_progress
-from edge.perception.text import PromptError, make_text_encoder, words_for
+from edge.perception.detector import Health, Tell, check_rgb, log_progress
+from edge.perception.encoders import make_text_encoder
+from edge.perception.text import PromptError, check_prompts, words_for
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -41,7 +42,9 @@ USUAL_COLUMNS, MAX_COLUMNS = 16, 256
 
 
 def engine_options(
-    card: DetectCard | ImageCard, detector: config.DetectorOnnx, progress: Progress = log_progress
+    card: DetectCard | ImageCard,
+    detector: config.DetectorOnnx,
+    progress: Tell = log_progress,
 ) -> EngineOptions:
     """What TensorRT is told of a model; only a detector's number of prompts may change."""
     shapes = {}
@@ -95,7 +98,7 @@ class OnnxDetector:
         self,
         detector: config.DetectorOnnx,
         prompts: Sequence[str],
-        progress: Progress = log_progress,
+        progress: Tell = log_progress,
     ) -> None:
         """
         Args:
@@ -138,15 +141,11 @@ class OnnxDetector:
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
-        if isinstance(prompts, str):
-            raise PromptError(f"prompts must be a list of words, got {prompts!r}")
         with failing_as(f"model {self.name}: it cannot be given the prompts"):
-            self._asked = self._ask(tuple(prompts))
+            self._asked = self._ask(check_prompts(prompts))
 
     def _ask(self, prompts: tuple[str, ...]) -> _Asked:
         """Encode prompts and bind buffers for them, which may take memory of a GPU."""
-        if not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
         contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
         others = dict.fromkeys((*self._background, *contrasts))
         columns = [*prompts, *(other for other in others if other not in prompts)]

@@ -11,8 +11,9 @@ from edge.config import DetectorOnnx, Perception
 from edge.perception.card_types import SimilarityCard
 from edge.perception.cards import ModelError, load_image_card, load_similarity_card, load_text_card
 from edge.perception.clip import CPU, ClipImageEncoder, ClipTextEncoder
+from edge.perception.encoders import open_text_encoder
 from edge.perception.onnx_detector import OnnxDetector, engine_options
-from edge.perception.text import TextEncoder, open_text_encoder
+from edge.perception.text import TextEncoder
 from edge.types import Detections
 
 THREADS = 2

@@ -13,7 +13,7 @@ from patience import eventually
 
 from edge.config import parse
 from edge.geometry import CameraModel
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.swap.swapper import OVER, Swapper
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation

@@ -22,7 +22,8 @@ from patience import PATIENCE_S, eventually
 from edge import config
 from edge.host import resources
 from edge.perception.cards import ModelError, card_names
-from edge.perception.detector import Health, log_progress, make_detector
+from edge.perception.detector import Health, log_progress
+from edge.perception.factory import make_detector
 from edge.perception.process import detector as process_detector
 from edge.perception.process import frames, link
 from edge.perception.process.messages import ModelProcessError

@@ -11,12 +11,12 @@ from concurrent.futures import Future
 
 from edge import config
 from edge.errors import UserError
-from edge.perception.detector import Health, Progress, check_rgb, log_progress
+from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.process.frames import FrameFile
 from edge.perception.process.link import Link
 from edge.perception.process.messages import ModelProcessError
 from edge.perception.process.restarts import Pause, Restarts
-from edge.perception.text import PromptError
+from edge.perception.text import PromptError, check_prompts
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ class ProcessDetector:
         self,
         perception: config.Perception,
         prompts: Sequence[str],
-        progress: Progress = log_progress,
+        progress: Tell = log_progress,
         cancelled: threading.Event | None = None,
     ) -> None:
         """
@@ -83,11 +83,10 @@ class ProcessDetector:
         Prompts set while there is no process, or while it is too busy to answer, are looked for
         once there is one; that they cannot be is then what `detect` raises.
         """
-        if isinstance(prompts, str) or not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
+        prompts = check_prompts(prompts)
         if self._link is not None:
             self._link.check(prompts, _CHECK_S)
-        self._prompts = tuple(prompts)
+        self._prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; takes at most `timeout_s`.

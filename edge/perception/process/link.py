@@ -21,7 +21,7 @@ from edge import config
 from edge.host.children import python_module
 from edge.host.private_folder import private_folder
 from edge.logs import LEVELS, JsonFormatter
-from edge.perception.detector import Progress
+from edge.perception.detector import Tell
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
@@ -80,9 +80,7 @@ class Link:
                 ) from None
             self._stack = stack.pop_all()
 
-    def wait_ready(
-        self, timeout_s: float, told_to_end: Callable[[], bool], progress: Progress
-    ) -> None:
+    def wait_ready(self, timeout_s: float, told_to_end: Callable[[], bool], progress: Tell) -> None:
         """Until the model is loaded and has run once.
 
         Args:

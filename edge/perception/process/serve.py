@@ -18,14 +18,15 @@ import zmq
 
 from edge import config, logs
 from edge.host.signals import show_stacks_on_signals
-from edge.perception.detector import Detector, Health, Progress, make_detector
+from edge.perception.detector import Detector, Health, Tell
+from edge.perception.factory import make_detector
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameView
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
 
-Make = Callable[[config.Perception, Sequence[str], Progress], Detector]
+Make = Callable[[config.Perception, Sequence[str], Tell], Detector]
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _FIRST_TO_GO = "1000"  # for the kernel when memory runs out: the robot can do without this process

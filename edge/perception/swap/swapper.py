@@ -15,7 +15,8 @@ from collections.abc import Callable
 
 from edge.config import Perception
 from edge.errors import UserError
-from edge.perception.detector import Detector, make_detector
+from edge.perception.detector import Detector
+from edge.perception.factory import make_detector
 from edge.perception.swap.attempt import Attempt, Make
 from edge.perception.worker import WorkerBase
 

@@ -1,4 +1,4 @@
-"""Engines that were built once and are found again: one folder per model and machine.
+"""Engines of TensorRT that were built once and are found again: one folder per model and machine.
 
     <cache>/<key>/engine.json     what the engine was built from, and the digests of its files
     <cache>/<key>/…               the engine, as TensorRT or onnxruntime wrote it
@@ -18,59 +18,137 @@ import logging
 import os
 import shutil
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from edge.host import resources
 from edge.host.files import read_regular
-from edge.perception.detector import Health, Progress
-from edge.perception.model_file import ModelError, sha256_of
+from edge.perception.backends.cuda import gpu_of
+from edge.perception.detector import Health, Tell, log_progress
+from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256, sha256_of
 
 log = logging.getLogger(__name__)
 
 MIN_FREE_BYTES = 256 << 20
 """Room that an engine of the models here needs, with some to spare."""
+TELL_EVERY_S = 5.0
 _MANIFEST = "engine.json"
 _MODE = 0o755  # of an engine's folder: that of a temporary one shuts out the cache's other users
 _WAIT_S = 0.5
 _TELL_EVERY = 10
 
+Shape = tuple[int, ...]
+Key = Mapping[str, object]
+"""What an engine depends on by name; another of any of these needs another engine."""
+
 
 @dataclass(frozen=True)
-class EngineKey:
-    """What an engine depends on; another of any of these needs another engine.
+class EngineOptions:
+    """What TensorRT needs to know of a model beyond its file.
 
     Attributes:
-        model: the card's name, for people.
-        sha256: of the ONNX file.
-        builder: `tensorrt`, or `onnxruntime` with its version.
-        tensorrt: TensorRT's version.
-        sm: compute capability of the GPU, such as `8.7`.
-        gpu: its name: an engine was timed on it, and others have the same `sm`.
-        precision: of the model's card.
+        model: the card's name.
+        precision: the card's: `fp32`, `fp16` or `int8-trt`.
         shapes: least, usual and largest shape of every input whose shape may change.
-        recipe: counts our own settings of the builder.
+        cache: folder for engines, None: `engines` in the service's cache.
+        progress: told while an engine is built.
+        sha256: of the file when it is sound, None: of what it was when it was last looked at.
     """
 
     model: str
-    sha256: str
-    builder: str
-    tensorrt: str
-    sm: str
-    gpu: str
     precision: str
-    shapes: str
-    recipe: int
+    shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
+    cache: Path | None = None
+    progress: Tell = log_progress
+    sha256: str | None = None
 
     @property
-    def folder(self) -> str:
-        """Name of the engine's folder."""
-        content = json.dumps(asdict(self), sort_keys=True).encode()
-        return f"{self.model}-{hashlib.sha256(content).hexdigest()[:20]}"
+    def folder(self) -> Path:
+        return self.cache or resources.cache_dir() / "engines"
 
 
-def obtain(key: EngineKey, cache: Path, build: Callable[[Path], None], progress: Progress) -> Path:
+def engine_of(
+    path: Path,
+    options: EngineOptions,
+    build: Callable[[Path, Callable[[str], None]], None],
+    device_id: int,
+    **built_with: object,
+) -> Path:
+    """The folder with a model's engine, which is built if it is not there.
+
+    Args:
+        path: the ONNX file; it is hashed anew before anything is made of it.
+        build: writes the engine into the (empty) folder that it is given, and says in a few words
+            how far it is.
+        device_id: the GPU: an engine was timed on one of its name, and others have the same
+            compute capability.
+        built_with: the builder, TensorRT's version, and a count of our settings of the builder.
+
+    Raises:
+        ModelError: there is no GPU, the file is damaged, or the cache cannot be used.
+    """
+    sha256 = options.sha256 or remembered_sha256(path)
+    gpu, capability = gpu_of(device_id)
+    key = {
+        "model": options.model,
+        "sha256": sha256,
+        "precision": options.precision,
+        "shapes": repr(sorted(options.shapes.items())),
+        "gpu": gpu,
+        "sm": capability,
+        **built_with,
+    }
+
+    def build_and_tell(folder: Path) -> None:
+        check_unchanged(path, sha256)
+        with telling(options.model, options.progress) as note:
+            build(folder, note)
+
+    return obtain(key, options.folder, build_and_tell, options.progress)
+
+
+@contextlib.contextmanager
+def telling(
+    model: str, progress: Tell, every_s: float = TELL_EVERY_S
+) -> Iterator[Callable[[str], None]]:
+    """Within the block, `progress` hears at once and then every few seconds that an engine is
+    built, so that it does not look like a hang.
+
+    Yields:
+        Takes how far it is, told with the next beat; from any thread.
+    """
+    over, notes, start_s = threading.Event(), [""], time.monotonic()
+
+    def tell() -> None:
+        while True:
+            took_s = time.monotonic() - start_s
+            how_far = notes[-1] or "this takes minutes the first time"
+            progress(Health("building engine", f"{model}: {took_s:.0f} s, {how_far}"))
+            if over.wait(every_s):
+                return
+
+    def note(text: str) -> None:
+        notes[:] = [text]
+
+    thread = threading.Thread(target=tell, name="building", daemon=True)
+    thread.start()
+    try:
+        yield note
+    finally:
+        over.set()
+        thread.join()
+
+
+def folder_name(key: Key) -> str:
+    """Of the folder that a key's engine lies in."""
+    content = json.dumps(key, sort_keys=True).encode()
+    return f"{key['model']}-{hashlib.sha256(content).hexdigest()[:20]}"
+
+
+def obtain(key: Key, cache: Path, build: Callable[[Path], None], progress: Tell) -> Path:
     """The folder of an engine, which is built if it is not there; readable for every user.
 
     Args:
@@ -80,20 +158,21 @@ def obtain(key: EngineKey, cache: Path, build: Callable[[Path], None], progress:
     Raises:
         ModelError: the cache cannot be used; nothing was built then.
     """
-    folder = cache / key.folder
+    name = folder_name(key)
+    folder = cache / name
     if damage(folder) is None:  # also where nothing can be written
         return folder
     check_usable(cache)
-    with _locked(cache / f"{key.folder}.lock", progress):
+    with _locked(cache / f"{name}.lock", progress):
         if folder.exists():
             fault = damage(folder)
             if fault is None:
                 return folder
             log.warning("engine %s: %s; it is built again", folder, fault)
             _remove(folder, fault)
-        for left_over in cache.glob(f".{key.folder}.*"):  # of a build that was killed
+        for left_over in cache.glob(f".{name}.*"):  # of a build that was killed
             shutil.rmtree(left_over, ignore_errors=True)
-        made = Path(tempfile.mkdtemp(dir=cache, prefix=f".{key.folder}."))
+        made = Path(tempfile.mkdtemp(dir=cache, prefix=f".{name}."))
         try:
             build(made)
             _seal(made, key)
@@ -149,12 +228,12 @@ def damage(folder: Path) -> str | None:
     return None if files else "empty"
 
 
-def _seal(made: Path, key: EngineKey) -> None:
+def _seal(made: Path, key: Key) -> None:
     """Write down what was built, and have all of it on the disk."""
     files = {path.name: sha256_of(path) for path in sorted(made.iterdir()) if path.is_file()}
     if not files:
-        raise ModelError(f"model {key.model}: the build left no engine; see the log for why")
-    content = json.dumps({"key": asdict(key), "files": files}, indent=1)
+        raise ModelError(f"model {key['model']}: the build left no engine; see the log for why")
+    content = json.dumps({"key": dict(key), "files": files}, indent=1)
     (made / _MANIFEST).write_text(content, encoding="utf-8")
     for path in made.iterdir():
         if path.is_file():
@@ -163,7 +242,7 @@ def _seal(made: Path, key: EngineKey) -> None:
 
 
 @contextlib.contextmanager
-def _locked(path: Path, progress: Progress) -> Iterator[None]:
+def _locked(path: Path, progress: Tell) -> Iterator[None]:
     """Hold a lock that the system lets go when its holder dies."""
     try:
         file = path.open("a")
