@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from edge.eval.progress_bar import counted
-from exporters.files import ExportError
+from exporters.files import ExportError, check_format
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import check_format
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5

@@ -30,8 +30,8 @@ from edge.perception.card_types import (
     SimilarityCard,
     TextCard,
 )
-from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
+from edge.perception.onnx_file import check_file
 from edge.text import one_line
 
 log = logging.getLogger(__name__)
@@ -169,7 +169,7 @@ def verify_model(card: FileCard) -> Path:
     """The model's file, sound as far as can be seen without running it.
 
     Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
-    `edge.perception.interface`.
+    `edge.perception.onnx_file`.
 
     Raises:
         ModelError: the file or its hash is missing, they do not belong together, or no session
