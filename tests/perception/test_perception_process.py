@@ -139,7 +139,7 @@ def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
     detector.set_prompts(["sofa", "bed"])
     assert detector.detect(seen()).prompts == detector.prompts == ("sofa", "bed")
     for prompts in ([], "sofa"):
-        with pytest.raises(PromptError, match="no prompt|must be a list of words"):
+        with pytest.raises(PromptError, match=r"no prompt|must be a list of words"):
             detector.set_prompts(prompts)
     with pytest.raises(PromptError, match="'nonsense': not in the vocabulary"):
         detector.set_prompts(["nonsense"])
