@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future
+from typing import NamedTuple
 
 from edge import config
 from edge.errors import UserError
@@ -15,7 +16,6 @@ from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.process.frames import FrameFile
 from edge.perception.process.link import Link
 from edge.perception.process.messages import ModelProcessError
-from edge.perception.process.restarts import Pause, Restarts
 from edge.perception.text import PromptError, check_prompts
 from edge.types import Detections, Observation
 
@@ -23,6 +23,46 @@ log = logging.getLogger(__name__)
 
 _CHECK_S = 0.25  # how long the loop may wait to hear whether prompts will do
 _CLOSE_S = 10.0  # for the thread to end once its process was killed
+
+
+class Pause(NamedTuple):
+    """How long to wait, and whether that is because the limit was reached."""
+
+    seconds: float
+    limit: bool
+
+
+class Restarts:
+    """Backoff and limit of `config.ModelProcess`.
+
+    Ends count in a row, however long each start takes: one after a run of over `window_s` is the
+    first again. The backoff begins anew after a run of over `backoff_max_s`.
+    """
+
+    def __init__(self, rules: config.ModelProcess) -> None:
+        self._rules = rules
+        self._ends = 0
+        self._backoff_s = rules.backoff_s
+
+    def after(self, ran_s: float) -> Pause:
+        """What a process's end calls for.
+
+        Args:
+            ran_s: how long it was ready; 0 if it never was.
+
+        Returns:
+            The pause; infinite where no restart is allowed at all.
+        """
+        c = self._rules
+        self._ends = 1 if ran_s > c.window_s else self._ends + 1
+        if ran_s > c.backoff_max_s:
+            self._backoff_s = c.backoff_s
+        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, c.backoff_max_s)
+        if c.restarts == 0:
+            return Pause(math.inf, True)
+        if self._ends > c.restarts:
+            return Pause(max(seconds, c.window_s), True)
+        return Pause(seconds, False)
 
 
 class ProcessDetector:

@@ -70,7 +70,7 @@ class FrameView:
         self._bytes = np.empty(0, np.uint8)
         self._seq = np.empty(0, np.int64)
 
-    def look(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
+    def read(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
         """The image with this number, (h, w, 3) uint8, where it lies.
 
         Whoever has read it asks `is_whole` whether it was the same until then.

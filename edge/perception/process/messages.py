@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -18,41 +18,15 @@ from edge.perception.text import PromptError
 from edge.text import one_line
 from edge.types import Detections
 
-MAX_BYTES = 1 << 20
-"""Of a message; a thousand boxes are 28 KB."""
+MAX_BYTES = 1 << 17
+"""Of a message; a thousand boxes are 28 KB. What is longer is cut off, and so refused."""
+END_OF_HEADER = b"\n"
 _BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
 _STATES = get_args(get_type_hints(Health)["state"])
 
 
 class ModelProcessError(ModelError):
     """The model's process failed, or is not there: one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """What a model process is told when it starts, on its stdin.
-
-    Attributes:
-        perception: the configuration's section.
-        folder: with the sockets.
-        frames_fd: the frame file.
-        parent: the process id of who started it.
-    """
-
-    perception: dict[str, Any]
-    prompts: list[str]
-    folder: str
-    frames_fd: int
-    parent: int
-    log_level: str
-    log_json: bool
-
-    def encode(self) -> bytes:
-        return json.dumps(asdict(self)).encode()
-
-    @classmethod
-    def decode(cls, data: bytes) -> Start:
-        return cls(**json.loads(data))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +57,8 @@ def encode_yes(number: int) -> bytes:
     return json.dumps({"id": number}).encode()
 
 
-def encode_answer(seq: int, found: Detections, detector: Detector) -> tuple[bytes, bytes]:
-    """What `detector` found in image `seq`, and how it is: header and block."""
+def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
+    """What `detector` found in image `seq`, and how it is: header, its end, and block."""
     n = len(found)
     header = {
         "seq": seq,
@@ -97,7 +71,7 @@ def encode_answer(seq: int, found: Detections, detector: Detector) -> tuple[byte
     rival = np.zeros(n, np.float32) if found.rival is None else found.rival
     arrays = ((found.xyxy_px, "<f4"), (found.score, "<f4"), (found.class_id, "<i4"), (rival, "<f4"))
     block = b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
-    return json.dumps(header).encode(), block
+    return json.dumps(header).encode() + END_OF_HEADER + block
 
 
 def encode_error(error: BaseException, **header: int) -> bytes:
