@@ -18,7 +18,7 @@ import numpy as np
 from edge import names
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import TextCard
-from edge.perception.cards import ModelError, loading
+from edge.perception.cards import ModelError, verify_model
 from edge.perception.text import PromptError, check_prompts, run_encoder
 
 log = logging.getLogger(__name__)
@@ -201,8 +201,8 @@ class AttributeEncoder:
         """
         self.card = card
         self.dim = card.dim
-        with loading(card) as path:
-            self._session = open_session(path, CPU, threads=1)
+        path = verify_model(card, believe_cache=True)
+        self._session = open_session(path, CPU, threads=1)
         metadata = self._session.get_modelmeta().custom_metadata_map
         try:
             self.vocabulary = Vocabulary.from_json(metadata["vocabulary"])

@@ -6,12 +6,9 @@ has too means the package's card.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -89,25 +86,12 @@ def load_card(name: str) -> Card:
 
 def load_detector_card(name: str) -> DetectCard:
     """See `load_card`; raises ModelError for a card of another task too."""
-    return _of_task(load_card(name), DetectCard)
+    return load_card_of(DetectCard, name)
 
 
-def load_text_card(name: str) -> TextCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), TextCard)
-
-
-def load_image_card(name: str) -> ImageCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), ImageCard)
-
-
-def load_similarity_card(name: str) -> SimilarityCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), SimilarityCard)
-
-
-def _of_task(card: Card, kind: type[C]) -> C:
+def load_card_of(kind: type[C], name: str) -> C:
+    """See `load_detector_card`, for any kind."""
+    card = load_card(name)
     if isinstance(card, kind):
         return card
     wanted = next(task for task, other in _BY_TASK.items() if other is kind)
@@ -165,54 +149,25 @@ def _explain(path: Path, fault: Any) -> str:
     return f"{path}: {key or task}: {message[0].lower()}{message[1:]}{got}"
 
 
-def verify_model(card: FileCard) -> Path:
+def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """The model's file, sound as far as can be seen without running it.
 
     Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
     `edge.perception.onnx_file`.
+
+    Args:
+        believe_cache: where `$EDGE_TRUST_CACHE` is set, a file that was sound when it was last
+            looked at, and has not been written since, is not hashed.
 
     Raises:
         ModelError: the file or its hash is missing, they do not belong together, or no session
             should be made of it.
     """
     path, expected = _file_and_hash(card)
-    _compare_hash(card, path, expected, fresh_sha256(path))
+    if not (believe_cache and trusts_cache() and known_sha256(path) == expected):
+        _compare_hash(card, path, expected, fresh_sha256(path))
     check_file(path, card)
     return path
-
-
-@contextlib.contextmanager
-def loading(card: FileCard) -> Iterator[Path]:
-    """`verify_model` for whoever loads the model within the block.
-
-    A file that was sound when it was last looked at, and has not been written since, is hashed
-    meanwhile, on a thread, and the block ends when that is done. With `$EDGE_TRUST_CACHE` it is
-    not hashed at all.
-
-    Raises:
-        ModelError: as `verify_model`, before the block or at its end; a file that is damaged is
-            also why the block itself failed.
-    """
-    path, expected = _file_and_hash(card)
-    was_sound = known_sha256(path) == expected
-    if not was_sound:
-        _compare_hash(card, path, expected, fresh_sha256(path))
-    again = was_sound and not trusts_cache()
-    with _hashing(card, path, expected) if again else contextlib.nullcontext():
-        check_file(path, card)
-        yield path
-
-
-@contextlib.contextmanager
-def _hashing(card: FileCard, path: Path, expected: str) -> Iterator[None]:
-    with ThreadPoolExecutor(1, "sha256") as pool:
-        found = pool.submit(fresh_sha256, path)
-        try:
-            yield
-        except ModelError:
-            _compare_hash(card, path, expected, found.result())
-            raise
-        _compare_hash(card, path, expected, found.result())
 
 
 def _file_and_hash(card: FileCard) -> tuple[Path, str]:

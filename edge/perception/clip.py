@@ -19,7 +19,7 @@ import numpy as np
 from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
-from edge.perception.cards import ModelError, loading
+from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import fresh_sha256
 from edge.perception.text import PromptError, check_prompts, run_encoder, tidy
 from edge.text import one_line
@@ -43,9 +43,9 @@ class ClipTextEncoder:
         self.card = card
         self.dim = card.dim
         self._context = card.tokenizer.context
-        with loading(card) as path:
-            self._tokenizer = _open_tokenizer(card)
-            self._session = open_session(path, CPU, threads=1)
+        path = verify_model(card, believe_cache=True)
+        self._tokenizer = _open_tokenizer(card)
+        self._session = open_session(path, CPU, threads=1)
         self._rows: dict[str, np.ndarray] = {}
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
@@ -110,8 +110,8 @@ class ClipImageEncoder:
         """
         self.card = card
         self.dim = card.dim
-        with loading(card) as path:
-            self._session = open_session(path, providers, threads, device_id, engine)
+        path = verify_model(card, believe_cache=True)
+        self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
         """

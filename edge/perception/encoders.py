@@ -6,7 +6,7 @@ import logging
 
 from edge.perception.attributes import AttributeEncoder
 from edge.perception.card_types import DetectCard, TextCard
-from edge.perception.cards import ModelError, card_names, load_card, load_text_card
+from edge.perception.cards import ModelError, card_names, load_card, load_card_of
 from edge.perception.clip import ClipTextEncoder
 from edge.perception.text import PromptError, TextEmbeddings, TextEncoder
 
@@ -30,7 +30,7 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
         ModelError: a model is there and cannot be used.
         PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
     """
-    named = None if card.text_encoder is None else load_text_card(card.text_encoder)
+    named = None if card.text_encoder is None else load_card_of(TextCard, card.text_encoder)
     encoder = open_text_encoder(named, vocabulary)
     if encoder.dim != card.text_dim:
         raise PromptError(

@@ -26,7 +26,7 @@ from edge.perception.cards import (
     ModelError,
     expected_sha256,
     load_detector_card,
-    loading,
+    verify_model,
 )
 from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.encoders import make_text_encoder
@@ -119,15 +119,14 @@ class OnnxDetector:
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
-        with loading(self.card) as path:
-            self._session = open_session(
-                path,
-                detector.providers,
-                detector.threads,
-                detector.device_id,
-                engine_options(self.card, detector, progress),
-            )
-            self._anchors = self._count_anchors()
+        self._session = open_session(
+            verify_model(self.card, believe_cache=True),
+            detector.providers,
+            detector.threads,
+            detector.device_id,
+            engine_options(self.card, detector, progress),
+        )
+        self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
         self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)
@@ -165,10 +164,10 @@ class OnnxDetector:
             {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
             live=("images",),
         )
-        places = self._anchors * len(prompts)
+        most = self._anchors * len(prompts)
         return _Asked(
-            prompts, text, competes, np.empty(places, np.int32),
-            np.empty(places, np.int32), np.empty(places, np.float32), bound,
+            prompts, text, competes, np.empty(most, np.int32),
+            np.empty(most, np.int32), np.empty(most, np.float32), bound,
         )  # fmt: skip
 
     def _known_background(self) -> tuple[str, ...]:
