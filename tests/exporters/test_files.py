@@ -12,8 +12,9 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 import onnx
 
+from edge.host import resources
 from edge.perception.onnx_file import MAX_IR, MAX_OPSET
-from exporters.cards import cards_folder, load_card
+from exporters.cards import load_card
 from exporters.files import ExportError, check_format, check_sha256, replace_atomically, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings
 
@@ -133,11 +134,11 @@ def test_load_card_lists_the_choices(tmp_path: Path):
     (tmp_path / "small.yaml").write_text("name: small\n")
     with pytest.raises(ExportError, match=r"no card 'large' \(choices: small\)"):
         load_card("large", tmp_path)
-    with pytest.raises(ExportError, match=r"small\.yaml: not a model card"):
+    with pytest.raises(ExportError, match=r"small\.yaml: task: missing"):
         load_card("small", tmp_path)
 
 
 @pytest.mark.parametrize("card", ["256x320-int8-cpu", "text", "similarity"])
 def test_load_card_names_the_commands_of_our_own_family(card):
     with pytest.raises(ExportError, match=r"exporters\.train_mini .* exporters\.mini\.export"):
-        load_card(f"mini-house-{card}", cards_folder())
+        load_card(f"mini-house-{card}", resources.data_dir("models"))
