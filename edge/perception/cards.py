@@ -10,10 +10,11 @@ import json
 import logging
 import os
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ValidationError
 
+from edge.config.explain import explain
 from edge.config.yaml_text import parse_yaml
 from edge.host import resources
 from edge.host.files import read_regular
@@ -35,13 +36,12 @@ log = logging.getLogger(__name__)
 
 C = TypeVar("C", bound=BaseCard)
 
-_BY_TASK: dict[str, type[BaseCard]] = {
+_BY_TASK: dict[str, type[Card]] = {
     "detect": DetectCard,
     "text": TextCard,
     "image": ImageCard,
     "similarity": SimilarityCard,
 }
-_ANY: TypeAdapter[Card] = TypeAdapter(Annotated[Card, Field(discriminator="task")])
 
 
 def card_names() -> list[str]:
@@ -117,36 +117,18 @@ def read_card(path: Path) -> Card:
         raise ModelError(f"{path}: cannot be read: {one_line(error)}") from None
     if not isinstance(data, dict):
         raise ModelError(f"{path}: expected keys such as name, task, file")
+    task = data.get("task")
+    if not isinstance(task, str) or task not in _BY_TASK:
+        what = f"unknown {task!r:.80}" if task else "missing"
+        raise ModelError(f"{path}: task: {what} (choices: {', '.join(_BY_TASK)})")
     try:
-        card = _ANY.validate_python(data)
+        card = _BY_TASK[task].model_validate(data)
     except ValidationError as error:
-        raise ModelError("\n".join(_explain(path, fault) for fault in error.errors())) from None
+        faults = (explain(fault, str(path), _BY_TASK[task]) for fault in error.errors())
+        raise ModelError("\n".join(faults)) from None
     if card.name != path.stem:
         raise ModelError(f"{path}: name: {card.name!r}, must be the file's name {path.stem!r}")
     return card
-
-
-def _explain(path: Path, fault: Any) -> str:
-    """One line for one fault; pydantic puts tasks and kinds into the key, no file has them."""
-    kind, context = fault["type"], fault.get("ctx", {})
-    task, *keys = fault["loc"] or ("",)
-    tagged = [isinstance(before, int) or before == "tokenizer" for before in ("", *keys)]
-    key = one_line(".".join(str(part) for part, tag in zip(keys, tagged, strict=False) if not tag))
-    if kind == "union_tag_not_found":
-        return f"{path}: {'.'.join([key, 'kind']) if keys else 'task'}: missing"
-    if kind == "union_tag_invalid":
-        choices = context["expected_tags"].replace("'", "")
-        field = f"{key}.kind" if keys else "task"
-        return f"{path}: {field}: unknown {context['tag']!r:.80} (choices: {choices})"
-    if kind == "missing":
-        return f"{path}: {key}: missing"
-    if kind == "extra_forbidden":
-        card = _BY_TASK.get(str(task))
-        choices = f" (choices: {', '.join(sorted(card.model_fields))})" if len(keys) == 1 else ""
-        return f"{path}: {key}: unknown key{choices}"
-    message = fault["msg"].removeprefix("Value error, ")
-    got = "" if isinstance(fault.get("input"), dict) else f", got {fault.get('input')!r:.80}"
-    return f"{path}: {key or task}: {message[0].lower()}{message[1:]}{got}"
 
 
 def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
