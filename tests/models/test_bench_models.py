@@ -128,15 +128,6 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
 
 
-@given(pictures(), pictures())
-def test_agreement_counts_as_the_exporters_parity_does(one, other):
-    parity = pytest.importorskip("exporters.parity")
-    theirs = parity.count_matches(
-        *(parity.Boxes(f.xyxy_px, f.score, f.class_id.astype(np.int64)) for f in (one, other))
-    )
-    assert agree(one, other).hits == theirs
-
-
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
 def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""

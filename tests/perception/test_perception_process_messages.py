@@ -44,10 +44,10 @@ def some(n=2, rival=True):
 @pytest.mark.parametrize("rival", [True, False])
 def test_nothing_found(rival):
     answer = messages.decode_answer(3, *encode(some(0, rival)))
-    assert answer.xyxy_px.shape == (0, 4)
-    assert len(answer.score) == len(answer.class_id) == 0
-    assert (answer.rival is not None) == rival
-    assert answer.prompts == PROMPTS
+    assert answer.found.xyxy_px.shape == (0, 4)
+    assert len(answer.found.score) == len(answer.found.class_id) == 0
+    assert (answer.found.rival is not None) == rival
+    assert answer.found.prompts == PROMPTS
 
 
 @given(st.data(), st.integers(0, 40))
@@ -61,7 +61,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
     told = Health("building engine", "a line")
     answer = messages.decode_answer(3, *encode(found, told))
     for name in ("xyxy_px", "score", "class_id", "rival"):
-        sent, came = getattr(found, name), getattr(answer, name)
+        sent, came = getattr(found, name), getattr(answer.found, name)
         if sent is None:
             assert came is None
             continue
@@ -69,7 +69,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
         assert came.tobytes() == sent.tobytes()
         assert came.flags.writeable
         assert came.flags.c_contiguous
-    assert (answer.prompts, answer.health, answer.invalid_boxes) == (PROMPTS, told, 2)
+    assert (answer.found.prompts, answer.health, answer.invalid_boxes) == (PROMPTS, told, 2)
 
 
 def changed(**fields):

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import NamedTuple
 
 from edge import config
@@ -142,18 +143,10 @@ class ProcessDetector:
         answer = link.detect(rgb, self._prompts, self._config.timeout_s)
         if link is not self._answered:  # a process counts from its own start
             self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._told = answer.prompts, answer.health
+        self._looked_for, self._told = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
-        return Detections(
-            observation=observation,
-            xyxy_px=answer.xyxy_px,
-            score=answer.score,
-            class_id=answer.class_id,
-            prompts=answer.prompts,
-            rival=answer.rival,
-            model=self.name,
-            latency_ns=time.perf_counter_ns() - start_ns,
-        )
+        took_ns = time.perf_counter_ns() - start_ns
+        return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
 
     def health(self) -> Health:
         """See `Detector.health`: of the process, and if that is well, of the model in it."""

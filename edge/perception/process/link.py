@@ -131,7 +131,9 @@ class Link:
                 self._frames.write(seq, rgb)
             except OSError as error:
                 raise ModelProcessError(f"{shared_dir()}: no room for images: {error}") from None
-            said = self._exchange(messages.encode_request(seq, rgb.shape, prompts), timeout_s)
+            said = self._exchange(
+                messages.encode(seq=seq, hw=rgb.shape[:2], prompts=prompts), timeout_s
+            )
         try:
             head, _, block = said.partition(messages.END_OF_HEADER)
             header = messages.decode_header(head)
@@ -171,7 +173,7 @@ class Link:
         deadline_s = time.monotonic() + timeout_s
         with self._checking:
             number = self._checked = self._checked + 1
-            if self.fault or not _send(self._control, messages.encode_check(number, prompts)):
+            if self.fault or not _send(self._control, messages.encode(id=number, prompts=prompts)):
                 return False
             header = {}
             while header.get("id") != number:

@@ -6,9 +6,7 @@ What the model process sends is not trusted: it may be dying.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -29,32 +27,17 @@ class ModelProcessError(ModelError):
     """The model's process failed, or is not there: one line."""
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What was found in one image; see `edge.types.Detections` for the arrays."""
+class Answer(NamedTuple):
+    """What was found in one image (without its observation), and how the detector is."""
 
-    xyxy_px: np.ndarray
-    score: np.ndarray
-    class_id: np.ndarray
-    rival: np.ndarray | None
-    prompts: tuple[str, ...]
+    found: Detections
     health: Health
     invalid_boxes: int
 
 
-def encode_request(seq: int, image_hw: Sequence[int], prompts: Sequence[str]) -> bytes:
-    """Look for the prompts in image `seq`."""
-    return json.dumps({"seq": seq, "hw": image_hw[:2], "prompts": prompts}).encode()
-
-
-def encode_check(number: int, prompts: Sequence[str]) -> bytes:
-    """Can the prompts be looked for?"""
-    return json.dumps({"id": number, "prompts": list(prompts)}).encode()
-
-
-def encode_yes(number: int) -> bytes:
-    """They can."""
-    return json.dumps({"id": number}).encode()
+def encode(**header: object) -> bytes:
+    """A message of nothing but a header."""
+    return json.dumps(header).encode()
 
 
 def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
@@ -71,12 +54,12 @@ def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
     rival = np.zeros(n, np.float32) if found.rival is None else found.rival
     arrays = ((found.xyxy_px, "<f4"), (found.score, "<f4"), (found.class_id, "<i4"), (rival, "<f4"))
     block = b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
-    return json.dumps(header).encode() + END_OF_HEADER + block
+    return encode(**header) + END_OF_HEADER + block
 
 
 def encode_error(error: BaseException, **header: int) -> bytes:
     """An exception as a header; `raise_error` is its counterpart."""
-    return json.dumps({**header, "error": type(error).__name__, "text": str(error)}).encode()
+    return encode(**header, error=type(error).__name__, text=str(error))
 
 
 def decode_header(data: bytes) -> dict[str, Any]:
@@ -117,15 +100,10 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         raise ValueError("scores that are not in 0 to 1")
     if not ((class_id >= 0) & (class_id < len(prompts))).all():
         raise ValueError(f"classes that are not among {len(prompts)} prompts")
-    return Answer(
-        xyxy, score, class_id, rival if header.get("rival") is True else None, tuple(prompts),
-        decode_health(header), invalid,
-    )  # fmt: skip
-
-
-def encode_health(health: Health) -> bytes:
-    """How a detector is that is being made."""
-    return json.dumps({"health": health}).encode()
+    found = Detections(
+        None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None
+    )
+    return Answer(found, decode_health(header), invalid)
 
 
 def decode_health(header: dict[str, Any]) -> Health:

@@ -53,7 +53,7 @@ def main(make: Make = make_detector) -> int:
 
     def progress(health: Health) -> None:  # from any thread, but only until `make` returns
         with speaking:
-            control.send(messages.encode_health(health))
+            control.send(messages.encode(health=health))
 
     try:
         perception = config.Perception.model_validate(told["perception"])
@@ -62,7 +62,7 @@ def main(make: Make = make_detector) -> int:
     except Exception as error:
         control.send(messages.encode_error(error))
         return 1
-    control.send(b"{}")
+    control.send(messages.encode())
     threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
     try:
         answer_images(images, detector, FrameView(frames_fd))
@@ -90,7 +90,7 @@ def check_prompts(control: socket.socket, detector: Detector) -> None:
         request = messages.decode_header(said)
         try:
             detector.set_prompts(request["prompts"])
-            control.send(messages.encode_yes(request["id"]))
+            control.send(messages.encode(id=request["id"]))
         except Exception as error:
             control.send(messages.encode_error(error, id=request["id"]))
 
