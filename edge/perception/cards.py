@@ -145,26 +145,15 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
         ModelError: the file or its hash is missing, they do not belong together, or no session
             should be made of it.
     """
-    path, expected = _file_and_hash(card)
-    if not (believe_cache and trusts_cache() and known_sha256(path) == expected):
-        _compare_hash(card, path, expected, fresh_sha256(path))
-    check_file(path, card)
-    return path
-
-
-def _file_and_hash(card: FileCard) -> tuple[Path, str]:
-    """Where a model is and what it must hash to; raises ModelError for a file that is not there,
-    of another size than it was made, or of an unknown hash."""
     path = card.path
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
-    expected, size = _expected(card, path)
-    if expected is None:
+    if not _has_its_hash(card, path, believe_cache):
         raise ModelError(
             f"{_sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
         )
-    _compare_size(card, path, size)
-    return path, expected
+    check_file(path, card)
+    return path
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
@@ -175,26 +164,26 @@ def verify_file(card: FileCard, path: Path) -> bool:
     """
     if not os.path.isfile(path):
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
-    expected, size = _expected(card, path)
-    if expected is not None:
-        _compare_size(card, path, size)
-        _compare_hash(card, path, expected, fresh_sha256(path))
+    compared = _has_its_hash(card, path)
     check_file(path, card)
-    return expected is not None
+    return compared
 
 
-def _compare_size(card: FileCard, path: Path, size: int | None) -> None:
+def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
+    """False where no hash is known; raises ModelError for a file of another hash or size."""
+    expected, size = _expected(card, path)
+    if expected is None:
+        return False
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than it was made"
         raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
-
-
-def _compare_hash(card: FileCard, path: Path, expected: str, found: str) -> None:
-    if found != expected:
+    believed = believe_cache and trusts_cache() and known_sha256(path) == expected
+    if not believed and fresh_sha256(path) != expected:
         raise ModelError(
             f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
         )
+    return True
 
 
 def how_to_get(card: FileCard) -> str:

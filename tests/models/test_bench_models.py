@@ -463,7 +463,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
     [("cpu", ""), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
 )
 def test_a_worker_tells_which_gpu_it_used(monkeypatch, on, name):
-    monkeypatch.setattr(worker, "gpu_name", lambda device_id: f"GPU {device_id}")
+    monkeypatch.setattr(worker, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
     settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
     assert worker.used_gpu(settings) == name
 

@@ -37,8 +37,7 @@ MIN_FREE_BYTES = 256 << 20
 TELL_EVERY_S = 5.0
 _MANIFEST = "engine.json"
 _MODE = 0o755  # of an engine's folder: that of a temporary one shuts out the cache's other users
-_WAIT_S = 0.5
-_TELL_EVERY = 10
+_FIRST = "this takes minutes the first time"
 
 Shape = tuple[int, ...]
 Key = Mapping[str, object]
@@ -112,26 +111,28 @@ def engine_of(
 
 @contextlib.contextmanager
 def telling(
-    model: str, progress: Tell, every_s: float = TELL_EVERY_S
+    model: str, progress: Tell, first: str = _FIRST, every_s: float = TELL_EVERY_S
 ) -> Iterator[Callable[[str], None]]:
     """Within the block, `progress` hears at once and then every few seconds that an engine is
     built, so that it does not look like a hang.
 
+    Args:
+        first: how far it is at first.
+
     Yields:
         Takes how far it is, told with the next beat; from any thread.
     """
-    over, notes, start_s = threading.Event(), [""], time.monotonic()
+    over, notes, start_s = threading.Event(), [first], time.monotonic()
 
     def tell() -> None:
         while True:
             took_s = time.monotonic() - start_s
-            how_far = notes[-1] or "this takes minutes the first time"
-            progress(Health("building engine", f"{model}: {took_s:.0f} s, {how_far}"))
+            progress(Health("building engine", f"{model}: {took_s:.0f} s, {notes[-1]}"))
             if over.wait(every_s):
                 return
 
     def note(text: str) -> None:
-        notes[:] = [text]
+        notes[:] = [text or first]
 
     thread = threading.Thread(target=tell, name="building", daemon=True)
     thread.start()
@@ -249,15 +250,9 @@ def _locked(path: Path, progress: Tell) -> Iterator[None]:
     except OSError as error:
         raise ModelError(f"{path}: cannot be written ({error.strerror}); remove it") from None
     with file:
-        waits = 0
-        while True:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if waits % _TELL_EVERY == 0:
-                    what = f"another process builds it, waiting for {waits * _WAIT_S:.0f} s"
-                    progress(Health("building engine", f"{path.stem}: {what}"))
-                waits += 1
-                time.sleep(_WAIT_S)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            with telling(path.stem, progress, "another process builds it, waiting"):
+                fcntl.flock(file, fcntl.LOCK_EX)
         yield
