@@ -9,14 +9,16 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import math
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 
-from exporters.cards import ExportCard, cards_folder, load_card, update_parity
+from edge.host import resources
+from edge.perception.card_types import DetectCard
+from edge.perception.text import VOCABULARY_FILE
+from exporters.cards import load_card, update_parity, weights_hashes
 from exporters.files import ExportError, replace_atomically, sha256_of, write_json
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
@@ -34,23 +36,13 @@ from exporters.recipes import recipe_of
 
 TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
-VOCABULARY_FILE = "clip_vitb32_vocab.npz"
-"""In the cache, where the service looks for one that nobody names."""
 
 
-def default_cache() -> Path:
-    """Where the service looks for model files."""
-    if "EDGE_CACHE_DIR" in os.environ:
-        return Path(os.environ["EDGE_CACHE_DIR"]) / "models"
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return root / "edge-vln" / "models"
-
-
-def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | None:
+def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
     """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
     if card.family not in FAMILIES:
         raise ExportError(
-            f"{card.path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
+            f"{card.name}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
         )
     if args.weights is None and card.derived_from is None:
         raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
@@ -62,11 +54,11 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
 
 
 def _export(
-    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
     if card.derived_from is None:
         return _export_fp32(card, args, text)
-    fp32 = load_card(card.derived_from, card.path.parent)
+    fp32 = load_card(card.derived_from, args.cards)
     if args.calibration is None:
         raise ExportError(
             f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
@@ -81,7 +73,7 @@ def _export(
     return _export_derived(card, fp32, args, text)
 
 
-def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
+def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
     """Household words of a vocabulary file, or the COCO names inside the checkpoint."""
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
@@ -89,7 +81,7 @@ def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
         raise ExportError(f"{card.name}: --vocabulary is missing; name an .npz of text embeddings")
     from exporters.yolo_world import coco_prompts
 
-    return coco_prompts(args.weights, card.weights_sha256[0])
+    return coco_prompts(args.weights, weights_hashes(card)[0])
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
@@ -109,17 +101,17 @@ def _validation_images(args: argparse.Namespace) -> list[Path]:
 
 
 def _export_fp32(
-    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
     """Checkpoint → FP32 ONNX, compared with torch where there are images to compare on."""
     from exporters.yolo_world import export_onnx, load_detector
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, card.weights_sha256[0])
+    detector = load_detector(args.weights, weights_hashes(card)[0])
     report = None
     with replace_atomically(out) as made:  # a file that fails its limits never gets its name
-        export_onnx(detector, *card.hw, made)
+        export_onnx(detector, card.input.height, card.input.width, made)
         if validation := _validation_images(args):
             report = measure(args.weights, made, validation, text)
             _conclude(card, args, report, FP32_LIMITS, reference="torch")
@@ -128,7 +120,7 @@ def _export_fp32(
 
 
 def _export_derived(
-    card: ExportCard, fp32: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, fp32: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport:
     """FP32 ONNX → FP16 or INT8, compared with the FP32 on images it was not calibrated on."""
     source, out, recipe = args.cache / fp32.file, args.cache / card.file, recipe_of(card.family)
@@ -148,7 +140,7 @@ def _export_derived(
 
 
 def _conclude(
-    card: ExportCard,
+    card: DetectCard,
     args: argparse.Namespace,
     report: ParityReport,
     limits: Limits,
@@ -159,7 +151,7 @@ def _conclude(
     if not args.no_gate:
         check_limits(report, limits, card.name)
     if args.update_card:
-        update_parity(card.path, card_parity(report, reference))
+        update_parity(args.cards / f"{card.name}.yaml", card_parity(report, reference))
 
 
 def card_parity(report: ParityReport, reference: str) -> dict:
@@ -175,7 +167,7 @@ def card_parity(report: ParityReport, reference: str) -> dict:
 
 
 def _write_sidecar(
-    card: ExportCard,
+    card: DetectCard,
     out: Path,
     report: ParityReport | None,
     reference: str,
@@ -191,7 +183,7 @@ def _write_sidecar(
         "sha256": sha256_of(out),
         "bytes": out.stat().st_size,
         "parity": card_parity(report, reference) if report else None,
-        "weights_sha256": next(iter(card.weights_sha256), None),
+        "weights_sha256": next(iter(weights_hashes(card)), None),
         "calibration_sha256": calibration,
         "tools": {tool: _version(tool) for tool in TOOLS},
     }
@@ -220,13 +212,17 @@ def main(argv: list[str] | None = None) -> int:
         help="folder of other images for the parity; default: every fourth calibration image",
     )
     parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
-    parser.add_argument("--cache", type=Path, default=default_cache(), help="folder for the files")
-    parser.add_argument("--cards", type=Path, help="folder of model cards")
+    parser.add_argument(
+        "--cache", type=Path, default=resources.models_dir(), help="folder for the files"
+    )
+    parser.add_argument(
+        "--cards", type=Path, default=resources.data_dir("models"), help="folder of model cards"
+    )
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
     args = parser.parse_args(argv)
     try:
-        card = load_card(args.card, args.cards or cards_folder())
+        card = load_card(args.card, args.cards)
         report = export_card(card, args)
     except ExportError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import tempfile
@@ -10,7 +9,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.host.files import open_regular
+from edge.perception import model_file, onnx_file
+from edge.perception.model_file import ModelError
+
+OPSET = 19
+"""Opset of the exports: the newest the TorchScript exporter writes without warnings."""
 
 
 class ExportError(Exception):
@@ -19,14 +22,18 @@ class ExportError(Exception):
 
 def sha256_of(path: Path) -> str:
     """Hex digest of a file; raises ExportError if it cannot be read."""
-    digest = hashlib.sha256()
     try:
-        with open_regular(path) as file:
-            for block in iter(lambda: file.read(1 << 20), b""):
-                digest.update(block)
+        return model_file.sha256_of(path)
     except OSError as error:
         raise ExportError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    return digest.hexdigest()
+
+
+def check_format(path: Path) -> None:
+    """Raise ExportError unless every target can load the ONNX file (its IR, its opset, …)."""
+    try:
+        onnx_file.check_format(path, onnx_file.read_onnx(path))
+    except (ModelError, onnx_file.NotOnnx) as error:
+        raise ExportError(str(error)) from None
 
 
 def check_sha256(path: Path, expected: str) -> None:

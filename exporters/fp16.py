@@ -13,8 +13,7 @@ import onnx
 
 from edge.eval.progress_bar import counted
 from exporters.calibration import Feed, float_tensors, tensor_session
-from exporters.files import ExportError, replace_atomically
-from exporters.onnx_format import check_format
+from exporters.files import ExportError, check_format, replace_atomically
 from exporters.recipes import Recipe, nodes_like
 
 SAFE_LIMIT = float(np.finfo(np.float16).max) / 8

@@ -17,13 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from edge.eval.progress_bar import counted
-from exporters.files import ExportError
+from edge.models.bench.boxes import Found, Tally, agree, overlaps
+from exporters.files import ExportError, check_format
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import check_format
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5
-MATCH_IOU = 0.5
 SCORE_BAND = (0.05, 0.3)
 """Scores below the detection threshold that the policy still weighs (VL-Nav eq. 3)."""
 
@@ -53,7 +52,7 @@ class ParityReport:
     Attributes:
         images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
-        recall: share of those that the candidate also has (same class, IoU >= `MATCH_IOU`).
+        recall: share of those that the candidate also has (same class, see `agree`).
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
             reference score lies in `SCORE_BAND`; NaN where there is none.
@@ -80,58 +79,20 @@ class ParityReport:
         return "\n".join(f"  {name:<14}{value:>10}" for name, value in rows)
 
 
-@dataclass(frozen=True)
-class Boxes:
-    """Detections of one image: parallel arrays, best score first.
-
-    Attributes:
-        xyxy_px: (m, 4) float32.
-        score: (m,) float32.
-        class_id: (m,) int64.
-    """
-
-    xyxy_px: np.ndarray
-    score: np.ndarray
-    class_id: np.ndarray
-
-
-def box_iou(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> np.ndarray:
-    """Intersection over union of (m, 4) and (k, 4) boxes, (m, k); 0 where a union is empty."""
-    top_left = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
-    bottom_right = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
-    intersection = np.clip(bottom_right - top_left, 0, None).prod(axis=2)
-    area = lambda xyxy: np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1)  # noqa: E731
-    union = area(a_xyxy)[:, None] + area(b_xyxy)[None] - intersection
-    return np.divide(intersection, union, out=np.zeros_like(union), where=union > 0)
-
-
 def select_boxes(
     xyxy_px: np.ndarray, scores: np.ndarray, threshold: float = SCORE_THRESHOLD
-) -> Boxes:
+) -> Found:
     """Boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
     anchor, class_id = np.nonzero(scores > threshold)
     order = np.argsort(-scores[anchor, class_id], kind="stable")
     anchor, class_id = anchor[order], class_id[order]
     boxes = xyxy_px[anchor]
-    rivals = (box_iou(boxes, boxes) > NMS_IOU) & (class_id[:, None] == class_id[None])
+    rivals = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
     kept = np.ones(len(boxes), bool)
     for row in range(len(boxes)):
         if kept[row]:
             kept[row + 1 :] &= ~rivals[row, row + 1 :]
-    return Boxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
-
-
-def count_matches(reference: Boxes, candidate: Boxes) -> int:
-    """Pairs of one class and IoU >= `MATCH_IOU`, each box used once, best candidate first."""
-    iou = box_iou(candidate.xyxy_px, reference.xyxy_px)
-    iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
-    matches = 0
-    for row in range(len(iou)):
-        column = int(iou[row].argmax()) if iou.shape[1] else 0
-        if iou.shape[1] and iou[row, column] >= MATCH_IOU:
-            iou[:, column] = 0.0
-            matches += 1
-    return matches
+    return Found(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
 
 
 def compare(
@@ -142,7 +103,7 @@ def compare(
     Raises:
         ExportError: a model gives values that are not finite, with which nothing compares.
     """
-    count = matched = wanted = found = 0
+    count, tally = 0, Tally()
     errors: list[np.ndarray] = []
     worst = 0.0
     for image in images:
@@ -150,18 +111,16 @@ def compare(
         ref_boxes, ref_scores = _finite("reference", reference(image, txt_feats), count)
         cand_boxes, cand_scores = _finite("candidate", candidate(image, txt_feats), count)
         ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
-        matched += count_matches(ref, cand)
-        wanted += len(ref.score)
-        found += len(cand.score)
+        tally += agree(ref, cand)
         band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
         errors.append((cand_scores[band] - ref_scores[band]) / ref_scores[band])
         worst = max(worst, float(np.abs(cand_scores - ref_scores).max(initial=0.0)))
     error = np.concatenate(errors) if errors else np.empty(0)
     return ParityReport(
         images=count,
-        detections=wanted,
-        recall=matched / wanted if wanted else 1.0,
-        precision=matched / found if found else 1.0,
+        detections=tally.wanted,
+        recall=1.0 if tally.recall is None else tally.recall,
+        precision=1.0 if tally.precision is None else tally.precision,
         score_error=float(np.abs(error).mean()) if error.size else float("nan"),
         score_bias=float(error.mean()) if error.size else float("nan"),
         max_abs_diff=worst,

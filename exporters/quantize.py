@@ -31,10 +31,9 @@ from exporters.calibration import (
     least_loss_range,
     silu,
 )
-from exporters.files import ExportError, replace_atomically
+from exporters.files import ExportError, check_format, replace_atomically
 from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import check_format
 from exporters.recipes import RECIPES, Recipe, nodes_like, recipe_of
 from exporters.rounding import round_weights
 

@@ -25,9 +25,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from exporters.files import ExportError, check_sha256, replace_atomically
+from exporters.files import OPSET, ExportError, check_format, check_sha256, replace_atomically
 from exporters.images import TextEmbeddings, list_images
-from exporters.onnx_format import OPSET, check_format
 
 INPUTS = ("images", "txt_feats")
 """`images` (1, 3, H, W) float32 RGB 0..1, letterboxed; `txt_feats` (1, n, 512), unit rows."""

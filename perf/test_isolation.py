@@ -9,7 +9,7 @@ import pytest
 
 from edge import config
 from edge.perception.cards import ModelError
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.text import PromptError
 from edge.perception.warmup import warmup
 from edge.types import Observation

@@ -11,7 +11,7 @@ from edge import config
 from edge.geometry import CameraModel, camera_mount
 from edge.perception import kernels
 from edge.perception.cards import ModelError
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.text import PromptError

@@ -12,7 +12,7 @@ from edge.loop.advice import make_advisers
 from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.inline import InlineWorker
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain

@@ -376,7 +376,8 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
     """The text encoder of the configured detector knows the mission's targets, and perhaps what
     else they compete with."""
     from edge.perception.cards import load_detector_card
-    from edge.perception.text import TextEmbeddings, TextEncoder, make_text_encoder, words_for
+    from edge.perception.encoders import make_text_encoder
+    from edge.perception.text import TextEmbeddings, TextEncoder, words_for
 
     detector = config.perception.detector
     encoder: TextEncoder

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any
+from typing import Any, get_origin
 
 from pydantic import BaseModel
 
@@ -20,7 +20,7 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     """
     *sections, leaf = fault["loc"] or ("",)
     shown, models = _walk(sections, root)
-    key = one_line(".".join([*shown, str(leaf)]))
+    key = one_line(".".join([*shown, str(leaf)])) or "it"
     kind, context = fault["type"], fault.get("ctx", {})
     given = without_secrets(fault.get("input"))
     if kind == "union_tag_invalid":
@@ -50,9 +50,10 @@ def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> 
         models: that have the key.
     """
     kinds = [m.model_fields["kind"].default for m in _walk(list(loc), root)[1] if _is_kind(m)]
-    if not kinds:
+    field = models[0].model_fields.get(str(loc[-1])) if models else None
+    if not kinds or (field is not None and get_origin(field.annotation) is tuple):
         return ": missing"
-    advice = models[0].model_fields[str(loc[-1])].description
+    advice = field.description if field is not None else None
     return f".kind: missing (choices: {', '.join(kinds)}){': ' + advice if advice else ''}"
 
 
@@ -63,17 +64,20 @@ def _is_kind(model: type[BaseModel]) -> bool:
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:
     """The sections as the user wrote them, and the models of the last.
 
-    pydantic puts a union's kind behind its key (`policy`, `hvl`); no file has it there.
+    pydantic puts a union's kind behind its key (`policy`, `hvl`); no file has it there. A place in
+    a list is shown, and is of its models.
     """
     shown: list[str] = []
     models: list[Any] = [root]
     for part in map(str, sections):
-        if len(models) > 1:
+        if part.isdigit():
+            shown.append(part)
+        elif len(models) > 1:
             models = [m for m in models if m.model_fields["kind"].default == part]
-            continue
-        shown.append(part)
-        fields = models[0].model_fields if models else {}
-        models = _models_in(fields[part].annotation) if part in fields else []
+        else:
+            shown.append(part)
+            fields = models[0].model_fields if models else {}
+            models = _models_in(fields[part].annotation) if part in fields else []
     return shown, models
 
 

@@ -98,7 +98,7 @@ def run_bench(
         with player(config, recording, loop=True) as process:
             look = _stopwatch(running.source.counters, process, seconds, stop)
             swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
-            each = look if swapping is None else lambda: (look(), swapping.look())
+            each = look if swapping is None else lambda: (look(), swapping.beat())
             loop(running, stop, each=each)
         swap_figures = None if swapping is None else swapping.figures()
         report = running.service.latency.report()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from edge.errors import UserError
@@ -17,32 +16,24 @@ if TYPE_CHECKING:
     from edge.loop.runner import Running
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """Some seconds of the loop.
-
-    Attributes:
-        ticks: observations that the loop took.
-        lost: ticks that the loop came too late for: whole periods between two of its beats.
-        let_go: observations that a newer one displaced before a tick took them.
-        longest_ms: between two beats of the loop.
-        p50_ms, p99_ms, max_ms: of the ticks.
-        images: that a model detected in.
-    """
-
-    seconds: float
-    ticks: int
-    lost: int
-    let_go: int
-    longest_ms: float
-    p50_ms: float
-    p99_ms: float
-    max_ms: float
-    images: int
+_ROWS = {
+    "seconds": ("seconds", ".1f"),
+    "ticks": ("ticks", "d"),
+    "lost": ("ticks lost", "d"),
+    "let_go": ("observations let go", "d"),
+    "images": ("images detected in", "d"),
+    "p50_ms": ("tick p50 ms", ".2f"),
+    "p99_ms": ("tick p99 ms", ".2f"),
+    "max_ms": ("tick max ms", ".2f"),
+    "longest_ms": ("longest beat ms", ".1f"),
+}
+"""Figures of a stretch of the loop → what the table calls them, and their form. `lost` are ticks
+that the loop came too late for: whole periods between two of its beats; `let_go` are observations
+that a newer one displaced before a tick took them."""
 
 
 class SwapBench:
-    """Asks for the swap halfway and follows it; `look` is to be called after every beat."""
+    """Asks for the swap halfway and follows it; `beat` is to be called after every beat."""
 
     def __init__(self, running: Running, model: str, seconds: float) -> None:
         from edge.perception.cards import load_detector_card
@@ -54,12 +45,12 @@ class SwapBench:
         self._first_ns = self._last_ns = self._since_ns = 0
         self._longest_ns = self._lost = 0
         self._at: tuple[int, int, int] = (0, 0, 0)
-        self._before: Stretch | None = None
-        self._during: Stretch | None = None
+        self._before: dict[str, Any] = {}
+        self._during: dict[str, Any] = {}
 
-    def look(self) -> None:
+    def beat(self) -> None:
         """Note when this beat ended; begin the swap, or note its end."""
-        if self._during is not None or not self._running.source.counters["observations"]:
+        if self._during or not self._running.source.counters["observations"]:
             return
         now_ns = time.monotonic_ns()
         if not self._first_ns:
@@ -69,7 +60,7 @@ class SwapBench:
         self._longest_ns = max(self._longest_ns, gap_ns)
         self._lost += max(0, gap_ns // self._period_ns - 1)
         swapper = self._running.service.swapper
-        if self._before is None:
+        if not self._before:
             if now_ns - self._first_ns >= self._half_s * 1e9:
                 self._before = self._end(now_ns)
                 self._begin(now_ns)
@@ -80,45 +71,33 @@ class SwapBench:
     def figures(self) -> dict[str, Any]:
         """The swap's outcome and both stretches, JSON-ready; UserError if it did not end."""
         swap = self._running.service.swapper.status()
-        if self._before is None or self._during is None:
+        if not self._during:
             raise UserError(
                 f"bench: the swap to {self._model} is {swap['state']} at the end: "
                 "give it more --seconds"
             )
-        return {**swap, "before": asdict(self._before), "during": asdict(self._during)}
+        return {**swap, "before": self._before, "during": self._during}
 
     def _begin(self, now_ns: int) -> None:
         self._since_ns, self._at = now_ns, self._counts()
         self._longest_ns = self._lost = 0
 
-    def _end(self, now_ns: int) -> Stretch:
+    def _end(self, now_ns: int) -> dict[str, Any]:
         ticks, let_go, images = (
             now - was for now, was in zip(self._counts(), self._at, strict=True)
         )
         tick = self._running.service.latency.report(last=ticks).tick
-        return Stretch(
-            (now_ns - self._since_ns) * 1e-9, ticks, self._lost, let_go, self._longest_ns * 1e-6,
-            tick.p50_ms, tick.p99_ms, tick.max_ms, images,
-        )  # fmt: skip
+        return {
+            "seconds": (now_ns - self._since_ns) * 1e-9, "ticks": ticks, "lost": self._lost,
+            "let_go": let_go, "longest_ms": self._longest_ns * 1e-6, "p50_ms": tick.p50_ms,
+            "p99_ms": tick.p99_ms, "max_ms": tick.max_ms, "images": images,
+        }  # fmt: skip
 
     def _counts(self) -> tuple[int, int, int]:
         counters: Mapping[str, int] = self._running.source.counters
         return (
             counters["observations"], counters["superseded"], self._running.worker.stats.done
         )  # fmt: skip
-
-
-_ROWS: tuple[tuple[str, str, str], ...] = (
-    ("seconds", "seconds", ".1f"),
-    ("ticks", "ticks", "d"),
-    ("ticks lost", "lost", "d"),
-    ("observations let go", "let_go", "d"),
-    ("images detected in", "images", "d"),
-    ("tick p50 ms", "p50_ms", ".2f"),
-    ("tick p99 ms", "p99_ms", ".2f"),
-    ("tick max ms", "max_ms", ".2f"),
-    ("longest beat ms", "longest_ms", ".1f"),
-)
 
 
 def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
@@ -136,7 +115,7 @@ def table(figures: Mapping[str, Any]) -> str:
         f"{figures['state']}: {figures['detail']}",
         f"{'':22}{'before':>12}{'during':>12}",
     ]
-    for name, key, form in _ROWS:
+    for key, (name, form) in _ROWS.items():
         cells = (f"{format(figures[part][key], form):>12}" for part in ("before", "during"))
         lines.append(f"{name:22}{''.join(cells)}")
     return "\n".join(lines)

@@ -11,7 +11,7 @@ import numpy as np
 from edge.config import ChoiceNone, Config
 from edge.geometry import SE2
 from edge.loop.candidates import FRONTIER, CandidatePool
-from edge.perception.choice.marks import visible_marks
+from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import Choice, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice
 from edge.perception.instances import InstanceTracker

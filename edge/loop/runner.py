@@ -32,7 +32,8 @@ from edge.loop.warmup import warm_up
 from edge.mission.brief import prepare
 from edge.mission.keeper import Keeper
 from edge.perception.cards import ModelError
-from edge.perception.detector import Detector, make_detector
+from edge.perception.detector import Detector
+from edge.perception.factory import make_detector
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.sinks import Sink

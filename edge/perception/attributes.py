@@ -18,8 +18,8 @@ import numpy as np
 from edge import names
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import TextCard
-from edge.perception.cards import ModelError, loading
-from edge.perception.text import PromptError
+from edge.perception.cards import ModelError, verify_model
+from edge.perception.text import PromptError, check_prompts, run_encoder
 
 log = logging.getLogger(__name__)
 
@@ -201,8 +201,8 @@ class AttributeEncoder:
         """
         self.card = card
         self.dim = card.dim
-        with loading(card) as path:
-            self._session = open_session(path, CPU, threads=1)
+        path = verify_model(card, believe_cache=True)
+        self._session = open_session(path, CPU, threads=1)
         metadata = self._session.get_modelmeta().custom_metadata_map
         try:
             self.vocabulary = Vocabulary.from_json(metadata["vocabulary"])
@@ -214,12 +214,9 @@ class AttributeEncoder:
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """One unit row per prompt; see `TextEncoder.embed`."""
-        if not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
-        tokens = np.array([self._tokens(self._read(prompt)) for prompt in prompts], np.int64)
-        (rows,) = self._session.run(["embeddings"], {"tokens": tokens})
-        if rows.shape != (len(prompts), self.dim) or not np.isfinite(rows).all():
-            raise ModelError(f"{self.card.file}: embeddings {rows.shape} or not finite")
+        phrases = [self._read(prompt) for prompt in check_prompts(prompts)]
+        tokens = np.array([self._tokens(phrase) for phrase in phrases], np.int64)
+        rows = run_encoder(self._session, self.card.file, "tokens", tokens, self.dim)
         return np.ascontiguousarray(rows)[None]
 
     def resolve(self, prompt: str) -> str:

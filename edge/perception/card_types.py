@@ -34,7 +34,7 @@ class _Source(_Part):
 class SourceUrl(_Source):
     """A file on a server."""
 
-    kind: Literal["url"]
+    kind: Literal["url"] = "url"
     url: Annotated[str, Field(pattern=r"^https?://")]
 
     @field_validator("url")
@@ -47,7 +47,7 @@ class SourceUrl(_Source):
 class SourceWheel(_Source):
     """A file inside a wheel of the package index: `package` as `name==version`."""
 
-    kind: Literal["wheel"]
+    kind: Literal["wheel"] = "wheel"
     package: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+==[A-Za-z0-9.+!_-]+$")]
     member: str
 
@@ -55,7 +55,7 @@ class SourceWheel(_Source):
 class SourcePath(_Source):
     """A file on this machine, or a folder that has it."""
 
-    kind: Literal["path"]
+    kind: Literal["path"] = "path"
     path: str
 
 
@@ -89,7 +89,7 @@ class Normalise(_Part):
 class ClipTokenizer(_Part):
     """Byte-pair encoding from a file that lies beside the ONNX."""
 
-    kind: Literal["clip"]
+    kind: Literal["clip"] = "clip"
     file: FileName
     sha256: Sha256 | None
     context: Positive = 77
@@ -98,7 +98,7 @@ class ClipTokenizer(_Part):
 class AttributesTokenizer(_Part):
     """Category, colour and size by the vocabulary in the ONNX file's metadata."""
 
-    kind: Literal["attributes"]
+    kind: Literal["attributes"] = "attributes"
 
 
 class Parity(_Part):

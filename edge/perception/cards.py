@@ -6,17 +6,15 @@ has too means the package's card.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ValidationError
 
+from edge.config.explain import explain
 from edge.config.yaml_text import parse_yaml
 from edge.host import resources
 from edge.host.files import read_regular
@@ -30,21 +28,20 @@ from edge.perception.card_types import (
     SimilarityCard,
     TextCard,
 )
-from edge.perception.interface import check_file
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
+from edge.perception.onnx_file import check_file
 from edge.text import one_line
 
 log = logging.getLogger(__name__)
 
 C = TypeVar("C", bound=BaseCard)
 
-_BY_TASK: dict[str, type[BaseCard]] = {
+_BY_TASK: dict[str, type[Card]] = {
     "detect": DetectCard,
     "text": TextCard,
     "image": ImageCard,
     "similarity": SimilarityCard,
 }
-_ANY: TypeAdapter[Card] = TypeAdapter(Annotated[Card, Field(discriminator="task")])
 
 
 def card_names() -> list[str]:
@@ -89,25 +86,12 @@ def load_card(name: str) -> Card:
 
 def load_detector_card(name: str) -> DetectCard:
     """See `load_card`; raises ModelError for a card of another task too."""
-    return _of_task(load_card(name), DetectCard)
+    return load_card_of(DetectCard, name)
 
 
-def load_text_card(name: str) -> TextCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), TextCard)
-
-
-def load_image_card(name: str) -> ImageCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), ImageCard)
-
-
-def load_similarity_card(name: str) -> SimilarityCard:
-    """See `load_detector_card`."""
-    return _of_task(load_card(name), SimilarityCard)
-
-
-def _of_task(card: Card, kind: type[C]) -> C:
+def load_card_of(kind: type[C], name: str) -> C:
+    """See `load_detector_card`, for any kind."""
+    card = load_card(name)
     if isinstance(card, kind):
         return card
     wanted = next(task for task, other in _BY_TASK.items() if other is kind)
@@ -133,101 +117,43 @@ def read_card(path: Path) -> Card:
         raise ModelError(f"{path}: cannot be read: {one_line(error)}") from None
     if not isinstance(data, dict):
         raise ModelError(f"{path}: expected keys such as name, task, file")
+    task = data.get("task")
+    if not isinstance(task, str) or task not in _BY_TASK:
+        what = f"unknown {task!r:.80}" if task else "missing"
+        raise ModelError(f"{path}: task: {what} (choices: {', '.join(_BY_TASK)})")
     try:
-        card = _ANY.validate_python(data)
+        card = _BY_TASK[task].model_validate(data)
     except ValidationError as error:
-        raise ModelError("\n".join(_explain(path, fault) for fault in error.errors())) from None
+        faults = (explain(fault, str(path), _BY_TASK[task]) for fault in error.errors())
+        raise ModelError("\n".join(faults)) from None
     if card.name != path.stem:
         raise ModelError(f"{path}: name: {card.name!r}, must be the file's name {path.stem!r}")
     return card
 
 
-def _explain(path: Path, fault: Any) -> str:
-    """One line for one fault; pydantic puts tasks and kinds into the key, no file has them."""
-    kind, context = fault["type"], fault.get("ctx", {})
-    task, *keys = fault["loc"] or ("",)
-    tagged = [isinstance(before, int) or before == "tokenizer" for before in ("", *keys)]
-    key = one_line(".".join(str(part) for part, tag in zip(keys, tagged, strict=False) if not tag))
-    if kind == "union_tag_not_found":
-        return f"{path}: {'.'.join([key, 'kind']) if keys else 'task'}: missing"
-    if kind == "union_tag_invalid":
-        choices = context["expected_tags"].replace("'", "")
-        field = f"{key}.kind" if keys else "task"
-        return f"{path}: {field}: unknown {context['tag']!r:.80} (choices: {choices})"
-    if kind == "missing":
-        return f"{path}: {key}: missing"
-    if kind == "extra_forbidden":
-        card = _BY_TASK.get(str(task))
-        choices = f" (choices: {', '.join(sorted(card.model_fields))})" if len(keys) == 1 else ""
-        return f"{path}: {key}: unknown key{choices}"
-    message = fault["msg"].removeprefix("Value error, ")
-    got = "" if isinstance(fault.get("input"), dict) else f", got {fault.get('input')!r:.80}"
-    return f"{path}: {key or task}: {message[0].lower()}{message[1:]}{got}"
-
-
-def verify_model(card: FileCard) -> Path:
+def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     """The model's file, sound as far as can be seen without running it.
 
     Its hash is the card's, and it is an ONNX model with the card's inputs and outputs; see
-    `edge.perception.interface`.
+    `edge.perception.onnx_file`.
+
+    Args:
+        believe_cache: where `$EDGE_TRUST_CACHE` is set, a file that was sound when it was last
+            looked at, and has not been written since, is not hashed.
 
     Raises:
         ModelError: the file or its hash is missing, they do not belong together, or no session
             should be made of it.
     """
-    path, expected = _file_and_hash(card)
-    _compare_hash(card, path, expected, fresh_sha256(path))
-    check_file(path, card)
-    return path
-
-
-@contextlib.contextmanager
-def loading(card: FileCard) -> Iterator[Path]:
-    """`verify_model` for whoever loads the model within the block.
-
-    A file that was sound when it was last looked at, and has not been written since, is hashed
-    meanwhile, on a thread, and the block ends when that is done. With `$EDGE_TRUST_CACHE` it is
-    not hashed at all.
-
-    Raises:
-        ModelError: as `verify_model`, before the block or at its end; a file that is damaged is
-            also why the block itself failed.
-    """
-    path, expected = _file_and_hash(card)
-    was_sound = known_sha256(path) == expected
-    if not was_sound:
-        _compare_hash(card, path, expected, fresh_sha256(path))
-    again = was_sound and not trusts_cache()
-    with _hashing(card, path, expected) if again else contextlib.nullcontext():
-        check_file(path, card)
-        yield path
-
-
-@contextlib.contextmanager
-def _hashing(card: FileCard, path: Path, expected: str) -> Iterator[None]:
-    with ThreadPoolExecutor(1, "sha256") as pool:
-        found = pool.submit(fresh_sha256, path)
-        try:
-            yield
-        except ModelError:
-            _compare_hash(card, path, expected, found.result())
-            raise
-        _compare_hash(card, path, expected, found.result())
-
-
-def _file_and_hash(card: FileCard) -> tuple[Path, str]:
-    """Where a model is and what it must hash to; raises ModelError for a file that is not there,
-    of another size than it was made, or of an unknown hash."""
     path = card.path
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
-    expected, size = _expected(card, path)
-    if expected is None:
+    if not _has_its_hash(card, path, believe_cache):
         raise ModelError(
             f"{_sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
         )
-    _compare_size(card, path, size)
-    return path, expected
+    check_file(path, card)
+    return path
 
 
 def verify_file(card: FileCard, path: Path) -> bool:
@@ -238,26 +164,26 @@ def verify_file(card: FileCard, path: Path) -> bool:
     """
     if not os.path.isfile(path):
         raise ModelError(f"{path}: no such file; name an ONNX file of {card.name}")
-    expected, size = _expected(card, path)
-    if expected is not None:
-        _compare_size(card, path, size)
-        _compare_hash(card, path, expected, fresh_sha256(path))
+    compared = _has_its_hash(card, path)
     check_file(path, card)
-    return expected is not None
+    return compared
 
 
-def _compare_size(card: FileCard, path: Path, size: int | None) -> None:
+def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
+    """False where no hash is known; raises ModelError for a file of another hash or size."""
+    expected, size = _expected(card, path)
+    if expected is None:
+        return False
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than it was made"
         raise ModelError(f"{path}: {what}: {found} of {size} bytes; {how_to_get(card)}")
-
-
-def _compare_hash(card: FileCard, path: Path, expected: str, found: str) -> None:
-    if found != expected:
+    believed = believe_cache and trusts_cache() and known_sha256(path) == expected
+    if not believed and fresh_sha256(path) != expected:
         raise ModelError(
             f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
         )
+    return True
 
 
 def how_to_get(card: FileCard) -> str:

@@ -16,12 +16,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from edge import names
-from edge.perception.backends.runtime import EngineOptions, open_session
+from edge.perception.backends.engines import EngineOptions
+from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
-from edge.perception.cards import ModelError, loading
+from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import fresh_sha256
-from edge.perception.text import PromptError
+from edge.perception.text import PromptError, check_prompts, run_encoder, tidy
 from edge.text import one_line
 
 CPU = ("CPUExecutionProvider",)
@@ -43,16 +43,14 @@ class ClipTextEncoder:
         self.card = card
         self.dim = card.dim
         self._context = card.tokenizer.context
-        with loading(card) as path:
-            self._tokenizer = _open_tokenizer(card)
-            self._session = open_session(path, CPU, threads=1)
+        path = verify_model(card, believe_cache=True)
+        self._tokenizer = _open_tokenizer(card)
+        self._session = open_session(path, CPU, threads=1)
         self._rows: dict[str, np.ndarray] = {}
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.embed`."""
-        if not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
-        return self.encode([self.resolve(prompt) for prompt in prompts])[None]
+        return self.encode([self.resolve(prompt) for prompt in check_prompts(prompts)])[None]
 
     def encode(self, texts: Sequence[str]) -> np.ndarray:
         """One unit row per text, whatever it says.
@@ -78,15 +76,11 @@ class ClipTextEncoder:
                     f"{self._context}: say it shorter"
                 )
             row[: len(ids)] = ids
-        rows = _run(self._session, self.card.file, "tokens", tokens)
-        return _unit_rows(rows, (len(texts), self.dim), self.card.file)
+        return _unit_rows(self._session, self.card, "tokens", tokens)
 
     def resolve(self, prompt: str) -> str:
         """The prompt itself, tidied; see `TextEncoder.resolve`."""
-        try:
-            return names.normalise(prompt)
-        except names.NotANameError as error:
-            raise PromptError(f"prompt: {error}, such as 'chair'") from None
+        return tidy(prompt)
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""
@@ -116,8 +110,8 @@ class ClipImageEncoder:
         """
         self.card = card
         self.dim = card.dim
-        with loading(card) as path:
-            self._session = open_session(path, providers, threads, device_id, engine)
+        path = verify_model(card, believe_cache=True)
+        self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
         """
@@ -134,8 +128,7 @@ class ClipImageEncoder:
         planes = fit(rgb, self.card.input.height, self.card.input.width).astype(np.float32)
         pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
         pixels = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
-        rows = _run(self._session, self.card.file, "pixels", pixels)
-        return _unit_rows(rows, (1, self.dim), self.card.file)[0]
+        return _unit_rows(self._session, self.card, "pixels", pixels)[0]
 
 
 def fit(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -176,17 +169,9 @@ def _open_tokenizer(card: TextCard) -> Any:
     return tokenizer
 
 
-def _run(session: Any, file: str, name: str, array: np.ndarray) -> np.ndarray:
-    try:
-        return session.run(["embeddings"], {name: array})[0]
-    except Exception as error:  # onnxruntime raises many types of its own
-        raise ModelError(f"{file}: it fails: {one_line(error)}") from None
-
-
-def _unit_rows(rows: np.ndarray, shape: tuple[int, int], file: str) -> np.ndarray:
+def _unit_rows(
+    session: Any, card: TextCard | ImageCard, name: str, batch: np.ndarray
+) -> np.ndarray:
+    rows = run_encoder(session, card.file, name, batch, card.dim)
     norms = np.linalg.norm(rows, axis=-1, keepdims=True)
-    if rows.shape != shape or not np.isfinite(norms).all() or not (norms > 0.0).all():
-        raise ModelError(
-            f"{file}: embeddings of shape {rows.shape}, or not finite; they must be {shape}"
-        )
     return np.ascontiguousarray(rows / norms, dtype=np.float32)

@@ -1,15 +1,13 @@
-"""What a detector is, and the registry of those there are."""
+"""What a detector is, and how it says how it is; nothing here knows which there are."""
 
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from edge import config
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -28,7 +26,7 @@ class Health(NamedTuple):
     detail: str = ""
 
 
-Progress = Callable[[Health], None]
+Tell = Callable[[Health], None]
 """Told every few seconds how a detector is that is still being made; from any thread."""
 
 
@@ -73,46 +71,6 @@ class Detector(Protocol):
 def log_progress(health: Health) -> None:
     """A line in the log."""
     log.info("%s: %s", health.state, health.detail)
-
-
-def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str], progress: Progress) -> Detector:
-    from edge.perception.onnx_detector import OnnxDetector
-
-    return OnnxDetector(detector, prompts, progress)
-
-
-def _sim(detector: config.DetectorSim, prompts: Sequence[str], progress: Progress) -> Detector:
-    from edge.perception.sim_detector import SimDetector
-
-    return SimDetector(detector, prompts)
-
-
-REGISTRY = {"onnx": _onnx, "sim": _sim}
-
-
-def make_detector(
-    perception: config.Perception,
-    prompts: Sequence[str],
-    progress: Progress = log_progress,
-    *,
-    cancelled: threading.Event | None = None,
-) -> Detector:
-    """The detector that the configuration names, ready to use.
-
-    Args:
-        progress: told every few seconds while a TensorRT engine is built, which takes minutes.
-        cancelled: once set, a model's process that is not ready yet is ended, which is a
-            ModelError; without isolation the model is loaded to its end.
-
-    Raises:
-        PromptError: see `Detector.set_prompts`.
-        ModelError: the model cannot be loaded, or not with the providers asked for.
-    """
-    if perception.isolation == "process":
-        from edge.perception.process.detector import ProcessDetector
-
-        return ProcessDetector(perception, prompts, progress, cancelled)
-    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
 
 
 def check_rgb(observation: Observation) -> np.ndarray:

@@ -98,8 +98,8 @@ class Lifter:
                 log.warning("observation %d: %s; boxes cannot be lifted (further ones are only "
                             "counted)", seen.seq, missing)  # fmt: skip
             return out
-        camera, cell_px = self._prepare(seen)
-        by_cloud = cell_px > 0
+        camera, by_cloud = seen.camera, self.config.lift == "cloud"
+        cell_px = self._project(seen, camera) if by_cloud else 0
         kernels.lift_boxes(
             by_cloud, _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
             float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
@@ -126,13 +126,8 @@ class Lifter:
             )
         return ""
 
-    def _prepare(self, seen: Observation) -> tuple[CameraModel, int]:
-        """The camera, and the raster's cell in pixels (0: depth is used)."""
-        if self.config.lift == "depth":
-            return seen.camera, 0
-        return seen.camera, self._project(seen, seen.camera)
-
     def _project(self, seen: Observation, camera: CameraModel) -> int:
+        """The cloud into the raster; the raster's cell in pixels."""
         cell_px = max(1, -(-camera.width_px // _RASTER_COLUMNS))
         shape = (-(-camera.height_px // cell_px), -(-camera.width_px // cell_px))
         if self._raster.shape != shape:

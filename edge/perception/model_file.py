@@ -1,8 +1,7 @@
 """Model files on the disk: their hashes, and what goes wrong with them.
 
 A hash is computed anew at every start, since a disk may rot under an unchanged time of change. It
-is remembered too, in the cache, by path, size and time of change: a file that was sound when it was
-last looked at may be loaded while its hash is computed again, and `$EDGE_TRUST_CACHE` takes the
+is remembered too, in the cache, by path, size and time of change: `$EDGE_TRUST_CACHE` takes the
 memory's word for it.
 """
 

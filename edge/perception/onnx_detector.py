@@ -14,9 +14,9 @@ from edge import config, names
 from edge.host import resources
 from edge.perception import kernels
 from edge.perception.backends.binding import Bound, bind
+from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import (
     TENSORRT_PROVIDERS,
-    EngineOptions,
     failing_as,
     open_session,
 )
@@ -26,10 +26,11 @@ from edge.perception.cards import (
     ModelError,
     expected_sha256,
     load_detector_card,
-    loading,
+    verify_model,
 )
-from edge.perception.detector import Health, Progress, check_rgb, log_progress
-from edge.perception.text import PromptError, make_text_encoder, words_for
+from edge.perception.detector import Health, Tell, check_rgb, log_progress
+from edge.perception.encoders import make_text_encoder
+from edge.perception.text import PromptError, check_prompts, words_for
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -41,7 +42,9 @@ USUAL_COLUMNS, MAX_COLUMNS = 16, 256
 
 
 def engine_options(
-    card: DetectCard | ImageCard, detector: config.DetectorOnnx, progress: Progress = log_progress
+    card: DetectCard | ImageCard,
+    detector: config.DetectorOnnx,
+    progress: Tell = log_progress,
 ) -> EngineOptions:
     """What TensorRT is told of a model; only a detector's number of prompts may change."""
     shapes = {}
@@ -95,7 +98,7 @@ class OnnxDetector:
         self,
         detector: config.DetectorOnnx,
         prompts: Sequence[str],
-        progress: Progress = log_progress,
+        progress: Tell = log_progress,
     ) -> None:
         """
         Args:
@@ -116,15 +119,14 @@ class OnnxDetector:
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
-        with loading(self.card) as path:
-            self._session = open_session(
-                path,
-                detector.providers,
-                detector.threads,
-                detector.device_id,
-                engine_options(self.card, detector, progress),
-            )
-            self._anchors = self._count_anchors()
+        self._session = open_session(
+            verify_model(self.card, believe_cache=True),
+            detector.providers,
+            detector.threads,
+            detector.device_id,
+            engine_options(self.card, detector, progress),
+        )
+        self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
         self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)
@@ -138,15 +140,11 @@ class OnnxDetector:
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
-        if isinstance(prompts, str):
-            raise PromptError(f"prompts must be a list of words, got {prompts!r}")
         with failing_as(f"model {self.name}: it cannot be given the prompts"):
-            self._asked = self._ask(tuple(prompts))
+            self._asked = self._ask(check_prompts(prompts))
 
     def _ask(self, prompts: tuple[str, ...]) -> _Asked:
         """Encode prompts and bind buffers for them, which may take memory of a GPU."""
-        if not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
         contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
         others = dict.fromkeys((*self._background, *contrasts))
         columns = [*prompts, *(other for other in others if other not in prompts)]
@@ -166,10 +164,10 @@ class OnnxDetector:
             {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
             live=("images",),
         )
-        places = self._anchors * len(prompts)
+        most = self._anchors * len(prompts)
         return _Asked(
-            prompts, text, competes, np.empty(places, np.int32),
-            np.empty(places, np.int32), np.empty(places, np.float32), bound,
+            prompts, text, competes, np.empty(most, np.int32),
+            np.empty(most, np.int32), np.empty(most, np.float32), bound,
         )  # fmt: skip
 
     def _known_background(self) -> tuple[str, ...]:

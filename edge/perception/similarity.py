@@ -8,11 +8,12 @@ from typing import Protocol
 import numpy as np
 
 from edge.config import DetectorOnnx, Perception
-from edge.perception.card_types import SimilarityCard
-from edge.perception.cards import ModelError, load_image_card, load_similarity_card, load_text_card
+from edge.perception.card_types import ImageCard, SimilarityCard, TextCard
+from edge.perception.cards import ModelError, load_card_of
 from edge.perception.clip import CPU, ClipImageEncoder, ClipTextEncoder
+from edge.perception.encoders import open_text_encoder
 from edge.perception.onnx_detector import OnnxDetector, engine_options
-from edge.perception.text import TextEncoder, open_text_encoder
+from edge.perception.text import TextEncoder
 from edge.types import Detections
 
 THREADS = 2
@@ -154,10 +155,10 @@ def make_similarity(
         return DetectorSimilarity(card.name, OnnxDetector(own, prompts))
     assert card.image_encoder is not None
     assert card.text_encoder is not None
-    text = load_text_card(card.text_encoder)
+    text = load_card_of(TextCard, card.text_encoder)
     vocabulary = running.vocabulary if running is not None else None
     settings = running or DetectorOnnx(providers=CPU, threads=THREADS)
-    image_card = load_image_card(card.image_encoder)
+    image_card = load_card_of(ImageCard, card.image_encoder)
     image = ClipImageEncoder(
         image_card,
         settings.providers,
@@ -179,6 +180,6 @@ def similarity_card(perception: Perception) -> SimilarityCard | None:
     if perception.similarity is None:
         return None
     try:
-        return load_similarity_card(perception.similarity)
+        return load_card_of(SimilarityCard, perception.similarity)
     except ModelError as error:
         raise ModelError(f"perception.similarity: {error}") from None

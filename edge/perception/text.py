@@ -1,8 +1,9 @@
-"""Prompt words → text embeddings: what an encoder is, which one is taken, and the vocabulary.
+"""Prompt words → text embeddings: what an encoder is, and the vocabulary.
 
 A vocabulary file holds embeddings of single words that were made beforehand. With a CLIP text
 model (`edge.perception.clip` says what its ONNX file and its card must be like) whole phrases are
-understood; a small detector of our own brings an encoder along.
+understood; a small detector of our own brings an encoder along (`edge.perception.attributes`).
+`edge.perception.encoders` says which is taken.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,17 +24,14 @@ from edge import names
 from edge.errors import UserError
 from edge.host import resources
 from edge.host.files import open_regular
-from edge.perception.card_types import DetectCard, TextCard
-from edge.perception.cards import ModelError, card_names, load_card, load_text_card
+from edge.perception.backends.runtime import failing_as
+from edge.perception.model_file import ModelError
 
 log = logging.getLogger(__name__)
 
 VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 MAX_VOCABULARY_BYTES = 1 << 30
 """Half a million words."""
-VOCABULARY_FAMILY = "clip-vit-b-32"
-"""Family of the text cards whose embeddings the vocabulary holds. Other CLIP models embed words
-elsewhere, many of them at the same length, so neither can stand in for the other."""
 
 
 _UNREADABLE = (
@@ -81,65 +79,42 @@ class TextEncoder(Protocol):
         ...
 
 
-def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
-    """The encoder for a detector's prompts.
+def check_prompts(prompts: Sequence[str]) -> tuple[str, ...]:
+    """The prompts; raises PromptError for none, and for one text in the place of several."""
+    if isinstance(prompts, str):
+        raise PromptError(f"prompts must be a list of words, got {prompts!r}")
+    if not prompts:
+        raise PromptError("no prompt: name at least one thing to look for")
+    return tuple(prompts)
 
-    The card's own; where it names none, CLIP ViT-B/32's: the text model, when its file is there,
-    else the vocabulary.
+
+def tidy(prompt: str) -> str:
+    """A prompt as names are compared; raises PromptError for one that names nothing."""
+    try:
+        return names.normalise(prompt)
+    except names.NotANameError as error:
+        raise PromptError(f"prompt: {error}, such as 'chair'") from None
+
+
+def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:
+    """What an encoder's session makes of a batch: (n, dim) float32, finite, no row zero.
 
     Args:
-        vocabulary: as configured; see `find_vocabulary`.
+        file: of the model, for messages.
+        name: of its input.
 
     Raises:
-        ModelError: a model is there and cannot be used.
-        PromptError: there is neither a model nor a vocabulary, or its embeddings do not fit.
+        ModelError: the model fails, or its output is anything else.
     """
-    named = None if card.text_encoder is None else load_text_card(card.text_encoder)
-    encoder = open_text_encoder(named, vocabulary)
-    if encoder.dim != card.text_dim:
-        raise PromptError(
-            f"{encoder!r}: embeddings have length {encoder.dim}, "
-            f"model {card.name} needs {card.text_dim}"
+    with failing_as(f"{file}: it fails"):
+        (rows,) = session.run(["embeddings"], {name: batch})
+    norms = np.linalg.norm(rows, axis=-1)
+    shape = (len(batch), dim)
+    if rows.shape != shape or not (np.isfinite(norms).all() and (norms > 0.0).all()):
+        raise ModelError(
+            f"{file}: embeddings of shape {rows.shape}, zero or not finite; they must be {shape}"
         )
-    return encoder
-
-
-def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
-    """See `make_text_encoder`.
-
-    Args:
-        named: the encoder asked for; None for CLIP ViT-B/32's.
-    """
-    if named is not None and named.tokenizer.kind == "attributes":
-        from edge.perception.attributes import AttributeEncoder
-
-        return AttributeEncoder(named)
-    models = [named] if named is not None else _vocabulary_models()
-    for model in models:
-        if model.path.is_file() or model.family != VOCABULARY_FAMILY:
-            from edge.perception.clip import ClipTextEncoder
-
-            return ClipTextEncoder(model)
-    try:
-        return TextEmbeddings(vocabulary)
-    except PromptError as error:
-        wanted = " or ".join(str(model.path) for model in models)
-        wanted = wanted or f"no text card of family {VOCABULARY_FAMILY}"
-        raise PromptError(f"no CLIP text model ({wanted}), and {error}") from None
-
-
-def _vocabulary_models() -> list[TextCard]:
-    """Cards of text models that embed as the vocabulary does."""
-    found = []
-    for name in card_names():
-        try:
-            card = load_card(name)
-        except ModelError as error:  # a detector need not wait for another model's card
-            log.warning("%s: passed over", error)
-            continue
-        if isinstance(card, TextCard) and card.family == VOCABULARY_FAMILY:
-            found.append(card)
-    return found
+    return rows
 
 
 def words_for(labels: Iterable[str], resolve: Callable[[str], str]) -> dict[str, str]:
@@ -224,9 +199,7 @@ class TextEmbeddings:
         Raises:
             PromptError: an empty prompt, or a word outside the vocabulary (nearest are listed).
         """
-        if not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
-        rows = [self._row_of[self.resolve(prompt)] for prompt in prompts]
+        rows = [self._row_of[self.resolve(prompt)] for prompt in check_prompts(prompts)]
         return np.ascontiguousarray(self._rows[rows])[None]
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
@@ -235,10 +208,7 @@ class TextEmbeddings:
 
     def resolve(self, prompt: str) -> str:
         """The vocabulary word that stands for a prompt; see `embed`."""
-        try:
-            word = names.normalise(prompt)
-        except names.NotANameError as error:
-            raise PromptError(f"prompt: {error}, such as 'chair'") from None
+        word = tidy(prompt)
         if found := self._lookup(word):
             return found
         for noun in names.head_nouns(word):

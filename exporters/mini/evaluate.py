@@ -21,6 +21,7 @@ import numpy as np
 import onnxruntime
 
 from edge.config import Perception
+from edge.models.bench.boxes import overlaps
 from edge.text import one_line
 from exporters.files import ExportError
 from exporters.mini import looks
@@ -185,18 +186,9 @@ def _questions(objects: np.ndarray) -> list[_Question]:
     return questions
 
 
-def _iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n, m) of boxes (n, 4) and (m, 4)."""
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    wh = (np.minimum(a[:, None, 2:], b[None, :, 2:]) - low).clip(0)
-    inter = wh.prod(-1)
-    area_a, area_b = ((x[:, 2:] - x[:, :2]).clip(0).prod(-1) for x in (a, b))
-    return inter / (area_a[:, None] + area_b[None] - inter + 1e-9)
-
-
 def _score_at(boxes: np.ndarray, scores: np.ndarray, box: np.ndarray) -> float:
     """The best score of any anchor whose box is this one."""
-    on = _iou(boxes, box[None])[:, 0] >= IOU
+    on = overlaps(boxes, box[None])[0][:, 0] >= IOU
     return float(scores[on].max()) if on.any() else 0.0
 
 
@@ -208,7 +200,7 @@ def _match(
     keep = np.flatnonzero(scores > MIN_SCORE)
     keep = keep[np.argsort(-scores[keep], kind="stable")][:300]
     kept: list[int] = []
-    overlap = _iou(boxes[keep], boxes[keep])
+    overlap = overlaps(boxes[keep], boxes[keep])[0]
     for n in range(len(keep)):
         if not kept or overlap[n, kept].max() <= IOU:
             kept.append(n)
@@ -216,8 +208,8 @@ def _match(
     answers = looks.KINDS[objects["category"], category]
     mine = np.flatnonzero((answers == looks.YES) & counts)
     other = np.flatnonzero(((answers == looks.YES) & ~counts) | (answers == looks.UNSURE))
-    on_mine = _iou(boxes[chosen], objects["box"][mine])
-    on_other = _iou(boxes[chosen], objects["box"][other])
+    on_mine = overlaps(boxes[chosen], objects["box"][mine])[0]
+    on_other = overlaps(boxes[chosen], objects["box"][other])[0]
     taken = np.zeros(len(mine), bool)
     result = []
     for row, index in enumerate(chosen):
@@ -273,7 +265,7 @@ def sheet(model: Path, text: Path, frames: Frames, count: int = 12) -> np.ndarra
                 label = f"{word} {scores[best, c]:.2f}"
                 cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (0, 0, 0), 3)
                 cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (255, 255, 0), 1)
-                left = left[_iou(boxes[left], boxes[best : best + 1])[:, 0] <= IOU]
+                left = left[overlaps(boxes[left], boxes[best : best + 1])[0][:, 0] <= IOU]
         tiles.append(tile)
     return np.vstack([np.hstack(tiles[i : i + 3]) for i in range(0, len(tiles) - 2, 3)])
 

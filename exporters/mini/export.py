@@ -24,7 +24,7 @@ import yaml
 from torch import Tensor, nn
 
 from exporters.calibration import Feed
-from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.files import OPSET, ExportError, check_format, replace_atomically, sha256_of
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import evaluate, looks
 from exporters.mini.batches import PAD
@@ -32,7 +32,6 @@ from exporters.mini.gate import check_gate
 from exporters.mini.net import EMBED_DIM
 from exporters.mini.training import FULL_HW, Model
 from exporters.mini.views import Frames, make_frames
-from exporters.onnx_format import OPSET, check_format
 from exporters.quantize import quantize
 from exporters.recipes import recipe_of
 from exporters.train_mini import CORES, HOUSES, PER_HOUSE, SEED

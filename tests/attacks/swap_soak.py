@@ -13,7 +13,7 @@ from patience import eventually
 
 from edge.config import parse
 from edge.geometry import CameraModel
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.swap.swapper import OVER, Swapper
 from edge.perception.worker import DetectorWorker
 from edge.types import Observation
@@ -49,7 +49,7 @@ def swap(isolation: str, swaps: int, names: tuple[str, str]) -> dict:
             swapper.request(names[(k + 1) % 2], False, seq)
             eventually(over, "the swap never ended")
             assert swapper.state == "kept", told[-1]
-            eventually(lambda: not any(t.is_alive() for t in swapper._closing))
+            eventually(lambda: not any(ended.thread.is_alive() for ended in swapper._ended))
             gc.collect()
             resident.append(resident_mb())
             opened.append(descriptors())

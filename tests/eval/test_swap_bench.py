@@ -36,38 +36,38 @@ def bench(monkeypatch):
     )
     bench = swap_bench.SwapBench(running, "new", 2.0)
 
-    def beat(after_ms: float, tick_ms: float = 1.0) -> None:
+    def after(after_ms: float, tick_ms: float = 1.0) -> None:
         clock.now_ns += int(after_ms * MS)
         running.source.counters["observations"] += 1
         running.service.latency.begin_tick(0)
         running.service.latency.end_tick(int(tick_ms * MS))
-        bench.look()
+        bench.beat()
 
-    bench.beat, bench.swapper, bench.running = beat, swapper, running
+    bench.after, bench.swapper, bench.running = after, swapper, running
     return bench
 
 
 def test_nothing_is_asked_before_anything_is_seen(bench):
-    bench.look()
+    bench.beat()
     assert bench.swapper.asked == []
     with pytest.raises(UserError, match="the swap to new is idle at the end: give it more"):
         bench.figures()
 
 
 def test_what_was_lost_is_told_by_stretch(bench):
-    bench.beat(0)
-    bench.beat(10)
-    bench.beat(990)  # 98 beats late, and halfway
+    bench.after(0)
+    bench.after(10)
+    bench.after(990)  # 98 beats late, and halfway
     assert bench.swapper.asked == [("new", False, 2 * 10**9)]
     bench.swapper.state = "loading"
-    bench.beat(10)
-    bench.beat(19)  # late, but no whole period
+    bench.after(10)
+    bench.after(19)  # late, but no whole period
     bench.running.source.counters["superseded"] += 3
     bench.running.worker.stats.done += 2
-    bench.beat(35, tick_ms=7.0)
+    bench.after(35, tick_ms=7.0)
     bench.swapper.state = "kept"
-    bench.beat(10)
-    bench.beat(500)
+    bench.after(10)
+    bench.after(500)
     figures = bench.figures()
     before, during = figures["before"], figures["during"]
     assert (before["lost"], before["ticks"], before["let_go"]) == (98, 2, 0)

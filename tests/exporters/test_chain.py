@@ -144,6 +144,8 @@ def small(tmp_path, monkeypatch) -> Path:
         card = {"name": precision, "precision": precision, "file": f"{precision}.onnx"}
         card |= {"family": "yolo-world-s", "input": {"height": 32, "width": 32}, "sources": []}
         card |= {"derived_from": None if precision == "fp32" else "fp32", "sha256": None}
+        card |= {"task": "detect", "license": "MIT", "parity": None, "text_dim": 8}
+        card |= {"preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": 114}}
         (tmp_path / f"{precision}.yaml").write_text(yaml.safe_dump(card))
     for number in range(8):
         cv2.imwrite(str(tmp_path / f"{number}.png"), random.integers(0, 255, (32, 32, 3)))

@@ -12,10 +12,11 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 import onnx
 
-from exporters.cards import cards_folder, load_card
-from exporters.files import ExportError, check_sha256, replace_atomically, sha256_of
+from edge.host import resources
+from edge.perception.onnx_file import MAX_IR, MAX_OPSET
+from exporters.cards import load_card
+from exporters.files import ExportError, check_format, check_sha256, replace_atomically, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import MAX_IR, MAX_OPSET, check_format
 
 pytestmark = pytest.mark.export
 
@@ -125,7 +126,7 @@ def test_check_format(tmp_path: Path):
     check_format(tiny_model(tmp_path / "good.onnx", MAX_IR, MAX_OPSET))
     with pytest.raises(ExportError, match=r"new\.onnx: ONNX IR 11, at most 10"):
         check_format(tiny_model(tmp_path / "new.onnx", MAX_IR + 1, MAX_OPSET))
-    with pytest.raises(ExportError, match="opset 21, at most 20"):
+    with pytest.raises(ExportError, match="opset 21, must be 1 … 20"):
         check_format(tiny_model(tmp_path / "new.onnx", MAX_IR, MAX_OPSET + 1))
 
 
@@ -133,11 +134,11 @@ def test_load_card_lists_the_choices(tmp_path: Path):
     (tmp_path / "small.yaml").write_text("name: small\n")
     with pytest.raises(ExportError, match=r"no card 'large' \(choices: small\)"):
         load_card("large", tmp_path)
-    with pytest.raises(ExportError, match=r"small\.yaml: not a model card"):
+    with pytest.raises(ExportError, match=r"small\.yaml: task: missing"):
         load_card("small", tmp_path)
 
 
 @pytest.mark.parametrize("card", ["256x320-int8-cpu", "text", "similarity"])
 def test_load_card_names_the_commands_of_our_own_family(card):
     with pytest.raises(ExportError, match=r"exporters\.train_mini .* exporters\.mini\.export"):
-        load_card(f"mini-house-{card}", cards_folder())
+        load_card(f"mini-house-{card}", resources.data_dir("models"))

@@ -9,7 +9,7 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge import config
 from edge.perception.attributes import AttributeEncoder
-from edge.perception.cards import load_card, load_detector_card, load_text_card, verify_model
+from edge.perception.cards import load_card, load_detector_card, verify_model
 from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
 from exporters.mini import looks, views
@@ -28,7 +28,7 @@ def held_out():
 
 def test_the_files_are_those_of_the_cards_and_small():
     assert verify_model(load_detector_card(NAME)).stat().st_size <= MAX_BYTES
-    assert verify_model(load_text_card("mini-house-text")).stat().st_size < 200_000
+    assert verify_model(load_card("mini-house-text")).stat().st_size < 200_000
     assert load_card("mini-house-similarity").detector == NAME
 
 
@@ -48,7 +48,7 @@ def test_the_shipped_model_passes_its_own_gate():
 
 
 def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
-    encoder = AttributeEncoder(load_text_card("mini-house-text"))
+    encoder = AttributeEncoder(load_card("mini-house-text"))
     assert encoder.vocabulary == looks.VOCABULARY
     rows = encoder.embed(["trash bin", "tall white trash can", "trash can"])
     assert rows.shape == (1, 3, encoder.dim)
@@ -58,7 +58,7 @@ def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
 
 
 def test_a_strange_adjective_is_warned_of_once(caplog):
-    encoder = AttributeEncoder(load_text_card("mini-house-text"))
+    encoder = AttributeEncoder(load_card("mini-house-text"))
     for _ in range(3):
         assert encoder.resolve("shiny red chair") == "red chair"
     assert [r.levelname for r in caplog.records] == ["WARNING"]

@@ -11,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.perception.backends import binding, runtime
-from edge.perception.backends.runtime import ORT_TENSORRT, TENSORRT, EngineOptions, open_session
+from edge.perception.backends import binding
+from edge.perception.backends.cuda import gpu_of
+from edge.perception.backends.engines import EngineOptions
+from edge.perception.backends.runtime import ORT_TENSORRT, TENSORRT, open_session
 from edge.perception.model_file import ModelError
 
 ort = pytest.importorskip("onnxruntime")
@@ -28,7 +30,7 @@ HW, CHANNELS, CELLS = (64, 80), 16, 32 * 40
 def gpu():
     """Skips without a driver and a GPU."""
     try:
-        return runtime.compute_capability(0)
+        return gpu_of(0)
     except ModelError as error:
         pytest.skip(f"no GPU: {error}")
 

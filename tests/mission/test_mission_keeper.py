@@ -16,7 +16,7 @@ from edge.loop.status import mission_of
 from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.mission.keeper import Keeper
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.inline import InlineWorker
 from edge.text import MAX_CHARS
 

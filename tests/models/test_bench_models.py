@@ -128,15 +128,6 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
 
 
-@given(pictures(), pictures())
-def test_agreement_counts_as_the_exporters_parity_does(one, other):
-    parity = pytest.importorskip("exporters.parity")
-    theirs = parity.count_matches(
-        *(parity.Boxes(f.xyxy_px, f.score, f.class_id.astype(np.int64)) for f in (one, other))
-    )
-    assert agree(one, other).hits == theirs
-
-
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
 def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
@@ -472,7 +463,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
     [("cpu", ""), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
 )
 def test_a_worker_tells_which_gpu_it_used(monkeypatch, on, name):
-    monkeypatch.setattr(worker, "gpu_name", lambda device_id: f"GPU {device_id}")
+    monkeypatch.setattr(worker, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
     settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
     assert worker.used_gpu(settings) == name
 

@@ -30,11 +30,6 @@ class FakeCuda:
         self.cudaMemcpyKind = enum.Enum(
             "cudaMemcpyKind", "cudaMemcpyHostToDevice cudaMemcpyDeviceToHost"
         )
-        self.cudaDeviceAttr = enum.Enum(
-            "cudaDeviceAttr",
-            "cudaDevAttrComputeCapabilityMajor cudaDevAttrComputeCapabilityMinor",
-        )
-        self.gpu_name = b"Fake Orin"
         self.gpus, self.memory, self.calls, self.failing = gpus, {}, [], set()
         self._next = 0x1000
 
@@ -52,12 +47,6 @@ class FakeCuda:
 
     def cudaGetDeviceCount(self):
         return self._answer("cudaGetDeviceCount", self.gpus)
-
-    def cudaDeviceGetAttribute(self, attribute, device):
-        return self._answer("cudaDeviceGetAttribute", {1: 8, 2: 7}[attribute.value])
-
-    def cudaGetDeviceProperties(self, device):
-        return self._answer("cudaGetDeviceProperties", SimpleNamespace(name=self.gpu_name))
 
     def cudaSetDevice(self, device):
         return self._answer("cudaSetDevice")
@@ -108,8 +97,8 @@ class FakeTensorrt:
 
     __version__ = "10.3.0"
 
-    def __init__(self, cuda: FakeCuda, context: type[FakeContext] | None = None) -> None:
-        self.cuda, self.context = cuda, context or FakeContext
+    def __init__(self, cuda: FakeCuda) -> None:
+        self.cuda, self.context = cuda, FakeContext
         self.built, self.faults, self.refuses, self.unreadable = [], [], False, 0
         self.flags = []
         self.NetworkDefinitionCreationFlag = enum.IntEnum(

@@ -20,7 +20,8 @@ from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 
 from edge.host import resources
 from edge.perception.cards import ModelError
-from edge.perception.detector import Health, make_detector
+from edge.perception.detector import Health
+from edge.perception.factory import make_detector
 from edge.perception.process import messages, serve
 from edge.perception.text import PromptError
 from edge.types import Detections

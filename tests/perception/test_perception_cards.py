@@ -3,7 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import threading
+from functools import partial
 
 import onnx_bytes
 import pytest
@@ -11,7 +11,7 @@ import yaml
 
 from edge.host import resources
 from edge.models import listing
-from edge.perception import cards, model_file
+from edge.perception import card_types, cards, model_file
 
 CARD = {
     "name": "tiny",
@@ -82,7 +82,8 @@ def test_a_card_is_read_whole(place):
         ({"sha256": "abc"}, "sha256: "),
         ({"file": "../../etc/passwd.onnx"}, "file: "),
         ({"name": "other"}, "must be the file's name 'tiny'"),
-        ({"sources": [{"kind": "ftp"}]}, "sources"),
+        ({"sources": [{"kind": "ftp"}]}, "sources.0.kind: unknown 'ftp' (choices: url, wheel, "),
+        ({"sources": [{}]}, "sources.0.kind: missing (choices: url, wheel, path)"),
     ],
 )
 def test_a_bad_card_names_file_and_key(place, changes, message):
@@ -123,9 +124,9 @@ OF_TASK = {
 }  # fmt: skip
 LOADERS = {
     "detect": cards.load_detector_card,
-    "text": cards.load_text_card,
-    "image": cards.load_image_card,
-    "similarity": cards.load_similarity_card,
+    "text": partial(cards.load_card_of, card_types.TextCard),
+    "image": partial(cards.load_card_of, card_types.ImageCard),
+    "similarity": partial(cards.load_card_of, card_types.SimilarityCard),
 }
 
 
@@ -220,26 +221,15 @@ def flip_a_byte(path, at=-1):
 
 @pytest.fixture
 def hashed(monkeypatch):
-    """The threads that hash files, as they do."""
-    threads, hash_file = [], model_file.sha256_of
+    """The files that are hashed, as they are."""
+    files, hash_file = [], model_file.sha256_of
 
     def note(path):
-        threads.append(threading.current_thread())
+        files.append(path)
         return hash_file(path)
 
     monkeypatch.setattr(model_file, "sha256_of", note)
-    return threads
-
-
-def test_a_sound_model_is_hashed_at_every_start_beside_its_loading(place, hashed):
-    place()
-    card, here = put_model(), threading.current_thread()
-    for first in (True, False):
-        with cards.loading(card) as path:
-            assert path == card.path
-            assert (here in hashed) == first  # what was never sound is hashed before
-        assert len(hashed) == 1
-        hashed.clear()
+    return files
 
 
 def test_damage_under_an_unchanged_time_of_change_is_seen(place):
@@ -252,53 +242,34 @@ def test_damage_under_an_unchanged_time_of_change_is_seen(place):
     )
     with pytest.raises(cards.ModelError, match=line):
         cards.verify_model(card)
-    put_model()
-    cards.verify_model(card)
-    flip_a_byte(card.path)
-    with pytest.raises(cards.ModelError, match=line), cards.loading(card):
-        pass
-
-
-def test_damage_is_why_a_model_cannot_be_loaded(place):
-    place()
-    card = put_model()
-    cards.verify_model(card)
-    flip_a_byte(card.path)
-    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
-        raise cards.ModelError("onnxruntime cannot load it")
-    put_model()
-    cards.verify_model(card)
-    with pytest.raises(cards.ModelError, match="cannot load it"), cards.loading(card):
-        raise cards.ModelError("onnxruntime cannot load it")
 
 
 def test_a_trusted_cache_is_believed_until_the_file_is_written(place, hashed, monkeypatch):
     monkeypatch.setenv(model_file.TRUST_CACHE, "1")
     place()
     card = put_model()
-    with cards.loading(card):
-        assert len(hashed) == 1
+    load = partial(cards.verify_model, card, believe_cache=True)
+    load()
+    assert len(hashed) == 1
     flip_a_byte(card.path)
-    with cards.loading(card):
-        pass
+    load()
     assert len(hashed) == 1
     with pytest.raises(cards.ModelError, match="damaged"):  # `models check` and the doctor look
         cards.verify_model(card)
     os.utime(card.path, ns=(1, 1))
-    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
-        raise AssertionError("not to be loaded")
+    with pytest.raises(cards.ModelError, match="damaged"):
+        load()
 
 
 def test_what_was_damaged_and_is_whole_again_loads(place):
     place()
     card = put_model(DATA[:-1] + b"X")
     written = card.path.stat().st_mtime_ns
-    with pytest.raises(cards.ModelError, match="damaged"), cards.loading(card):
-        pass
+    with pytest.raises(cards.ModelError, match="damaged"):
+        cards.verify_model(card)
     card.path.write_bytes(DATA)
     os.utime(card.path, ns=(written, written))
-    with cards.loading(card) as path:
-        assert path == card.path
+    assert cards.verify_model(card) == card.path
 
 
 def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):

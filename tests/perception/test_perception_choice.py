@@ -21,9 +21,7 @@ from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.geometry import SE2, CameraModel, camera_mount
 from edge.perception.choice import scorer
-from edge.perception.choice.letters import MISSING_NATS, NoAnswerError, probabilities
-from edge.perception.choice.marks import visible_marks
-from edge.perception.choice.picture import data_url, draw, place
+from edge.perception.choice.picture import data_url, draw, place, visible_marks
 from edge.perception.choice.question import (
     LETTERS,
     MAX_MARKS,
@@ -31,11 +29,11 @@ from edge.perception.choice.question import (
     Mark,
     Sighting,
     View,
+    describe,
     direction_question,
     scene_question,
 )
-from edge.perception.choice.scorer import make_choice
-from edge.perception.choice.words import describe
+from edge.perception.choice.scorer import MISSING_NATS, NoAnswerError, make_choice, probabilities
 from edge.types import Observation
 
 LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)

@@ -10,10 +10,11 @@ import tiny_clip
 from tiny_clip import CONTEXT, DIM, SIDE, WORDS
 
 from edge.host import resources
-from edge.perception import clip
-from edge.perception.cards import ModelError, load_image_card, load_text_card
+from edge.perception import clip, text
+from edge.perception.cards import ModelError, load_card
 from edge.perception.clip import ClipImageEncoder, ClipTextEncoder, fit
-from edge.perception.text import PromptError, TextEmbeddings, make_text_encoder
+from edge.perception.encoders import make_text_encoder
+from edge.perception.text import PromptError, TextEmbeddings
 
 for package in ("onnxruntime", "onnx", "tokenizers"):
     pytest.importorskip(package)
@@ -28,7 +29,7 @@ def text_card(cards):
         tiny_clip.write_tokenizer(models / "tiny-tokenizer.json")
         tiny_clip.write_text_model(models / "tiny-text.onnx", **model)
         tiny_clip.write_card(cards, tiny_clip.TEXT, models / "tiny-text.onnx")
-        return load_text_card("tiny-clip-text")
+        return load_card("tiny-clip-text")
 
     return make
 
@@ -38,7 +39,7 @@ def image_encoder(cards):
     path = resources.models_dir() / "tiny-image.onnx"
     tiny_clip.write_image_model(path)
     tiny_clip.write_card(cards, tiny_clip.IMAGE, path)
-    return ClipImageEncoder(load_image_card("tiny-clip-image"), ("CPUExecutionProvider",), 1)
+    return ClipImageEncoder(load_card("tiny-clip-image"), ("CPUExecutionProvider",), 1)
 
 
 @pytest.mark.parametrize("prompts", [[], [""], ["chair", "  "]])
@@ -65,12 +66,11 @@ def test_a_phrase_is_its_tokens_between_beginning_and_end(text_card):
 def test_a_phrase_is_encoded_once(text_card, monkeypatch):
     encoder, encoded = ClipTextEncoder(text_card()), []
 
-    def note(session, file, name, tokens):
+    def note(session, file, name, tokens, dim):
         encoded.append(len(tokens))
-        return run(session, file, name, tokens)
+        return text.run_encoder(session, file, name, tokens, dim)
 
-    run = clip._run
-    monkeypatch.setattr(clip, "_run", note)
+    monkeypatch.setattr(clip, "run_encoder", note)
     first = encoder.embed(["chair", "sofa", "the chair"])
     again = encoder.embed(["sofa", "red chair", "chair"])
     assert encoded == [2, 1]
@@ -124,7 +124,7 @@ def test_another_tokenizer_than_the_cards_is_refused(text_card, cards):
     path = resources.models_dir() / "tiny-text.onnx"
     tiny_clip.write_card(cards, {**tiny_clip.TEXT, "tokenizer": tokenizer}, path)
     with pytest.raises(ModelError, match="another tokenizer"):
-        ClipTextEncoder(load_text_card("tiny-clip-text"))
+        ClipTextEncoder(load_card("tiny-clip-text"))
 
 
 class _Card:

@@ -13,7 +13,6 @@ import logging
 import os
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +24,15 @@ from test_perception_onnx import BOXES, tiny  # noqa: F401
 
 from edge import config
 from edge.host import resources
-from edge.perception.backends import binding, cuda, engine_cache, tensorrt
-from edge.perception.backends.building import Building
-from edge.perception.backends.engine_cache import EngineKey, obtain
-from edge.perception.backends.runtime import EngineOptions, open_session
-from edge.perception.backends.tensorrt_report import Phases
-from edge.perception.detector import make_detector
+from edge.perception.backends import binding, cuda, engines, tensorrt
+from edge.perception.backends.engines import EngineOptions, folder_name, obtain, telling
+from edge.perception.backends.runtime import open_session
+from edge.perception.backends.tensorrt import make_monitor
+from edge.perception.factory import make_detector
 from edge.perception.model_file import TRUST_CACHE, ModelError
 from edge.perception.text import PromptError
 
-KEY = EngineKey("tiny", "a" * 64, "tensorrt", "10.3.0", "8.7", "Orin", "fp16", "()", 1)
+KEY = {"model": "tiny", "sha256": "a" * 64, "sm": "8.7", "gpu": "Orin", "recipe": 1}
 
 
 class Builds:
@@ -68,19 +66,15 @@ def test_an_engine_is_built_once(tmp_path):
     "change",
     [
         {"sha256": "b" * 64},
-        {"tensorrt": "10.16.1"},
         {"sm": "8.9"},
         {"gpu": "Orin NX"},
         {"recipe": 2},
-        {"precision": "int8-trt"},
-        {"shapes": "(1,)"},
-        {"builder": "onnxruntime 1.30"},
     ],
 )
 def test_whatever_the_engine_depends_on_makes_another(tmp_path, change):
     build = Builds()
     first = obtain(KEY, tmp_path, build, quiet)
-    second = obtain(replace(KEY, **change), tmp_path, build, quiet)
+    second = obtain({**KEY, **change}, tmp_path, build, quiet)
     assert build.count == 2
     assert first != second
 
@@ -115,7 +109,7 @@ def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
     build = Builds()
     folder = obtain(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
-    monkeypatch.setattr(engine_cache.shutil, "rmtree", lambda path, ignore_errors: None)
+    monkeypatch.setattr(engines.shutil, "rmtree", lambda path, ignore_errors: None)
     says = r"of no use \(model.engine is damaged\) and cannot be removed; .*engine_cache$"
     with pytest.raises(ModelError, match=says):
         obtain(KEY, tmp_path, build, quiet)
@@ -129,8 +123,8 @@ def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         obtain(KEY, tmp_path, dies, quiet)
-    assert [p.name for p in tmp_path.iterdir()] == [f"{KEY.folder}.lock"]
-    killed = tmp_path / f".{KEY.folder}.killed"
+    assert [p.name for p in tmp_path.iterdir()] == [f"{folder_name(KEY)}.lock"]
+    killed = tmp_path / f".{folder_name(KEY)}.killed"
     killed.mkdir()
     obtain(KEY, tmp_path, Builds(), quiet)
     assert not killed.exists()
@@ -170,7 +164,7 @@ def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
 
 def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 5 << 20})
-    monkeypatch.setattr(engine_cache.shutil, "disk_usage", lambda path: usage)
+    monkeypatch.setattr(engines.shutil, "disk_usage", lambda path: usage)
     with pytest.raises(ModelError, match="5 MB free"):
         obtain(KEY, tmp_path, Builds(), quiet)
 
@@ -184,8 +178,8 @@ def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
     def fail(*_, **__):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(engine_cache.tempfile, "NamedTemporaryFile", fail)
-    monkeypatch.setattr(engine_cache, "_locked", fail)
+    monkeypatch.setattr(engines.tempfile, "NamedTemporaryFile", fail)
+    monkeypatch.setattr(engines, "_locked", fail)
     assert obtain(KEY, tmp_path, Builds(), quiet) == folder
     (folder / "model.engine").unlink()
     with pytest.raises(ModelError, match="no place for engines"):
@@ -194,7 +188,7 @@ def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
 
 def test_two_at_once_build_one_engine(tmp_path):
     told, build, results = [], Builds(), []
-    with (tmp_path / f"{KEY.folder}.lock").open("a") as file:
+    with (tmp_path / f"{folder_name(KEY)}.lock").open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # as the other process does that builds
         waits = threading.Thread(
             target=lambda: results.append(obtain(KEY, tmp_path, build, told.append))
@@ -203,10 +197,10 @@ def test_two_at_once_build_one_engine(tmp_path):
         eventually(lambda: told, "it did not say that it waits")
         assert "another process builds it" in told[0].detail
         assert not results
-        made = tmp_path / KEY.folder
+        made = tmp_path / folder_name(KEY)
         made.mkdir()
         (made / "model.engine").write_bytes(b"engine")
-        engine_cache._seal(made, KEY)
+        engines._seal(made, KEY)
     waits.join(PATIENCE_S)
     assert results == [made]
     assert build.count == 0
@@ -214,9 +208,9 @@ def test_two_at_once_build_one_engine(tmp_path):
 
 def test_a_build_is_told_of_while_it_goes_on():
     told = []
-    with Building("tiny", told.append, every_s=0.001) as building:
+    with telling("tiny", told.append, every_s=0.001) as note:
         eventually(lambda: told)
-        building.note("45% of building engine")
+        note("45% of building engine")
         eventually(lambda: "45%" in told[-1].detail)
     assert told[0].state == "building engine"
     assert told[0].detail.startswith("tiny: 0 s, ")
@@ -226,19 +220,17 @@ def test_a_build_is_told_of_while_it_goes_on():
 
 
 def test_how_far_nested_phases_are():
-    phases = Phases()
-    assert phases.line() == ""
-    phases.start("Building Engine", None, 4)
-    assert phases.line() == "0% of building engine"
-    phases.step("Building Engine", 0)
-    phases.start("Timing", "Building Engine", 2)
-    phases.step("Timing", 0)
-    assert phases.line() == "38% of building engine"
-    phases.step("No Such", 3)
-    phases.finish("Timing")
-    assert phases.line() == "25% of building engine"
-    phases.finish("Building Engine")
-    assert phases.line() == ""
+    noted = []
+    monitor = make_monitor(FakeTensorrt(FakeCuda()), noted.append)
+    monitor.phase_start("Building Engine", None, 4)
+    monitor.step_complete("Building Engine", 0)
+    monitor.phase_start("Timing", "Building Engine", 2)
+    monitor.step_complete("Timing", 0)
+    monitor.step_complete("No Such", 3)
+    monitor.phase_finish("Timing")
+    monitor.phase_finish("Building Engine")
+    shares = ["0%", "25%", "25%", "38%", "38%", "25%"]
+    assert noted == [*(f"{share} of building engine" for share in shares), ""]
 
 
 @pytest.fixture
@@ -247,6 +239,7 @@ def gpu(monkeypatch):
     fake = FakeTensorrt(FakeCuda())
     monkeypatch.setitem(sys.modules, "tensorrt", fake)
     monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Fake Orin", "8.7"))
     return fake
 
 
@@ -277,7 +270,7 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
     gpu.__version__ = "10.16.1"
     open_tiny()
     assert len(gpu.built) == 2
-    gpu.cuda.gpu_name = b"Fake Thor"
+    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Fake Thor", "8.7"))
     open_tiny()
     assert len(gpu.built) == 3
     monkeypatch.setattr(tensorrt, "RECIPE", 0)
@@ -368,20 +361,18 @@ def test_packages_that_are_missing_are_named(monkeypatch):
 
 
 def test_a_detector_sees_the_same_through_tensorrt(
-    monkeypatch,
+    gpu,
     tiny,  # noqa: F811
     make_observation,
     caplog,
 ):
     seen = make_observation(rgb=np.full((48, 64, 3), 90, np.uint8))
     expected = tiny(prompts=("sofa", "chair")).detect(seen)
-    fake = FakeTensorrt(FakeCuda(), OnnxContext)
-    monkeypatch.setitem(sys.modules, "tensorrt", fake)
-    monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    gpu.context = OnnxContext
     with caplog.at_level(logging.INFO):
         detector = tiny(prompts=("bed",), providers=("tensorrt",), card={"precision": "fp32"})
     assert "building engine: tiny: 0 s" in caplog.text
-    assert fake.built == [{"txt_feats": ((1, 1, 512), (1, 16, 512), (1, 256, 512))}]
+    assert gpu.built == [{"txt_feats": ((1, 1, 512), (1, 16, 512), (1, 256, 512))}]
     assert len(detector.detect(seen)) == 0
     detector.set_prompts(["sofa", "chair"])
     found = detector.detect(seen)
@@ -392,22 +383,23 @@ def test_a_detector_sees_the_same_through_tensorrt(
     with pytest.raises(PromptError, match="at most 256"):
         detector.set_prompts(["chair"] * 257)
     assert detector.prompts == ("sofa", "chair")
-    fake.cuda.failing = {"cudaMalloc"}
+    gpu.cuda.failing = {"cudaMalloc"}
     with pytest.raises(ModelError, match=r"^model tiny: it cannot be given the prompts: cudaMal"):
         detector.set_prompts(["bed"])
     with pytest.raises(ModelError, match=r"^model tiny: it fails at its first image: cudaMalloc"):
         tiny(providers=("tensorrt",), card={"precision": "fp32"})
-    fake.cuda.failing = set()
+    gpu.cuda.failing = set()
     assert detector.detect(seen).prompts == ("sofa", "chair")
     assert resources.cache_dir() / "engines" in {p.parent for p in engine_folders()}
-    assert fake.cuda.memory
+    assert gpu.cuda.memory
     detector.close()
     gc.collect()
-    assert not fake.cuda.memory
+    assert not gpu.cuda.memory
 
 
 @pytest.mark.parametrize("trusted", [False, True])
 def test_no_engine_is_built_of_a_damaged_file(
+    gpu,
     monkeypatch,
     tiny,  # noqa: F811
     trusted,
@@ -415,9 +407,7 @@ def test_no_engine_is_built_of_a_damaged_file(
     """Else it would be found under the sound file's hash once that is repaired."""
     if trusted:
         monkeypatch.setenv(TRUST_CACHE, "1")
-    fake = FakeTensorrt(FakeCuda(), OnnxContext)
-    monkeypatch.setitem(sys.modules, "tensorrt", fake)
-    monkeypatch.setattr(cuda, "load", lambda: fake.cuda)
+    gpu.context = OnnxContext
     first = tiny(card={"precision": "fp32"})
     card, on_gpu = first.card, first.config.model_copy(update={"providers": ("tensorrt",)})
     settings = config.Perception(detector=on_gpu)
@@ -425,10 +415,10 @@ def test_no_engine_is_built_of_a_damaged_file(
     flip_a_byte(card.path, at)
     with pytest.raises(ModelError, match=r"tiny\.onnx: damaged or another model"):
         make_detector(settings, ("chair",))
-    assert (fake.built, engine_folders()) == ([], [])
+    assert (gpu.built, engine_folders()) == ([], [])
     flip_a_byte(card.path, at)
     make_detector(settings, ("chair",)).close()
-    assert len(fake.built) == len(engine_folders()) == 1
+    assert len(gpu.built) == len(engine_folders()) == 1
 
 
 def engine_folders():

@@ -16,7 +16,7 @@ from edge.host import resources
 from edge.models.check import check_model
 from edge.perception import model_file
 from edge.perception.cards import ModelError, load_detector_card
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.model_file import TRUST_CACHE
 from edge.perception.text import PromptError, TextEmbeddings
 

@@ -28,7 +28,7 @@ def pair():
 def test_nothing_was_written(pair):
     _, view = pair
     with pytest.raises(ValueError, match="0 bytes, 67 are needed"):
-        view.look(1, (1, 1))
+        view.read(1, (1, 1))
 
 
 @given(st.lists(st.tuples(st.integers(1, 40), st.integers(1, 40)), min_size=1, max_size=6))
@@ -38,7 +38,7 @@ def test_images_of_any_size_arrive(sizes):
     for seq, hw in enumerate(sizes, start=1):
         rgb = image(*hw, seq)
         file.write(seq, rgb)
-        np.testing.assert_array_equal(view.look(seq, hw), rgb)
+        np.testing.assert_array_equal(view.read(seq, hw), rgb)
         assert view.is_whole(seq)
     file.close()
 
@@ -46,16 +46,16 @@ def test_images_of_any_size_arrive(sizes):
 def test_a_larger_image_than_the_memory_that_was_mapped(pair):
     file, view = pair
     file.write(1, image(2, 2))
-    view.look(1, (2, 2))
+    view.read(1, (2, 2))
     rgb = image(400, 600)
     file.write(2, rgb)
-    np.testing.assert_array_equal(view.look(2, (400, 600)), rgb)
+    np.testing.assert_array_equal(view.read(2, (400, 600)), rgb)
 
 
 def test_what_is_looked_at_is_not_copied(pair):
     file, view = pair
     file.write(1, image(4, 4))
-    seen = view.look(1, (4, 4))
+    seen = view.read(1, (4, 4))
     file.write(2, np.full((4, 4, 3), 9, np.uint8))
     assert (seen == 9).all()
     assert not view.is_whole(1)
@@ -68,7 +68,7 @@ def test_a_torn_image_is_refused(pair, half):
     file._seq[half] = 2
     seq = 1 if half == frames._BEFORE else 2
     with pytest.raises(ValueError, match=f"frame {seq}: torn"):
-        view.look(seq, (4, 4))
+        view.read(seq, (4, 4))
 
 
 def test_the_file_has_no_name_that_could_be_left_behind(pair):
@@ -87,7 +87,7 @@ def test_memory_that_is_not_there_is_an_error_and_no_signal(pair, monkeypatch):
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(OSError, match="No space left"):
         file.write(2, image(8, 8))
-    view.look(1, (4, 4))
+    view.read(1, (4, 4))
 
 
 def test_without_shared_memory_the_folder_for_temporary_files_serves(monkeypatch, tmp_path):

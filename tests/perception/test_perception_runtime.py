@@ -20,10 +20,10 @@ import pytest
 from test_perception_cards import flip_a_byte
 
 from edge.host import resources
-from edge.perception.backends import binding, runtime
+from edge.perception.backends import binding, cuda, engines, runtime
+from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import (
     ORT_TENSORRT,
-    EngineOptions,
     open_session,
     provider_options,
 )
@@ -163,8 +163,7 @@ def fake_ort(monkeypatch):
     fake = FakeOrt()
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", fake)
     monkeypatch.setattr(runtime, "tensorrt_version", lambda: "10.3.0")
-    monkeypatch.setattr(runtime, "compute_capability", lambda device_id: "8.7")
-    monkeypatch.setattr(runtime, "gpu_name", lambda device_id: "Orin")
+    monkeypatch.setattr(engines, "gpu_of", lambda device_id: ("Orin", "8.7"))
     return fake
 
 
@@ -182,8 +181,9 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
     open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert fake_ort.sessions[2:] == [(folder, kept)]
     assert len(told) == 1
-    for name, other in (("gpu_name", lambda device_id: "Orin NX"), ("RECIPE", 0)):
-        monkeypatch.setattr(runtime, name, other)
+    orin_nx = lambda device_id: ("Orin NX", "8.7")  # noqa: E731
+    for module, name, other in ((engines, "gpu_of", orin_nx), (runtime, "RECIPE", 0)):
+        monkeypatch.setattr(module, name, other)
         open_session(tmp_path / "tiny.onnx", [ORT_TENSORRT], 1, engine=options)
     assert len(told) == 3
 
@@ -219,13 +219,13 @@ def test_tensorrt_that_is_not_there_is_one_line(tmp_path, monkeypatch, providers
 
 
 def test_no_driver_and_no_gpu_are_one_line(monkeypatch):
-    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
     with pytest.raises(ModelError, match="no CUDA driver"):
-        runtime.compute_capability(0)
+        cuda.gpu_of(0)
     broken = SimpleNamespace(cuInit=lambda flags: 100)
-    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: broken)
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: broken)
     with pytest.raises(ModelError, match="no GPU 3"):
-        runtime.compute_capability(3)
+        cuda.gpu_of(3)
 
 
 def test_a_gpu_is_asked_for_its_name_and_capability(monkeypatch):
@@ -239,8 +239,8 @@ def test_a_gpu_is_asked_for_its_name_and_capability(monkeypatch):
         cuInit=lambda flags: 0, cuDeviceGet=lambda device, index: 0,
         cuDeviceGetName=name, cuDeviceGetAttribute=attribute,
     )  # fmt: skip
-    monkeypatch.setattr(runtime.ctypes, "CDLL", lambda name: driver)
-    assert (runtime.gpu_name(0), runtime.compute_capability(0)) == ("Orin", "8.7")
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: driver)
+    assert cuda.gpu_of(0) == ("Orin", "8.7")
 
 
 def feeds():

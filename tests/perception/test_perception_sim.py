@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.text import PromptError
 
 LABELS = ("ChairA", "sofa", "Trash")

@@ -11,7 +11,7 @@ from edge.errors import UserError
 from edge.host import resources
 from edge.perception import clip
 from edge.perception.backends import runtime
-from edge.perception.cards import ModelError, load_similarity_card
+from edge.perception.cards import ModelError, load_card
 from edge.perception.similarity import (
     SENTENCE,
     best_scores,
@@ -76,7 +76,7 @@ def test_an_unknown_card_is_one_clear_line(cards, name, expected):
 
 def test_the_running_detector_need_not_run_twice(cards):
     write(cards, tiny_clip.BY_DETECTOR)
-    card = load_similarity_card("tiny-by-detector")
+    card = load_card("tiny-by-detector")
     assert is_running_detector(card, perception("tiny-by-detector", model="tiny-detector"))
     assert not is_running_detector(card, perception("tiny-by-detector", model="other"))
     assert not is_running_detector(card, perception("tiny-by-detector"))
@@ -86,7 +86,7 @@ def test_a_missing_model_is_one_clear_line(cards, vocabulary):
     write(cards, tiny_clip.BY_DETECTOR, tiny_clip.PAIR)
     for name in ("tiny-by-detector", "tiny-clip-similarity"):
         with pytest.raises(UserError, match="no such card") as raised:
-            make_similarity(load_similarity_card(name), perception(name), ["chair"])
+            make_similarity(load_card(name), perception(name), ["chair"])
         assert "\n" not in str(raised.value)
 
 
@@ -107,7 +107,7 @@ def pair(cards):
     tiny_clip.write_card(cards, tiny_clip.PAIR)
 
     def make(prompts=("chair",), **detector):
-        card = load_similarity_card("tiny-clip-similarity")
+        card = load_card("tiny-clip-similarity")
         return make_similarity(card, perception(card.name, **detector), prompts)
 
     return make
@@ -175,7 +175,7 @@ def by_detector(cards, vocabulary):
         tiny_clip.write_detector(path, logits)
         tiny_clip.write_card(cards, tiny_clip.DETECTOR, path)
         write(cards, tiny_clip.BY_DETECTOR)
-        card = load_similarity_card("tiny-by-detector")
+        card = load_card("tiny-by-detector")
         running = perception(card.name, model="another", vocabulary=str(vocabulary))
         return make_similarity(card, running, prompts)
 

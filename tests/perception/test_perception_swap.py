@@ -9,18 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from frames import Slot
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
-from edge.perception.swap import attempt
+from edge.perception.swap import swapper
 from edge.perception.swap.swapper import SwapError, Swapper
-from edge.perception.swap.trial import Sample, boxes_found_again, iou, sample
+from edge.perception.swap.trial import Sample, boxes_found_again, sample
 from edge.perception.text import PromptError
 from edge.perception.worker import DetectorWorker
 from edge.types import Detections
@@ -124,7 +121,7 @@ class Bench:
 
 @pytest.fixture
 def bench(make_observation, monkeypatch):
-    monkeypatch.setattr(attempt, "related", lambda model, running: True)
+    monkeypatch.setattr(swapper, "related", lambda model, running: True)
     opened = []
 
     def make(new=None, old=None, **more):
@@ -251,7 +248,7 @@ def test_force_does_not_take_what_is_not_finite(bench):
 )  # fmt: skip
 def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
     b = bench(old=old)
-    monkeypatch.setattr(attempt, "related", lambda model, running: related)
+    monkeypatch.setattr(swapper, "related", lambda model, running: related)
     assert b.swap()[0] == "kept"
     assert b.said[1].endswith(f"median 5.0 ms on 2 images; {finding}")
 
@@ -336,11 +333,10 @@ def test_prompts_that_change_while_it_loads_are_its_own_when_it_switches(bench):
 def test_prompts_that_change_once_it_is_ready_are_its_own_too(bench):
     b = bench()
     b.swapper.request("new", False, 0)
-    ready = b.swapper._attempt.ready
 
     def is_ready():  # the loop does not step meanwhile
         b.worker.submit(b.frame())
-        return ready.is_set()
+        return b.swapper._attempt.finding
 
     eventually(is_ready)
     b.worker.set_prompts(["bed"])
@@ -395,7 +391,7 @@ def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, 
     def fail(*_):
         raise MemoryError("12 MB")
 
-    monkeypatch.setattr(attempt, "sample", fail)
+    monkeypatch.setattr(swapper, "sample", fail)
     b = bench(worker=DetectorWorker)
     assert b.swap() == ("refused", "it cannot be watched: MemoryError: 12 MB; old goes on")
     assert b.image() is not None
@@ -528,22 +524,3 @@ def detections(boxes, scores, classes, rival=None, prompts=("chair", "bed")):
 )
 def test_which_boxes_count(was, now, expected):
     assert boxes_found_again([Sample(SimpleNamespace(), was)], [now], 0.3) == expected
-
-
-corners = arrays(np.float32, (4,), elements=st.integers(0, 8).map(float))
-
-
-@settings(max_examples=30)
-@given(corners, st.lists(corners, max_size=3))
-def test_iou_is_what_counting_pixels_gives(box, others):
-    def cells(b):
-        return {(x, y) for x in range(int(b[0]), int(b[2])) for y in range(int(b[1]), int(b[3]))}
-
-    def tidy(b):
-        return np.concatenate([np.minimum(b[:2], b[2:]), np.maximum(b[:2], b[2:])])
-
-    box, others = tidy(box), [tidy(o) for o in others]
-    found = iou(box, np.array(others, np.float32).reshape(-1, 4))
-    mine = cells(box)
-    expected = [len(mine & cells(o)) / max(1, len(mine | cells(o))) for o in others]
-    np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from edge.models.export import keep_vocabulary
+from edge.perception.encoders import make_text_encoder
 from edge.perception.text import (
     PromptError,
     TextEmbeddings,
     find_vocabulary,
-    make_text_encoder,
     words_for,
 )
 

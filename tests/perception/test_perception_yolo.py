@@ -9,7 +9,7 @@ import pytest
 from edge import config
 from edge.models.check import check_model
 from edge.perception.cards import ModelError, load_card, verify_model
-from edge.perception.detector import make_detector
+from edge.perception.factory import make_detector
 from edge.perception.text import PromptError, find_vocabulary
 
 pytestmark = pytest.mark.weights

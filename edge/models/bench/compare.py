@@ -18,8 +18,8 @@ from edge.models.bench.figures import Measured
 from edge.models.bench.frames import Frames
 from edge.models.bench.runs import Bench
 from edge.models.bench.variants import Variant
+from edge.perception.encoders import make_text_encoder
 from edge.perception.model_file import remembered_sha256
-from edge.perception.text import make_text_encoder
 
 log = logging.getLogger("edge.eval.bench")
 

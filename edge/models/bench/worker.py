@@ -17,8 +17,9 @@ from edge.errors import UserError
 from edge.eval.bench import resident_mb
 from edge.host import machine
 from edge.logs import setup
-from edge.perception.backends.runtime import gpu_name
-from edge.perception.detector import Health, make_detector
+from edge.perception.backends.cuda import gpu_of
+from edge.perception.detector import Health
+from edge.perception.factory import make_detector
 from edge.perception.warmup import warmup
 from edge.text import one_line
 from edge.types import Detections, Observation
@@ -87,7 +88,7 @@ def measure(job: dict) -> dict[str, np.ndarray]:
 def used_gpu(settings: config.DetectorOnnx) -> str:
     """The name of the GPU that a detector runs on, empty where it is the CPU."""
     on_cpu = settings.providers[0] == "CPUExecutionProvider"
-    return "" if on_cpu else gpu_name(settings.device_id)
+    return "" if on_cpu else gpu_of(settings.device_id)[0]
 
 
 _FOUND = ("xyxy_px", "score", "class_id")

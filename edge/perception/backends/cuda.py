@@ -1,7 +1,8 @@
-"""Memory on a CUDA device, by NVIDIA's `cuda-bindings`; imported only where a GPU is used."""
+"""A GPU: what it is, from the driver, and memory on it, by NVIDIA's `cuda-bindings`."""
 
 from __future__ import annotations
 
+import ctypes
 import weakref
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from edge.perception.model_file import ModelError
+
+_CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR in cuda.h
 
 
 def load() -> Any:
@@ -51,24 +54,6 @@ class Device:
         self._pinned: weakref.WeakValueDictionary[int, np.ndarray] = weakref.WeakValueDictionary()
         (self._stream,) = self._call("cudaStreamCreate")
         _at_end(self, cuda.cudaStreamDestroy, self._stream)
-
-    @property
-    def sm(self) -> str:
-        """Compute capability, such as `8.7`."""
-        attributes = self._cuda.cudaDeviceAttr
-        (major,) = self._call(
-            "cudaDeviceGetAttribute", attributes.cudaDevAttrComputeCapabilityMajor, self.index
-        )
-        (minor,) = self._call(
-            "cudaDeviceGetAttribute", attributes.cudaDevAttrComputeCapabilityMinor, self.index
-        )
-        return f"{major}.{minor}"
-
-    @property
-    def name(self) -> str:
-        """Of the GPU, such as `Orin`."""
-        (properties,) = self._call("cudaGetDeviceProperties", self.index)
-        return properties.name.partition(b"\0")[0].decode(errors="replace")
 
     @property
     def stream(self) -> int:
@@ -140,3 +125,28 @@ class DeviceBuffer:
 def _at_end(owner: object, free: Callable[[Any], object], what: Any) -> None:
     """Free with the owner; at the end of the process the driver does it."""
     weakref.finalize(owner, free, what).atexit = False
+
+
+def gpu_of(device_id: int) -> tuple[str, str]:
+    """A GPU's name and compute capability, such as `Orin` and `8.7`, from the driver itself
+    (onnxruntime does not tell).
+
+    Raises:
+        ModelError: no driver or no such GPU.
+    """
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        raise ModelError(
+            "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
+        ) from None
+    device = ctypes.c_int()
+    failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
+    if failed:
+        raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
+    name, value, capability = ctypes.create_string_buffer(256), ctypes.c_int(), []
+    cuda.cuDeviceGetName(name, len(name), device)
+    for attribute in _CAPABILITY:
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+        capability.append(str(value.value))
+    return name.value.decode(errors="replace"), ".".join(capability)

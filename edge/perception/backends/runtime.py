@@ -10,17 +10,14 @@ import contextlib
 import ctypes
 import importlib.util
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from edge.errors import UserError
-from edge.host import resources
-from edge.perception.backends.building import Building
-from edge.perception.backends.engine_cache import EngineKey, obtain
-from edge.perception.detector import Progress, log_progress
-from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256
+from edge.perception.backends import tensorrt
+from edge.perception.backends.engines import EngineOptions, engine_of
+from edge.perception.model_file import ModelError
 from edge.text import one_line
 
 TENSORRT = "tensorrt"
@@ -29,33 +26,6 @@ TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
 
 RECIPE = 1
 """Counts what `provider_options` tells TensorRT's builder: one more where that changes."""
-
-Shape = tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class EngineOptions:
-    """What TensorRT needs to know of a model beyond its file.
-
-    Attributes:
-        model: the card's name.
-        precision: the card's: `fp32`, `fp16` or `int8-trt`.
-        shapes: least, usual and largest shape of every input whose shape may change.
-        cache: folder for engines, None: `engines` in the service's cache.
-        progress: told while an engine is built.
-        sha256: of the file when it is sound, None: of what it was when it was last looked at.
-    """
-
-    model: str
-    precision: str
-    shapes: Mapping[str, tuple[Shape, Shape, Shape]] = field(default_factory=dict)
-    cache: Path | None = None
-    progress: Progress = log_progress
-    sha256: str | None = None
-
-    @property
-    def folder(self) -> Path:
-        return self.cache or resources.cache_dir() / "engines"
 
 
 def open_session(
@@ -91,9 +61,7 @@ def open_session(
             raise ModelError(
                 f"perception.detector.providers: {TENSORRT!r} stands alone, without others"
             )
-        from edge.perception.backends.tensorrt import open_engine
-
-        return open_engine(path, device_id, engine)
+        return tensorrt.open_engine(path, device_id, engine)
     return _open_onnxruntime(path, providers, threads, device_id, engine)
 
 
@@ -126,24 +94,16 @@ def _open_onnxruntime(
 
     if ORT_TENSORRT not in providers:
         return load(engine.folder)
-    key = EngineKey(
-        engine.model,
-        engine.sha256 or remembered_sha256(path),
-        f"onnxruntime {ort.__version__}",
-        tensorrt_version(),
-        compute_capability(device_id),
-        gpu_name(device_id),
-        engine.precision,
-        repr(sorted(engine.shapes.items())),
-        RECIPE,
+    built = engine_of(
+        path,
+        engine,
+        lambda folder, _: load(folder),
+        device_id,
+        builder=f"onnxruntime {ort.__version__}",
+        tensorrt=tensorrt_version(),
+        recipe=RECIPE,
     )
-
-    def build(folder: Path) -> None:
-        check_unchanged(path, key.sha256)
-        with Building(engine.model, engine.progress):
-            load(folder)
-
-    return load(obtain(key, engine.folder, build, engine.progress))
+    return load(built)
 
 
 def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]]) -> Any:
@@ -231,43 +191,3 @@ def tensorrt_version() -> str:
         "TensorRT's libnvinfer is not found: install TensorRT, or choose other "
         "perception.detector.providers"
     )
-
-
-def compute_capability(device_id: int) -> str:
-    """Of a GPU, such as `8.7`, from the driver itself (onnxruntime does not tell).
-
-    Raises:
-        ModelError: no driver or no such GPU.
-    """
-    cuda, device = _driver(device_id)
-    value, numbers = ctypes.c_int(), []
-    for attribute in _CAPABILITY:
-        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
-        numbers.append(value.value)
-    return ".".join(map(str, numbers))
-
-
-def gpu_name(device_id: int) -> str:
-    """Of a GPU, such as `Orin`; raises as `compute_capability` does."""
-    cuda, device = _driver(device_id)
-    name = ctypes.create_string_buffer(256)
-    cuda.cuDeviceGetName(name, len(name), device)
-    return name.value.decode(errors="replace")
-
-
-def _driver(device_id: int) -> tuple[ctypes.CDLL, ctypes.c_int]:
-    """The CUDA driver's library and its handle of a GPU."""
-    try:
-        cuda = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        raise ModelError(
-            "no CUDA driver (libcuda.so.1): choose other perception.detector.providers"
-        ) from None
-    device = ctypes.c_int()
-    failed = cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), device_id)
-    if failed:
-        raise ModelError(f"perception.detector.device_id: no GPU {device_id} (CUDA error {failed})")
-    return cuda, device
-
-
-_CAPABILITY = (75, 76)  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR in cuda.h

@@ -9,23 +9,21 @@ https://docs.nvidia.com/deeplearning/tensorrt/latest/_static/python-api/
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from edge.perception.backends.binding import Bound, Shapes
-from edge.perception.backends.building import Building
 from edge.perception.backends.cuda import Device
-from edge.perception.backends.engine_cache import EngineKey, obtain
-from edge.perception.backends.tensorrt_report import make_logger, make_monitor
-from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256
+from edge.perception.backends.engines import EngineOptions, engine_of
+from edge.perception.model_file import ModelError
 from edge.text import one_line
 
-if TYPE_CHECKING:
-    from edge.perception.backends.runtime import EngineOptions
+log = logging.getLogger(__name__)
 
 _PLAN = "model.engine"
 _WORKSPACE_BYTES = 1 << 30
@@ -52,25 +50,20 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
         ModelError: TensorRT, the GPU or the cache cannot be used, or TensorRT refuses the model.
     """
     trt, device = load(), Device(device_id)
-    key = EngineKey(
-        options.model,
-        options.sha256 or remembered_sha256(path),
-        "tensorrt",
-        str(trt.__version__),
-        device.sm,
-        device.name,
-        options.precision,
-        repr(sorted(options.shapes.items())),
-        RECIPE,
-    )
 
-    def build(folder: Path) -> None:
-        check_unchanged(path, key.sha256)
-        with Building(options.model, options.progress) as building:
-            plan = build_plan(trt, path, options.shapes, building.note)
+    def build(folder: Path, note: Callable[[str], None]) -> None:
+        plan = build_plan(trt, path, options.shapes, note)
         (folder / _PLAN).write_bytes(plan)
 
-    folder = obtain(key, options.folder, build, options.progress)
+    folder = engine_of(
+        path,
+        options,
+        build,
+        device_id,
+        builder="tensorrt",
+        tensorrt=str(trt.__version__),
+        recipe=RECIPE,
+    )
     logger = make_logger(trt)
     runtime = trt.Runtime(logger)
     engine = runtime.deserialize_cuda_engine((folder / _PLAN).read_bytes())
@@ -117,10 +110,80 @@ def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[
     return plan
 
 
+def make_logger(trt: Any) -> Any:
+    """A TensorRT logger that writes to ours; `last` is the newest error, for one line of ours."""
+    severity = trt.ILogger.Severity
+    levels = {
+        severity.INTERNAL_ERROR: logging.ERROR,
+        severity.ERROR: logging.ERROR,
+        severity.WARNING: logging.WARNING,
+        severity.INFO: logging.DEBUG,
+        severity.VERBOSE: logging.DEBUG,
+    }
+
+    class Logger(trt.ILogger):
+        def __init__(self) -> None:
+            trt.ILogger.__init__(self)
+            self.last = "no reason given"
+
+        def log(self, level: Any, message: str) -> None:
+            if levels[level] == logging.ERROR:
+                self.last = one_line(message)
+            if level != severity.VERBOSE:
+                log.log(levels[level], "%s", one_line(message, 1000))
+
+    return Logger()
+
+
+def make_monitor(trt: Any, note: Callable[[str], None]) -> Any:
+    """A TensorRT progress monitor that notes lines such as `45% of building engine`."""
+    lock = threading.Lock()  # TensorRT tells from several threads
+    phases: dict[str, list[Any]] = {}  # name → [parent, steps, done], outermost first
+
+    class Monitor(trt.IProgressMonitor):
+        def __init__(self) -> None:
+            trt.IProgressMonitor.__init__(self)
+
+        def phase_start(self, phase_name: str, parent_phase: str | None, num_steps: int) -> None:
+            with lock:
+                phases[phase_name] = [parent_phase, max(1, num_steps), 0]
+                note(how_far(phases))
+
+        def step_complete(self, phase_name: str, step: int) -> bool:
+            with lock:
+                if phase_name in phases:
+                    phases[phase_name][2] = step + 1  # counted from 0
+                note(how_far(phases))
+            return True  # go on
+
+        def phase_finish(self, phase_name: str) -> None:
+            with lock:
+                phases.pop(phase_name, None)
+                note(how_far(phases))
+
+    return Monitor()
+
+
+def how_far(phases: Mapping[str, Sequence[Any]]) -> str:
+    """The outermost phase and its share done, inner phases counted in; empty for no phase.
+
+    Args:
+        phases: (parent, steps, steps done) by name.
+    """
+
+    def share(name: str) -> float:
+        _, steps, done = phases[name]
+        inner = [share(child) for child, phase in phases.items() if phase[0] == name]
+        return min(1.0, (done + max(inner, default=0.0)) / steps)
+
+    root = next((name for name, phase in phases.items() if phase[0] is None), None)
+    return "" if root is None else f"{share(root):.0%} of {root.lower()}"
+
+
 class TensorrtSession:
     """An engine with the part of onnxruntime's interface that is used here.
 
-    Inputs and outputs are float32, as `edge.perception.interface` made sure of. Different threads
+    Inputs and outputs are float32, as `edge.perception.onnx_file` made sure of. Different threads
     may bind and run.
 
     Args:

@@ -1,4 +1,5 @@
-"""A view as a picture with lettered marks (ViTL fig. 3a), for a vision-language model."""
+"""Which frontiers the camera sees, and the picture with lettered marks that a vision-language
+model is shown (ViTL fig. 3a)."""
 
 from __future__ import annotations
 
@@ -9,12 +10,76 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
+from edge.geometry import invert
 from edge.perception.choice.question import LETTERS, MAX_MARKS, Mark
+from edge.types import Observation
 
 ENLARGED_PX = 320  # smaller images are shown larger, so that letters leave something to be seen
 JPEG_QUALITY = 90
 _RADIUS_SHARE, _MIN_RADIUS_PX = 0.035, 7
 _RINGS, _SPOKES = 24, 24
+NEAREST_M = 0.1
+OCCLUDED_M, OCCLUDED_SHARE = 0.3, 0.1
+"""A frontier lies on the floor at the edge of what was seen of it; a depth image that ends so much
+in front of it, and this share of its distance, shows something that stands before it."""
+
+
+def visible_marks(
+    observation: Observation, xy_m: np.ndarray, ids: np.ndarray, limit: int = MAX_MARKS
+) -> tuple[Mark, ...]:
+    """The frontiers that the image shows, projected onto the floor (ViTL IV-B1).
+
+    Behind the robot, outside the image and behind what the depth image shows there are none.
+
+    Args:
+        xy_m: (n, 2) frontiers in `map`.
+        ids: (n,) their candidates' ids.
+        limit: of more, the nearest are taken.
+
+    Returns:
+        From left to right; empty where the observation has no camera.
+    """
+    camera = observation.camera
+    if camera is None or len(xy_m) == 0:
+        return ()
+    T_map_base = observation.T_map_base
+    x, y, z = _in_camera(T_map_base, observation.T_base_camera, xy_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = camera.fx_px * x / z + camera.cx_px
+        v = camera.fy_px * y / z + camera.cy_px
+    width, height = camera.width_px, camera.height_px
+    inside = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (z > NEAREST_M)
+    seen = np.flatnonzero(inside)
+    depth = observation.depth_m
+    if depth is not None and depth.shape == (height, width):
+        depth_m = depth[np.rint(v[seen]).astype(np.intp), np.rint(u[seen]).astype(np.intp)]
+        allowed_m = z[seen] * (1.0 - OCCLUDED_SHARE) - OCCLUDED_M
+        # NaN and 0 mean that nothing returned.
+        seen = seen[~((depth_m > 0.0) & (depth_m < allowed_m))]
+    pose = observation.pose
+    away_m = np.hypot(xy_m[seen, 0] - pose.x_m, xy_m[seen, 1] - pose.y_m)
+    nearest = np.lexsort((ids[seen], away_m))[:limit]
+    marks = [
+        Mark(
+            int(ids[i]), float(u[i]), float(v[i]),
+            pose.bearing_to(float(xy_m[i, 0]), float(xy_m[i, 1])),
+            pose.distance_to(float(xy_m[i, 0]), float(xy_m[i, 1])),
+        )
+        for i in seen[nearest]
+    ]  # fmt: skip
+    return tuple(sorted(marks, key=lambda mark: (mark.u_px, mark.id)))
+
+
+def _in_camera(
+    T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the floor on which the robot stands, in the camera's optical frame."""
+    T = invert(T_map_base @ T_base_camera)
+    a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
+    c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()
+    x_m, y_m = xy_m[:, 0], xy_m[:, 1]
+    x, y, z = (a[k] * x_m + b[k] * y_m + c[k] for k in range(3))
+    return x, y, z
 
 
 def draw(
@@ -40,15 +105,15 @@ def draw(
     image = rgb.copy() if scale == 1.0 else cv2.resize(rgb, size, interpolation=how)
     radius = max(_MIN_RADIUS_PX, round(_RADIUS_SHARE * max(size)))
     spots = [((m.u_px + 0.5) * scale - 0.5, (m.v_px + 0.5) * scale - 0.5) for m in marks]
-    places = place(spots[:MAX_MARKS], size, radius)
-    shown = [i for i, at in enumerate(places) if at is not None]
+    centers = place(spots[:MAX_MARKS], size, radius)
+    shown = [i for i, at in enumerate(centers) if at is not None]
     for i in shown:
-        spot, at = _whole(spots[i]), _whole(places[i])
+        spot, at = _whole(spots[i]), _whole(centers[i])
         cv2.line(image, spot, at, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.line(image, spot, at, (255, 255, 255), 1, cv2.LINE_AA)
         cv2.circle(image, spot, 2, (255, 255, 255), -1, cv2.LINE_AA)
     for letter, i in zip(LETTERS, shown, strict=False):
-        _letter(image, letter, _whole(places[i]), radius)
+        _letter(image, letter, _whole(centers[i]), radius)
     return image, tuple(marks[i] for i in shown)
 
 
@@ -65,7 +130,7 @@ def place(
         A centre for each spot, or None where no room was found.
     """
     taken: list[tuple[float, float]] = []
-    places: list[tuple[float, float] | None] = []
+    centers: list[tuple[float, float] | None] = []
     apart = 2.0 * radius + 2.0  # their borders, and rounding to whole pixels
     for spot in spots:
         free = (
@@ -74,10 +139,10 @@ def place(
             if _fits(at, size, radius) and all(math.dist(at, other) >= apart for other in taken)
         )
         at = next(free, None)
-        places.append(at)
+        centers.append(at)
         if at is not None:
             taken.append(at)
-    return places
+    return centers
 
 
 def data_url(rgb: np.ndarray) -> str:

@@ -1,4 +1,7 @@
-"""What a choice scorer is asked, in the words of ViTL (IV-B1), and what it answers."""
+"""What a choice scorer is asked, in the words of ViTL (IV-B1), and what it answers.
+
+A language model without eyes reads a view in words, as ESC and L3MVN ask theirs.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ DIRECTION = (
     "find a {target}? Answer with ONLY a single letter."
 )
 SCENE = "Does this view show paths or doorways that could lead to a {target}? Answer Yes or No."
+AHEAD_RAD = 0.2
 
 
 class Mark(NamedTuple):
@@ -103,3 +107,29 @@ def direction_question(n_marks: int, target: str) -> str:
 def scene_question(target: str) -> str:
     """Whether the view as a whole promises anything."""
     return SCENE.format(target=target)
+
+
+def describe(view: View) -> str:
+    """What was detected, and where the lettered frontiers lie.
+
+    >>> import numpy as np
+    >>> from edge.types import Observation
+    >>> seen = (Sighting("bed", 0.5, 2.14),)
+    >>> print(describe(View(Observation(0, 0, np.eye(4)), "lamp", (Mark(7, 0, 0, 0, 3),), seen)))
+    The robot sees:
+    - bed, left, 2.1 m
+    It can go on in these directions:
+    - A: ahead, 3.0 m
+    """
+    seen = [f"- {s.label}, {_where(s.bearing_rad, s.distance_m)}" for s in view.sightings]
+    ways = [
+        f"- {letter}: {_where(mark.bearing_rad, mark.distance_m)}"
+        for letter, mark in zip(LETTERS, view.marks[:MAX_MARKS], strict=False)
+    ]
+    heads = ("The robot sees:", "It can go on in these directions:")
+    return "\n".join([heads[0], *(seen or ["- nothing that it knows"]), heads[1], *ways])
+
+
+def _where(bearing_rad: float, distance_m: float) -> str:
+    side = "ahead" if abs(bearing_rad) <= AHEAD_RAD else "left" if bearing_rad > 0 else "right"
+    return f"{side}, {distance_m:.1f} m"

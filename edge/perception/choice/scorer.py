@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from edge.chat import ChatClient, ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.perception.choice.letters import NoAnswerError, probabilities
+from edge.errors import UserError
 from edge.perception.choice.picture import data_url, draw
 from edge.perception.choice.question import (
     LETTERS,
@@ -19,12 +22,19 @@ from edge.perception.choice.question import (
     Choice,
     Mark,
     View,
+    describe,
     direction_question,
     scene_question,
 )
-from edge.perception.choice.words import describe
 
 YES_NO = ("Yes", "No")
+MISSING_NATS = 1.0
+"""How much less likely than the least likely token that the server told of an answer is taken to
+be which it did not tell of. At most as likely is known, and that all of them together have no more
+than what the told tokens leave of 1."""
+_LEAST_LEFT = 1e-9  # so that what is left has a logarithm, also where rounding leaves nothing
+
+_WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,12 +42,12 @@ class Shown:
     """A view as the model gets to see it.
 
     Attributes:
-        parts: contents of a message that both questions begin with.
+        part: of a message's content, which both questions begin with.
         marks: those that have a letter, in the letters' order.
     """
 
     view: View
-    parts: tuple[dict[str, Any], ...]
+    part: dict[str, Any]
     marks: tuple[Mark, ...]
 
 
@@ -52,12 +62,12 @@ def show_picture(max_px: int, view: View) -> Shown:
         raise ValueError(f"observation {view.observation.seq}: no image to show")
     image, marks = draw(rgb, view.marks, max_px)
     part = {"type": "image_url", "image_url": {"url": data_url(image)}}
-    return Shown(view, (part,), marks)
+    return Shown(view, part, marks)
 
 
 def show_words(view: View) -> Shown:
     """What was detected, and where the letters are, in words."""
-    return Shown(view, ({"type": "text", "text": describe(view)},), view.marks)
+    return Shown(view, {"type": "text", "text": describe(view)}, view.marks)
 
 
 class ChoiceScorer:
@@ -111,7 +121,7 @@ class ChoiceScorer:
     def _ask(self, shown: Shown, question: str, answers: Any, begin_s: float) -> Any:
         messages = [
             {"role": "system", "content": SYSTEM},
-            {"role": "user", "content": _content(shown.parts, question)},
+            {"role": "user", "content": _content(shown.part, question)},
         ]
         left_s = self._client.time_limit_s - (time.monotonic() - begin_s)
         tokens = self._client.next_tokens(messages, left_s)
@@ -121,11 +131,11 @@ class ChoiceScorer:
             raise ChatError(f"{self._client.url}: {error}") from None
 
 
-def _content(parts: tuple[dict[str, Any], ...], question: str) -> str | list[dict[str, Any]]:
+def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
     """One text where all is text: some servers of text models take no list."""
-    if all(part["type"] == "text" for part in parts):
-        return "\n".join([*(part["text"] for part in parts), question])
-    return [*parts, {"type": "text", "text": question}]
+    if part["type"] == "text":
+        return f"{part['text']}\n{question}"
+    return [part, {"type": "text", "text": question}]
 
 
 def make_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
@@ -142,3 +152,49 @@ def make_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
     if config.kind == "openai":
         return ChoiceScorer(client, partial(show_picture, config.max_image_px))
     return ChoiceScorer(client, show_words)
+
+
+class NoAnswerError(UserError):
+    """The model is about to say something else than any of the answers."""
+
+
+def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -> np.ndarray:
+    """Softmax over exactly the answers that were offered.
+
+    log-probabilities are logits up to a constant, which falls out. The tokens of one answer
+    ("A", " A", "(A") are one event, so their probabilities are added. Words are compared without
+    regard to case; single letters are not, since "a" begins a sentence about anything.
+
+    Args:
+        tokens: the likeliest next tokens with their log-probabilities, at most 0.
+        answers: at least one, all different.
+
+    Returns:
+        (n,) float32, positive or zero, sums to 1.
+
+    Raises:
+        NoAnswerError: none of the answers is among the tokens.
+    """
+    place = {_key(answer): i for i, answer in enumerate(answers)}
+    logits = np.full(len(answers), -math.inf)
+    for token, logprob in tokens:
+        i = place.get(_key(token.strip(_WRAPPING)))
+        if i is not None:
+            logits[i] = np.logaddexp(logits[i], logprob)
+    if not np.isfinite(logits).any():
+        said = ", ".join(repr(token) for token, _ in tokens[:3])
+        raise NoAnswerError(
+            f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
+            "use one that answers at once"
+        )
+    missing = np.isneginf(logits)
+    if missing.any():
+        left = max(1.0 - math.fsum(math.exp(logprob) for _, logprob in tokens), _LEAST_LEFT)
+        least = min(logprob for _, logprob in tokens) - MISSING_NATS
+        logits[missing] = min(least, math.log(left / missing.sum()))
+    p = np.exp(logits - logits.max())
+    return (p / p.sum()).astype(np.float32)
+
+
+def _key(text: str) -> str:
+    return text if len(text) == 1 else text.casefold()

@@ -8,21 +8,62 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future
+from dataclasses import replace
+from typing import NamedTuple
 
 from edge import config
 from edge.errors import UserError
-from edge.perception.detector import Health, Progress, check_rgb, log_progress
+from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.process.frames import FrameFile
 from edge.perception.process.link import Link
 from edge.perception.process.messages import ModelProcessError
-from edge.perception.process.restarts import Pause, Restarts
-from edge.perception.text import PromptError
+from edge.perception.text import PromptError, check_prompts
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
 
 _CHECK_S = 0.25  # how long the loop may wait to hear whether prompts will do
 _CLOSE_S = 10.0  # for the thread to end once its process was killed
+
+
+class Pause(NamedTuple):
+    """How long to wait, and whether that is because the limit was reached."""
+
+    seconds: float
+    limit: bool
+
+
+class Restarts:
+    """Backoff and limit of `config.ModelProcess`.
+
+    Ends count in a row, however long each start takes: one after a run of over `window_s` is the
+    first again. The backoff begins anew after a run of over `backoff_max_s`.
+    """
+
+    def __init__(self, rules: config.ModelProcess) -> None:
+        self._rules = rules
+        self._ends = 0
+        self._backoff_s = rules.backoff_s
+
+    def after(self, ran_s: float) -> Pause:
+        """What a process's end calls for.
+
+        Args:
+            ran_s: how long it was ready; 0 if it never was.
+
+        Returns:
+            The pause; infinite where no restart is allowed at all.
+        """
+        c = self._rules
+        self._ends = 1 if ran_s > c.window_s else self._ends + 1
+        if ran_s > c.backoff_max_s:
+            self._backoff_s = c.backoff_s
+        seconds, self._backoff_s = self._backoff_s, min(2 * self._backoff_s, c.backoff_max_s)
+        if c.restarts == 0:
+            return Pause(math.inf, True)
+        if self._ends > c.restarts:
+            return Pause(max(seconds, c.window_s), True)
+        return Pause(seconds, False)
 
 
 class ProcessDetector:
@@ -36,7 +77,7 @@ class ProcessDetector:
         self,
         perception: config.Perception,
         prompts: Sequence[str],
-        progress: Progress = log_progress,
+        progress: Tell = log_progress,
         cancelled: threading.Event | None = None,
     ) -> None:
         """
@@ -83,11 +124,10 @@ class ProcessDetector:
         Prompts set while there is no process, or while it is too busy to answer, are looked for
         once there is one; that they cannot be is then what `detect` raises.
         """
-        if isinstance(prompts, str) or not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
+        prompts = check_prompts(prompts)
         if self._link is not None:
             self._link.check(prompts, _CHECK_S)
-        self._prompts = tuple(prompts)
+        self._prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; takes at most `timeout_s`.
@@ -103,18 +143,10 @@ class ProcessDetector:
         answer = link.detect(rgb, self._prompts, self._config.timeout_s)
         if link is not self._answered:  # a process counts from its own start
             self._answered, self._invalid_before = link, self.invalid_boxes
-        self._looked_for, self._told = answer.prompts, answer.health
+        self._looked_for, self._told = answer.found.prompts, answer.health
         self.invalid_boxes = self._invalid_before + answer.invalid_boxes
-        return Detections(
-            observation=observation,
-            xyxy_px=answer.xyxy_px,
-            score=answer.score,
-            class_id=answer.class_id,
-            prompts=answer.prompts,
-            rival=answer.rival,
-            model=self.name,
-            latency_ns=time.perf_counter_ns() - start_ns,
-        )
+        took_ns = time.perf_counter_ns() - start_ns
+        return replace(answer.found, observation=observation, model=self.name, latency_ns=took_ns)
 
     def health(self) -> Health:
         """See `Detector.health`: of the process, and if that is well, of the model in it."""

@@ -54,8 +54,7 @@ class FrameFile:
     def _grow(self, size: int) -> None:
         # Reserved now: writing to a full /dev/shm later would end this process with SIGBUS.
         os.posix_fallocate(self.fd, 0, size)
-        self._bytes = np.frombuffer(mmap.mmap(self.fd, size), np.uint8)
-        self._seq = self._bytes[:16].view(np.int64)
+        self._bytes, self._seq = _map(self.fd, size)
 
     def close(self) -> None:
         self._bytes, self._seq = np.empty(0, np.uint8), np.empty(0, np.int64)
@@ -70,7 +69,7 @@ class FrameView:
         self._bytes = np.empty(0, np.uint8)
         self._seq = np.empty(0, np.int64)
 
-    def look(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
+    def read(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
         """The image with this number, (h, w, 3) uint8, where it lies.
 
         Whoever has read it asks `is_whole` whether it was the same until then.
@@ -80,7 +79,7 @@ class FrameView:
         """
         end = PIXELS_AT + image_hw[0] * image_hw[1] * 3
         if end > len(self._bytes):
-            self._map(end)
+            self._bytes, self._seq = _map(self._fd, end)
         if self._seq[_AFTER] != seq or not self.is_whole(seq):
             raise ValueError(f"frame {seq}: torn, frame {self._seq[_BEFORE]} is in its place")
         return self._bytes[PIXELS_AT:end].reshape(*image_hw, 3)
@@ -89,9 +88,15 @@ class FrameView:
         """Whether no newer image has been begun."""
         return bool(self._seq[_BEFORE] == seq)
 
-    def _map(self, needed: int) -> None:
-        size = os.fstat(self._fd).st_size
-        if size < needed:
-            raise ValueError(f"frame file: {size} bytes, {needed} are needed")
-        self._bytes = np.frombuffer(mmap.mmap(self._fd, size), np.uint8)
-        self._seq = self._bytes[:16].view(np.int64)
+
+def _map(fd: int, needed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The file's bytes, and the two sequence numbers that they begin with.
+
+    Raises:
+        ValueError: there are fewer than needed.
+    """
+    size = os.fstat(fd).st_size
+    if size < needed:
+        raise ValueError(f"frame file: {size} bytes, {needed} are needed")
+    content = np.frombuffer(mmap.mmap(fd, size), np.uint8)
+    return content, content[:16].view(np.int64)

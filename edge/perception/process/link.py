@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import zmq
 
 from edge import config
 from edge.host.children import python_module
-from edge.host.private_folder import private_folder
 from edge.logs import LEVELS, JsonFormatter
-from edge.perception.detector import Progress
+from edge.perception.detector import Tell
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameFile, shared_dir
 from edge.perception.process.messages import ModelProcessError
@@ -30,7 +29,7 @@ log = logging.getLogger(__name__)
 
 PROGRAM = python_module("edge.perception.process.serve")
 
-_LOOK_MS = 50  # how long an end may go unnoticed while an answer is awaited
+_LOOK_S = 0.05  # how long an end may go unnoticed while an answer is awaited
 _END_S = 0.2
 _STOP_S = 2.0
 _KILL_S = 5.0  # one that is deep in the kernel, such as in a GPU's driver, does not even die
@@ -60,29 +59,20 @@ class Link:
         self._asked = self._checked = 0
         self._ended = threading.Event()
         self._asking, self._checking = threading.Lock(), threading.Lock()
-        self._folder = ExitStack()
-        with ExitStack() as stack:
+        told = {"perception": perception.model_dump(mode="json"), "prompts": list(prompts)}
+        with contextlib.ExitStack() as stack:
             try:
-                folder = self._folder.enter_context(private_folder("edge-model-", shared_dir()))
-                stack.push(self._folder)
-                context = zmq.Context()
-                stack.callback(context.destroy, linger=0)
-                self._images = _bind(context, f"ipc://{folder}/frames")
-                self._control = _bind(context, f"ipc://{folder}/control")
-                start = messages.Start(
-                    perception.model_dump(mode="json"), list(prompts), str(folder), frames.fd,
-                    os.getpid(), *_logging(),
-                )  # fmt: skip
-                self._process = _start(start)
-            except (OSError, zmq.ZMQError) as error:
+                self._images, images = _channel(stack)
+                self._control, control = _channel(stack)
+                with images, control:
+                    self._process = _start((images.fileno(), control.fileno(), frames.fd), told)
+            except OSError as error:
                 raise ModelProcessError(
                     f"model {name}: its process cannot be started: {error}"
                 ) from None
-            self._stack = stack.pop_all()
+            self._channels = stack.pop_all()
 
-    def wait_ready(
-        self, timeout_s: float, told_to_end: Callable[[], bool], progress: Progress
-    ) -> None:
+    def wait_ready(self, timeout_s: float, told_to_end: Callable[[], bool], progress: Tell) -> None:
         """Until the model is loaded and has run once.
 
         Args:
@@ -95,28 +85,24 @@ class Link:
                 it is loaded in this process.
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
-        while "health" in (header := self._hear(self._control, timeout_s, told_to_end)):
+        while "health" in (header := self._hear(timeout_s, told_to_end)):
             progress(self._decode(messages.decode_health, header))
         messages.raise_error(header, self.name)
-        self._hear(self._images, timeout_s, told_to_end)
-        self._folder.close()
 
-    def _hear(
-        self, socket: zmq.Socket[bytes], timeout_s: float, told_to_end: Callable[[], bool]
-    ) -> dict[str, Any]:
+    def _hear(self, timeout_s: float, told_to_end: Callable[[], bool]) -> dict[str, Any]:
         """What a process says that is not yet ready; see `wait_ready`."""
         deadline_s = time.monotonic() + timeout_s
-        while True:
-            code = self._process.poll()  # before: what it said at its end is still to be heard
-            if (said := _receive(socket)) is not None:
-                return self._decode(messages.decode_header, said[0])
+        while (said := _receive(self._control)) is None:
             if told_to_end():
                 raise self.give_up("told to end while it was started")
             if time.monotonic() >= deadline_s:
                 limit = "perception.process.start_timeout_s"
                 raise self.give_up(f"not ready after {timeout_s:g} s ({limit}): killed")
-            if code is not None:
+        if not said:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self._process.wait(_END_S)
                 raise self.give_up(f"{_how(code)} before it was ready")
+        return self._decode(messages.decode_header, said)
 
     def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
         """What a process says that is not yet ready; nonsense is its end."""
@@ -145,12 +131,13 @@ class Link:
                 self._frames.write(seq, rgb)
             except OSError as error:
                 raise ModelProcessError(f"{shared_dir()}: no room for images: {error}") from None
-            said = self._exchange(messages.encode_request(seq, rgb.shape, prompts), timeout_s)
+            said = self._exchange(
+                messages.encode(seq=seq, hw=rgb.shape[:2], prompts=prompts), timeout_s
+            )
         try:
-            header = messages.decode_header(said[0])
-            answer = None
-            if "error" not in header:
-                answer = messages.decode_answer(seq, header, said[-1])
+            head, _, block = said.partition(messages.END_OF_HEADER)
+            header = messages.decode_header(head)
+            answer = None if "error" in header else messages.decode_answer(seq, header, block)
         except ValueError as error:
             raise self.give_up(f"damaged answer ({error}): killed") from None
         if header.get("error") == "MemoryError":
@@ -159,14 +146,9 @@ class Link:
         assert answer is not None
         return answer
 
-    def _exchange(self, request: bytes, timeout_s: float) -> list[bytes]:
+    def _exchange(self, request: bytes, timeout_s: float) -> bytes:
         deadline_s = time.monotonic() + timeout_s
-        try:
-            self._images.send(request)
-        except zmq.Again:  # there is nobody at the other end
-            self._ended.wait(_END_S)
-            raise self.give_up("takes no images: killed") from None
-        before_s = None
+        sent, before_s = _send(self._images, request), None
         while (said := _receive(self._images)) is None:
             if self._ended.is_set():
                 raise ModelProcessError(self.fault)
@@ -177,6 +159,9 @@ class Link:
             ):
                 limit = "perception.process.timeout_s"
                 raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
+        if not (sent and said):  # there is nobody at the other end
+            self._ended.wait(_END_S)
+            raise self.give_up("takes no images: killed")
         return said
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:
@@ -188,15 +173,15 @@ class Link:
         deadline_s = time.monotonic() + timeout_s
         with self._checking:
             number = self._checked = self._checked + 1
-            if self.fault or not _send(self._control, messages.encode_check(number, prompts)):
+            if self.fault or not _send(self._control, messages.encode(id=number, prompts=prompts)):
                 return False
             header = {}
             while header.get("id") != number:
                 if self._ended.is_set() or time.monotonic() >= deadline_s:
                     return False
-                if (said := _receive(self._control)) is not None:
+                if said := _receive(self._control):
                     try:
-                        header = messages.decode_header(said[0])
+                        header = messages.decode_header(said)
                     except ValueError as error:  # not what the prompts are to blame for
                         self.give_up(f"damaged message ({error}): killed")
                         return False
@@ -233,7 +218,7 @@ class Link:
         except subprocess.TimeoutExpired:
             self.leave()
         with self._asking, self._checking:
-            self._stack.close()
+            self._channels.close()
 
     def leave(self) -> None:
         """Say that the process is left behind, and have nobody wait for its answer."""
@@ -245,39 +230,43 @@ class Link:
         )  # fmt: skip
 
 
-def _bind(context: zmq.Context[zmq.Socket[bytes]], address: str) -> zmq.Socket[bytes]:
-    socket = context.socket(zmq.PAIR)
-    socket.linger, socket.sndtimeo, socket.rcvtimeo = 0, 0, _LOOK_MS
-    socket.maxmsgsize = messages.MAX_BYTES
-    socket.bind(address)
-    return socket
+def _channel(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]:
+    """Two ends that keep messages apart: this process's, which waits for a moment and is closed
+    with the stack, and the other's."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.settimeout(_LOOK_S)
+    return stack.enter_context(ours), theirs
 
 
-def _start(start: messages.Start) -> subprocess.Popen[bytes]:
+def _start(descriptors: tuple[int, int, int], told: dict[str, Any]) -> subprocess.Popen[bytes]:
+    """Start the program, and tell it what it is to do; see `edge.perception.process`."""
+    level, as_json = _logging()
+    told |= {"fds": descriptors, "parent": os.getpid(), "log_level": level, "log_json": as_json}
     # A session of its own keeps the terminal's Ctrl-C for this process, which ends it in order;
     # what libraries print goes to stderr, as stdout is for reports.
     process = subprocess.Popen(
-        PROGRAM, stdin=subprocess.PIPE, stdout=2, pass_fds=(start.frames_fd,),
-        start_new_session=True,
-    )  # fmt: skip
+        PROGRAM, stdin=subprocess.PIPE, stdout=2, pass_fds=descriptors, start_new_session=True
+    )
     with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` says how
-        process.stdin.write(start.encode())
+        process.stdin.write(json.dumps(told).encode())
     return process
 
 
-def _receive(socket: zmq.Socket[bytes]) -> list[bytes] | None:
-    """The parts of the next message; None when none came for a moment."""
+def _receive(channel: socket.socket) -> bytes | None:
+    """The next message, empty once the other end is closed; None when none came for a moment."""
     try:
-        return socket.recv_multipart()
-    except zmq.Again:
+        return channel.recv(messages.MAX_BYTES)
+    except TimeoutError:
         return None
+    except OSError:  # it was closed with something unread
+        return b""
 
 
-def _send(socket: zmq.Socket[bytes], message: bytes) -> bool:
+def _send(channel: socket.socket, message: bytes) -> bool:
     """Whether there was somebody to send it to."""
     try:
-        socket.send(message)
-    except zmq.Again:
+        channel.send(message)
+    except OSError:
         return False
     return True
 

@@ -6,9 +6,7 @@ What the model process sends is not trusted: it may be dying.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -18,8 +16,9 @@ from edge.perception.text import PromptError
 from edge.text import one_line
 from edge.types import Detections
 
-MAX_BYTES = 1 << 20
-"""Of a message; a thousand boxes are 28 KB."""
+MAX_BYTES = 1 << 17
+"""Of a message; a thousand boxes are 28 KB. What is longer is cut off, and so refused."""
+END_OF_HEADER = b"\n"
 _BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
 _STATES = get_args(get_type_hints(Health)["state"])
 
@@ -28,63 +27,21 @@ class ModelProcessError(ModelError):
     """The model's process failed, or is not there: one line."""
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """What a model process is told when it starts, on its stdin.
+class Answer(NamedTuple):
+    """What was found in one image (without its observation), and how the detector is."""
 
-    Attributes:
-        perception: the configuration's section.
-        folder: with the sockets.
-        frames_fd: the frame file.
-        parent: the process id of who started it.
-    """
-
-    perception: dict[str, Any]
-    prompts: list[str]
-    folder: str
-    frames_fd: int
-    parent: int
-    log_level: str
-    log_json: bool
-
-    def encode(self) -> bytes:
-        return json.dumps(asdict(self)).encode()
-
-    @classmethod
-    def decode(cls, data: bytes) -> Start:
-        return cls(**json.loads(data))
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What was found in one image; see `edge.types.Detections` for the arrays."""
-
-    xyxy_px: np.ndarray
-    score: np.ndarray
-    class_id: np.ndarray
-    rival: np.ndarray | None
-    prompts: tuple[str, ...]
+    found: Detections
     health: Health
     invalid_boxes: int
 
 
-def encode_request(seq: int, image_hw: Sequence[int], prompts: Sequence[str]) -> bytes:
-    """Look for the prompts in image `seq`."""
-    return json.dumps({"seq": seq, "hw": image_hw[:2], "prompts": prompts}).encode()
+def encode(**header: object) -> bytes:
+    """A message of nothing but a header."""
+    return json.dumps(header).encode()
 
 
-def encode_check(number: int, prompts: Sequence[str]) -> bytes:
-    """Can the prompts be looked for?"""
-    return json.dumps({"id": number, "prompts": list(prompts)}).encode()
-
-
-def encode_yes(number: int) -> bytes:
-    """They can."""
-    return json.dumps({"id": number}).encode()
-
-
-def encode_answer(seq: int, found: Detections, detector: Detector) -> tuple[bytes, bytes]:
-    """What `detector` found in image `seq`, and how it is: header and block."""
+def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
+    """What `detector` found in image `seq`, and how it is: header, its end, and block."""
     n = len(found)
     header = {
         "seq": seq,
@@ -97,12 +54,12 @@ def encode_answer(seq: int, found: Detections, detector: Detector) -> tuple[byte
     rival = np.zeros(n, np.float32) if found.rival is None else found.rival
     arrays = ((found.xyxy_px, "<f4"), (found.score, "<f4"), (found.class_id, "<i4"), (rival, "<f4"))
     block = b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
-    return json.dumps(header).encode(), block
+    return encode(**header) + END_OF_HEADER + block
 
 
 def encode_error(error: BaseException, **header: int) -> bytes:
     """An exception as a header; `raise_error` is its counterpart."""
-    return json.dumps({**header, "error": type(error).__name__, "text": str(error)}).encode()
+    return encode(**header, error=type(error).__name__, text=str(error))
 
 
 def decode_header(data: bytes) -> dict[str, Any]:
@@ -143,15 +100,10 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         raise ValueError("scores that are not in 0 to 1")
     if not ((class_id >= 0) & (class_id < len(prompts))).all():
         raise ValueError(f"classes that are not among {len(prompts)} prompts")
-    return Answer(
-        xyxy, score, class_id, rival if header.get("rival") is True else None, tuple(prompts),
-        decode_health(header), invalid,
-    )  # fmt: skip
-
-
-def encode_health(health: Health) -> bytes:
-    """How a detector is that is being made."""
-    return json.dumps({"health": health}).encode()
+    found = Detections(
+        None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None
+    )
+    return Answer(found, decode_health(header), invalid)
 
 
 def decode_health(header: dict[str, Any]) -> Health:

@@ -5,31 +5,32 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import faulthandler
+import json
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import zmq
 
 from edge import config, logs
 from edge.host.signals import show_stacks_on_signals
-from edge.perception.detector import Detector, Health, Progress, make_detector
+from edge.perception.detector import Detector, Health, Tell
+from edge.perception.factory import make_detector
 from edge.perception.process import messages
 from edge.perception.process.frames import FrameView
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
 
-Make = Callable[[config.Perception, Sequence[str], Progress], Detector]
+Make = Callable[[config.Perception, Sequence[str], Tell], Detector]
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _FIRST_TO_GO = "1000"  # for the kernel when memory runs out: the robot can do without this process
-_LINGER_MS = 2000
 _NO_MEMORY = ("failed to allocate memory", "bad_alloc", "bad allocation", "out of memory")
 
 
@@ -39,37 +40,35 @@ def main(make: Make = make_detector) -> int:
     Args:
         make: makes the detector.
     """
-    start = messages.Start.decode(sys.stdin.buffer.read())
-    _end_with(start.parent)
+    told = json.loads(sys.stdin.buffer.read())
+    _end_with(told["parent"])
     faulthandler.enable()
     show_stacks_on_signals()
-    logs.setup(start.log_level, start.log_json)
+    logs.setup(told["log_level"], told["log_json"])
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
-    with zmq.Context() as context:
-        control = _connect(context, start.folder, "control")
-        images = _connect(context, start.folder, "frames")
-        speaking = threading.Lock()
+    images_fd, control_fd, frames_fd = told["fds"]
+    images, control = socket.socket(fileno=images_fd), socket.socket(fileno=control_fd)
+    speaking = threading.Lock()
 
-        def progress(health: Health) -> None:  # from any thread, but only until `make` returns
-            with speaking:
-                control.send(messages.encode_health(health))
+    def progress(health: Health) -> None:  # from any thread, but only until `make` returns
+        with speaking:
+            control.send(messages.encode(health=health))
 
-        try:
-            perception = config.Perception.model_validate(start.perception)
-            detector = make(perception, start.prompts, progress)
-            _run_empty(detector)
-        except Exception as error:
-            control.send(messages.encode_error(error))
-            return 1  # once that has been sent, at most _LINGER_MS later
-        images.send(b"{}")
-        control.send(b"{}")
-        threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
-        try:
-            answer_images(images, detector, FrameView(start.frames_fd))
-        except BaseException:
-            log.exception("model %s: its process ends", detector.name)
-            os._exit(1)  # the thread above waits for ever
+    try:
+        perception = config.Perception.model_validate(told["perception"])
+        detector = make(perception, told["prompts"], progress)
+        _run_empty(detector)
+    except Exception as error:
+        control.send(messages.encode_error(error))
+        return 1
+    control.send(messages.encode())
+    threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
+    try:
+        answer_images(images, detector, FrameView(frames_fd))
+    except BaseException:
+        log.exception("model %s: its process ends", detector.name)
+        os._exit(1)  # the thread above waits for ever
     return 0
 
 
@@ -80,45 +79,38 @@ def _end_with(parent: int) -> None:
         sys.exit(1)
 
 
-def _connect(context: zmq.Context, folder: str, name: str) -> zmq.Socket:
-    socket = context.socket(zmq.PAIR)
-    socket.linger = _LINGER_MS
-    socket.connect(f"ipc://{folder}/{name}")
-    return socket
-
-
 def _run_empty(detector: Detector) -> None:
     """One image before the first: what compiles kernels on its way would look like a hang."""
     detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
 
 
-def check_prompts(control: zmq.Socket, detector: Detector) -> None:
+def check_prompts(control: socket.socket, detector: Detector) -> None:
     """Answer whether prompts can be looked for, while images are being looked at."""
-    while True:
-        request = messages.decode_header(control.recv())
+    while said := control.recv(messages.MAX_BYTES):
+        request = messages.decode_header(said)
         try:
             detector.set_prompts(request["prompts"])
-            control.send(messages.encode_yes(request["id"]))
+            control.send(messages.encode(id=request["id"]))
         except Exception as error:
             control.send(messages.encode_error(error, id=request["id"]))
 
 
-def answer_images(images: zmq.Socket, detector: Detector, frames: FrameView) -> None:
+def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
     """Answer every image with what is found in it, or what was raised."""
-    while True:
-        request = messages.decode_header(images.recv())
+    while said := images.recv(messages.MAX_BYTES):
+        request = messages.decode_header(said)
         seq, prompts = request["seq"], tuple(request["prompts"])
         try:
             if prompts != detector.prompts:
                 detector.set_prompts(prompts)
-            rgb = frames.look(seq, request["hw"])
+            rgb = frames.read(seq, request["hw"])
             found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
             if not frames.is_whole(seq):
                 raise ValueError(f"frame {seq}: torn, another was written meanwhile")
         except Exception as error:
             images.send(messages.encode_error(_by_kind(error), seq=seq))
         else:
-            images.send_multipart(messages.encode_answer(seq, found, detector))
+            images.send(messages.encode_answer(seq, found, detector))
 
 
 def _by_kind(error: Exception) -> Exception:

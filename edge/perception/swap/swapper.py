@@ -2,8 +2,8 @@
 
 The running model goes on until the new one was tried on its images, and it is kept, open, until
 the new one has run clean on `perception.swap.probation` images. Loading and trying happen on a
-thread (`attempt.py`); the loop only looks, once a tick, whether it is time for the next step. A
-swap that fails at any point leaves the model that ran before, and one line.
+thread; the loop only looks, once a tick, whether it is time for the next step. A swap that fails
+at any point leaves the model that ran before, and one line.
 """
 
 from __future__ import annotations
@@ -11,17 +11,28 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
-from edge.config import Perception
+from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
-from edge.perception.detector import Detector, make_detector
-from edge.perception.swap.attempt import Attempt, Make
-from edge.perception.worker import WorkerBase
+from edge.host.interruptible import start_unjoined
+from edge.perception.cards import ModelError, load_detector_card
+from edge.perception.detector import Detector, Health
+from edge.perception.factory import make_detector
+from edge.perception.swap.trial import failure, judge, median_ms, not_finite, sample
+from edge.perception.worker import LONGEST_ERROR, WorkerBase
+from edge.text import one_line
+from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.swap")
 
+Make = Callable[..., Detector]
+"""Called like `make_detector`."""
+
 OVER = ("kept", "rolled back", "refused")
+_APART_NS = 200_000_000  # between two images that a model is tried on
+_LOOK_S = 0.02
 _CLOSE_S = 5.0
 
 
@@ -48,12 +59,11 @@ class Swapper:
     ) -> None:
         self._perception, self._worker, self._tell = perception, worker, tell
         self._make, self._clock = make, clock
-        self._attempt: Attempt | None = None
+        self._attempt: _Attempt | None = None
+        self._ended: list[_Attempt] = []
         self._until_s = 0.0
         self._number = 0
         self._over = {"state": "idle", "model": worker.detector.name, "previous": "", "detail": ""}
-        self._closing: list[threading.Thread] = []
-        self._late: tuple[str, threading.Thread | None] = ("", None)
 
     def request(self, model: str, force: bool, now_ns: int) -> None:
         """Begin to swap a model in.
@@ -66,17 +76,16 @@ class Swapper:
             SwapError: it runs already, another swap is under way, or a model that was refused
                 is still being loaded and would be a third one in memory.
         """
-        if (attempt := self._attempt) is not None:
-            raise SwapError(f"{attempt.model} is still {self.state}; wait until that is over")
+        if self._attempt is not None:
+            raise SwapError(f"{self._attempt.model} is still {self.state}; wait until that is over")
         running = self._worker.detector.name
         if model == running:
             raise SwapError(f"{model} runs already")
-        late, letting_go = self._late
-        if letting_go is not None and letting_go.is_alive():
+        if late := next((one.model for one in self._ended if one.trying), None):
             raise SwapError(f"{late}, which was refused, is still being loaded; try again later")
         self._number += 1
         self._until_s = self._clock() + self._perception.swap.load_timeout_s
-        self._attempt = Attempt(model, force, self._perception, self._worker, self._make)
+        self._attempt = _Attempt(model, force, self._perception, self._worker, self._make)
         self._worker.watch = self._attempt.see
         self._tell(f"model {model}: loading beside {running}", now_ns)
 
@@ -85,24 +94,26 @@ class Swapper:
         attempt = self._attempt
         if attempt is None:
             return
+        previous = attempt.previous
         if attempt.switched:
-            self._watch(attempt, now_ns)
-        elif attempt.fault:
-            self._refuse(attempt, attempt.fault, now_ns)
-        elif attempt.ready.is_set():
-            self._switch(attempt, now_ns)
-        elif self._clock() > self._until_s:
-            what = "not loaded" if attempt.detector is None else attempt.progress
-            limit_s = self._perception.swap.load_timeout_s
-            late = f"{what} after {limit_s:g} s (perception.swap.load_timeout_s)"
-            self._refuse(attempt, late, now_ns)
+            verdict = attempt.verdict()
+            if attempt.fault:
+                self._worker.exchange(previous)
+                why = f"{attempt.fault}; {previous.name} runs again"
+                self._end(attempt, "rolled back", why, now_ns)
+            elif verdict:
+                self._end(attempt, "kept", verdict, now_ns)
+        elif not attempt.fault and attempt.switch():
+            n, finding = self._perception.swap.probation, attempt.finding
+            line = f"switched to, on probation for {n} images; {finding}"
+            self._tell(f"model {attempt.model}: {line}", now_ns)
+        elif fault := attempt.fault or self._overdue(attempt):
+            self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)
 
     @property
     def state(self) -> str:
         """`idle`, `loading`, `checking`, `on probation`, `kept`, `rolled back` or `refused`."""
-        if (attempt := self._attempt) is None:
-            return self._over["state"]
-        return "on probation" if attempt.switched else attempt.stage
+        return str(self.status()["state"])
 
     def status(self) -> dict[str, object]:
         """The swap under way, or the outcome of the last one; JSON-ready.
@@ -110,16 +121,8 @@ class Swapper:
         `detail` is a line that changes with the state, `progress` changes more often, and
         `number` counts the swaps since the start.
         """
-        if (attempt := self._attempt) is None:
-            return {**self._over, "progress": "", "number": self._number}
-        return {
-            "state": self.state,
-            "model": attempt.model,
-            "previous": attempt.previous.name,
-            "detail": attempt.finding if attempt.switched else attempt.busy,
-            "progress": attempt.progress,
-            "number": self._number,
-        }
+        told = self._over if self._attempt is None else self._attempt.status()
+        return {"progress": "", **told, "number": self._number}
 
     def close(self) -> None:
         """The worker's detector stays; whatever else is open is closed.
@@ -127,55 +130,213 @@ class Swapper:
         A model that takes longer than `_CLOSE_S` to load is left to its thread; the process must
         then end without the interpreter's clearing up (see `edge.cli.main`).
         """
-        if (attempt := self._attempt) is not None:
-            self._end(attempt, attempt.previous if attempt.switched else None)
+        if self._attempt is not None:
+            self._let_go(self._attempt)
         until_s = time.monotonic() + _CLOSE_S
-        for thread in self._closing:
-            thread.join(max(0.0, until_s - time.monotonic()))
-        if any(thread.is_alive() for thread in self._closing):
+        for ended in self._ended:
+            ended.thread.join(max(0.0, until_s - time.monotonic()))
+        if any(ended.thread.is_alive() for ended in self._ended):
             log.warning("a model is still being loaded: not waited for")
 
-    def _switch(self, attempt: Attempt, now_ns: int) -> None:
-        if attempt.detector.prompts != self._worker.detector.prompts:
-            attempt.adapt()
-            return
-        attempt.switch()
-        self._worker.spare = self._worker.exchange(attempt.detector)
-        n = self._perception.swap.probation
-        self._tell(
-            f"model {attempt.model}: switched to, on probation for {n} images; {attempt.finding}",
-            now_ns,
-        )
+    def _overdue(self, attempt: _Attempt) -> str:
+        """Why a model is not waited for any longer; empty while it is."""
+        limit_s = self._perception.swap.load_timeout_s
+        if self._clock() <= self._until_s:
+            return ""
+        what = "not loaded" if attempt.detector is None else attempt.progress
+        return f"{what} after {limit_s:g} s (perception.swap.load_timeout_s)"
 
-    def _watch(self, attempt: Attempt, now_ns: int) -> None:
-        verdict = attempt.verdict()
-        if attempt.fault:
-            self._worker.exchange(attempt.previous)
-            why = f"{attempt.fault}; {attempt.previous.name} runs again"
-            self._conclude(attempt, "rolled back", why, None, now_ns)
-        elif verdict is not None:
-            self._conclude(attempt, "kept", verdict, attempt.previous, now_ns)
-
-    def _refuse(self, attempt: Attempt, reason: str, now_ns: int) -> None:
-        why = f"{reason}; {attempt.previous.name} goes on"
-        self._conclude(attempt, "refused", why, None, now_ns)
-
-    def _conclude(
-        self, attempt: Attempt, state: str, detail: str, loser: Detector | None, now_ns: int
-    ) -> None:
-        self._end(attempt, loser)
+    def _end(self, attempt: _Attempt, state: str, detail: str, now_ns: int) -> None:
+        self._let_go(attempt)
         self._over = {
             "state": state, "model": attempt.model, "previous": attempt.previous.name,
             "detail": detail,
         }  # fmt: skip
         self._tell(f"model {attempt.model}: {state}: {detail}", now_ns)
 
-    def _end(self, attempt: Attempt, loser: Detector | None) -> None:
-        """No swap is under way any more; the detector that lost (None: the new one) is closed."""
+    def _let_go(self, attempt: _Attempt) -> None:
+        """No swap is under way any more; the detector that is not at work is closed."""
         self._attempt = self._worker.watch = self._worker.spare = None
-        self._closing = [t for t in self._closing if t.is_alive()]
-        abandoned = attempt.at_work
-        letting_go = attempt.give_up(loser)
-        self._closing.append(letting_go)
-        if abandoned:
-            self._late = attempt.model, letting_go
+        self._ended = [one for one in self._ended if one.thread.is_alive()] + [attempt]
+        attempt.end()
+
+
+class _Attempt:
+    """One model that is to take the place of the worker's detector.
+
+    Its own thread loads and tries the model, keeps its prompts those of the running one, and
+    closes the loser. The worker's thread calls `see`, the loop's the other methods.
+
+    Attributes:
+        model: the card's name.
+        previous: the detector that runs when the attempt begins.
+        detector: the model once it is loaded.
+        busy: what loading takes its time with, in one line; empty when it is nothing special.
+        finding: what the trial found, in one line; empty before.
+        trying: it is being loaded or tried.
+        switched: it was put to work, on probation.
+        fault: why it cannot stay, in one line; empty while nothing speaks against it.
+        over: set once it is decided which of the two stays.
+    """
+
+    def __init__(
+        self, model: str, force: bool, perception: Perception, worker: WorkerBase, make: Make
+    ) -> None:
+        self.model, self._force = model, force
+        self.previous = worker.detector
+        self.detector: Detector | None = None
+        self.busy = self.finding = self.fault = ""
+        self.trying, self.switched, self._won = True, False, False
+        self.over = threading.Event()
+        self._perception, self._worker, self._make = perception, worker, make
+        self._samples = deque(maxlen=perception.swap.images)
+        self._latencies_ns: list[int] = []
+        self._invalid = 0
+        self._hand = threading.Lock()  # on the model's prompts, and on whether it is switched to
+        self.thread = start_unjoined("swap", self._run)
+
+    @property
+    def progress(self) -> str:
+        """How far it is, for a person; changes with every image."""
+        swap, n = self._perception.swap, len(self._samples)
+        if self.switched:
+            return f"{len(self._latencies_ns)} of {swap.probation} images"
+        if self.detector is None or self.finding:
+            return ""
+        return f"{n} of {swap.images} images at hand" if n < swap.images else f"tried on {n} images"
+
+    def status(self) -> dict[str, str]:
+        """See `Swapper.status`."""
+        before = "loading" if self.detector is None else "checking"
+        return {
+            "state": "on probation" if self.switched else before,
+            "model": self.model,
+            "previous": self.previous.name,
+            "detail": self.finding if self.switched else self.busy,
+            "progress": self.progress,
+        }
+
+    def switch(self) -> bool:
+        """Put the model to work if it was tried and looks for what the running one looks for;
+        whether that was done."""
+        if not self.finding or not self._hand.acquire(blocking=False):
+            return False
+        try:
+            if self.detector.prompts != self._worker.detector.prompts:
+                return False
+            self._invalid = self.detector.invalid_boxes
+            self._samples.clear()
+            self.switched = True
+            self._worker.spare = self._worker.exchange(self.detector)
+        finally:
+            self._hand.release()
+        return True
+
+    def end(self) -> None:
+        """It is decided, by which detector is at work: the other is closed, by the thread."""
+        self._won = self._worker.detector is self.detector
+        self.over.set()
+
+    def verdict(self) -> str:
+        """How it did on probation, once that is over; a fault is set where it did badly."""
+        swap, health = self._perception.swap, self.detector.health()
+        if health.state in ("restarting", "degraded"):
+            self.fault = self.fault or f"{health.state}: {health.detail}"
+        if self.fault or len(self._latencies_ns) < swap.probation:
+            return ""
+        took_ms = median_ms(self._latencies_ns)
+        pace = f"{len(self._latencies_ns)} images, median {took_ms:.1f} ms"
+        if took_ms > swap.budget_ms and not self._force:
+            self.fault = f"too slow: {pace}, perception.swap.budget_ms is {swap.budget_ms:g}"
+        return pace
+
+    def see(
+        self, detector: Detector, observation: Observation, outcome: Detections | Exception
+    ) -> None:
+        """For `WorkerBase.watch`: an image to try the model on, or one of its probation."""
+        if observation.rgb is None or self.fault:  # no image is no detector's fault
+            return
+        try:
+            if not self.switched:
+                self._collect(observation, outcome)
+            elif detector is self.detector:
+                self._watch(outcome)
+        except Exception as error:  # no memory for a copy: none for the model either
+            self.fault = f"it cannot be watched: {type(error).__name__}: {one_line(error, 300)}"
+
+    def _collect(self, observation: Observation, outcome: Detections | Exception) -> None:
+        last = self._samples[-1].observation.stamp_ns if self._samples else None
+        if last is None or abs(observation.stamp_ns - last) >= _APART_NS:
+            self._samples.append(sample(observation, outcome))
+
+    def _watch(self, outcome: Detections | Exception) -> None:
+        if isinstance(outcome, Exception):
+            self.fault = failure(outcome)
+            return
+        self.fault = not_finite(self.detector, self._invalid, outcome)
+        self._latencies_ns.append(outcome.latency_ns)
+
+    def _run(self) -> None:
+        """The thread: ends with the loser closed."""
+        try:
+            self._try()
+        except UserError as error:
+            self.fault = one_line(error, LONGEST_ERROR)
+        except Exception as error:  # whatever loading a model may raise
+            log.debug("model %s", self.model, exc_info=True)
+            self.fault = failure(error)
+        self.trying = False
+        self.over.wait()
+        loser = self.previous if self._won else self.detector
+        if loser is None:
+            return
+        while self._worker.uses(loser):
+            time.sleep(_LOOK_S)
+        loser.close()
+
+    def _try(self) -> None:
+        prompts = self._worker.detector.prompts
+        self.detector = self._make(
+            variant(self._perception, self.model), prompts, self._loading, cancelled=self.over
+        )
+        self.busy = ""
+        while len(self._samples) < self._perception.swap.images and not self.over.is_set():
+            time.sleep(_LOOK_S)
+        if self.over.is_set():  # given up, perhaps while it was loaded
+            return
+        self._follow_prompts()
+        running = self.previous.name
+        self.finding = judge(
+            self.detector, tuple(self._samples), self._perception, running,
+            related(self.model, running), self._force,
+        )  # fmt: skip
+        self.trying = False
+        while not (self.switched or self.over.wait(_LOOK_S)):
+            self._follow_prompts()
+
+    def _follow_prompts(self) -> None:
+        """Look for what the running detector looks for."""
+        with self._hand:
+            wanted = self._worker.detector.prompts
+            if not self.switched and self.detector.prompts != wanted:
+                self.detector.set_prompts(wanted)
+
+    def _loading(self, health: Health) -> None:
+        """An engine is built, which takes minutes."""
+        self.busy = ": ".join(filter(None, health))
+
+
+def variant(perception: Perception, model: str) -> Perception:
+    """The configuration with another model; of a detector that has none, with defaults."""
+    detector = perception.detector
+    if not isinstance(detector, DetectorOnnx):
+        detector = DetectorOnnx()
+    return perception.model_copy(update={"detector": detector.model_copy(update={"model": model})})
+
+
+def related(model: str, running: str) -> bool:
+    """Whether both names are cards of one family."""
+    try:
+        return load_detector_card(model).family == load_detector_card(running).family
+    except ModelError:  # the running one may be no model at all
+        return False

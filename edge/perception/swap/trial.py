@@ -11,6 +11,7 @@ import numpy as np
 from edge.config import Perception
 from edge.errors import UserError
 from edge.perception.detector import Detector
+from edge.perception.kernels import iou
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -138,16 +139,9 @@ def boxes_found_again(
         if was is None or was.prompts != new.prompts:
             continue
         for i in np.flatnonzero(was.unrivalled() & (was.score >= tau)):
-            near = iou(was.xyxy_px[i], new.xyxy_px) >= MATCH_IOU
-            alike = near & (new.class_id == was.class_id[i])
-            found += bool((alike & (new.score >= MATCH_SCORE * was.score[i])).any())
+            alike = new.class_id == was.class_id[i]
+            alike &= new.score >= MATCH_SCORE * was.score[i]
+            boxes = np.vstack([was.xyxy_px[i], new.xyxy_px[alike]])
+            found += any(iou(boxes, 0, j) >= MATCH_IOU for j in range(1, len(boxes)))
             old += 1
     return old, found
-
-
-def iou(box: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """(n,) intersection over union of a box (4,) xyxy with others (n, 4)."""
-    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
-    both = np.clip(high - low, 0, None).prod(axis=1)
-    either = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1) - both
-    return np.divide(both, either, out=np.zeros_like(both), where=either > 0)
