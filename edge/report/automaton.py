@@ -1,8 +1,4 @@
-"""An automaton for people and for other programs: networkx, Graphviz, SVG, PNG.
-
-What a drawing shows and leaves out is decided in `edge.report.drawing.scene`, where it stands in
-`edge.report.drawing.layout`, and what it looks like in `edge.report.drawing.figure`.
-"""
+"""An automaton for other programs, whole: networkx and Graphviz."""
 
 from __future__ import annotations
 
@@ -10,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from edge.mission.automaton import NOTHING, Automaton
-from edge.report.drawing import shapes
-from edge.report.drawing.figure import CURRENT, STYLES, picture
-from edge.report.drawing.scene import in_words, make_scene
+from edge.report.drawing import CURRENT, STYLES
+from edge.report.scene import in_words
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -88,37 +83,3 @@ def _looks(attributes: dict[str, str]) -> str:
         '{}="{}"'.format(key, value.replace("\\", "\\\\").replace('"', '\\"'))
         for key, value in attributes.items()
     )
-
-
-def draw_svg(
-    automaton: Automaton,
-    state: int | None = None,
-    plan: Sequence[str] = (),
-    path: Sequence[str] = (),
-) -> str:
-    """A drawing as one `<svg>` element: no script, nothing fetched, as wide as its place allows.
-
-    Args:
-        state: the current state, filled; None fills none.
-        plan: letters to be reached from there on (from the initial state, without it); blue.
-        path: letters that were reached from the initial state on; green.
-    """
-    return shapes.svg(_picture(automaton, state, plan, path))
-
-
-def draw_png(
-    automaton: Automaton,
-    state: int | None = None,
-    plan: Sequence[str] = (),
-    path: Sequence[str] = (),
-) -> bytes:
-    """The same drawing as `draw_svg`'s, as a PNG file's content."""
-    return shapes.png(_picture(automaton, state, plan, path))
-
-
-def _picture(
-    automaton: Automaton, state: int | None, plan: Sequence[str], path: Sequence[str]
-) -> shapes.Picture:
-    now = "" if state is None else f", now in state {state}"
-    title = f"Automaton with {automaton.n_states} states{now}"
-    return picture(make_scene(automaton, state, plan, path), title)

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from edge.mission.automaton import NOTHING, Automaton
-from edge.report.drawing.shapes import shorten
+from edge.text import shorten
 
 MAX_WHOLE = 40  # states that are drawn without leaving any out
 MAX_PART = 26
