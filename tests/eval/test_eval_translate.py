@@ -217,11 +217,6 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.skipif(not LANG2LTL.exists(), reason="needs ../shared/nl2ltl")
-def test_lang2ltl_score_holds() -> None:
-    """How much of the table missions can express, and how much of that the grammar gets right."""
+def test_what_missions_can_express_of_lang2ltl() -> None:
     cases, left_out = translate.lang2ltl_cases(LANG2LTL)
     assert (len(cases), left_out) == (1031, Counter(patrolling=125))
-    translator = make_translator(TranslatorGrammar())
-    outcomes = Counter(translate.score(case, translator).outcome for case in cases)
-    assert outcomes["right"] >= 780
-    assert outcomes["right"] + outcomes["right if weak"] >= 797
