@@ -15,10 +15,10 @@ import numpy as np
 
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
-from edge.mission.logic.formula import Formula, propositions
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Limits
+from edge.mission.ltl import Formula, propositions
 
-__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula", "compile_with"]
+__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula"]
 
 COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
 NOTHING = ""  # the letter of a step in which nothing of the formula is reached
@@ -80,27 +80,16 @@ class Automaton:
 
 
 def compile_formula(
-    formula: Formula, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
+    formula: Formula,
+    max_states: int = MAX_STATES,
+    max_steps: int = MAX_STEPS,
+    compiler: Literal["own", "spot"] = "own",
 ) -> Automaton:
-    """The automaton of a formula, by our own compiler.
+    """The automaton of a formula; it is the same from either compiler.
 
     Args:
         max_states: the most states that it, or any automaton on the way to it, may have.
         max_steps: the most steps of work that may be taken, see `edge.mission.logic.limits`.
-
-    Raises:
-        CompileError: a limit was passed.
-    """
-    return compile_with("own", formula, max_states, max_steps)
-
-
-def compile_with(
-    compiler: Literal["own", "spot"],
-    formula: Formula,
-    max_states: int = MAX_STATES,
-    max_steps: int = MAX_STEPS,
-) -> Automaton:
-    """What `compile_formula` does, by a compiler of choice; the automaton is the same.
 
     Raises:
         CompileError: a limit was passed.

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ltl_semantics import holds
 
 from edge.chat import ChatError
 from edge.cli.parsers import make_parser
@@ -17,7 +18,7 @@ from edge.errors import UserError
 from edge.eval import translate
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.mission.automaton import NOTHING, CompileError, compile_formula
-from edge.mission.ltl import Formula, ap, conj, disj, holds, neg, parse
+from edge.mission.ltl import Formula, ap, conj, disj, neg, parse
 from edge.mission.translate import Translation, make_translator
 
 LANG2LTL = Path(__file__).parents[3] / "shared/nl2ltl/lang2ltl/symbolic_batch12_noperm.csv"

@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ltl_semantics import holds
 from test_mission_ltl import formulas
 
 from edge.config import Mission
 from edge.errors import UserError
 from edge.mission import automaton as automaton_module
 from edge.mission.automaton import NOTHING, CompileError, compile_formula, steps_left
-from edge.mission.logic import compiler, minimise
+from edge.mission.logic import compiler
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
-from edge.mission.ltl import holds, parse
+from edge.mission.ltl import parse
 
 CASE_1 = (
     "(F (toilet & F bed) | F (couch & F chair) | F (plant & F tv))"
@@ -208,8 +209,8 @@ def test_both_refinements_agree(n, k, random):
     delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)
     accepting = np.array([random.random() < 0.4 for _ in range(n)])
     limits = Limits()
-    small = minimise._refine_small(delta, accepting, limits)
-    large = minimise._refine(delta, accepting, limits)
+    small = compiler._refine_small(delta, accepting, limits)
+    large = compiler._refine(delta, accepting, limits)
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
     assert set(large) == set(range(large.max() + 1))
 
@@ -220,8 +221,8 @@ def test_packing_of_many_columns_agrees():
     delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
     delta[20:] = delta[:20]
     accepting = np.tile(rng.random(20) < 0.5, 2)
-    large = minimise._refine(delta, accepting, Limits())
-    small = minimise._refine_small(delta, accepting, Limits())
+    large = compiler._refine(delta, accepting, Limits())
+    small = compiler._refine_small(delta, accepting, Limits())
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
     assert large.max() + 1 == 20
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.logic.formula import ap, to_text
+from edge.mission.ltl import ap, to_text
 
 MOST_NAMES = 100
 MOST_NESTING = 8  # parentheses within parentheses: a sequence of n objects needs n - 1

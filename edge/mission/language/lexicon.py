@@ -21,8 +21,8 @@ PHRASES: dict[str, str] = {
     "permitted|are free",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
-    "not": "not|never|no|don|never ever|prohibited from|are prohibited from|are forbidden|not allowed|"
-    "are not allowed|not permitted|are not permitted",
+    "not": "not|never|no|don|never ever|prohibited from|are prohibited from|are forbidden|"
+    "not allowed|are not allowed|not permitted|are not permitted",
     "banned": "is prohibited|is forbidden|is not allowed|is not permitted|are prohibited|"
     "are banned",
     "neither": "neither",

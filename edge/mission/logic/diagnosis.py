@@ -8,8 +8,8 @@ import numpy as np
 
 from edge.mission.automaton import Automaton
 from edge.mission.logic.compiler import language
-from edge.mission.logic.formula import Formula, conj, propositions
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
+from edge.mission.ltl import Formula, conj, propositions
 
 
 @dataclass(frozen=True)

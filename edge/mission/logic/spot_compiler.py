@@ -4,7 +4,7 @@ Spot reads formulas over infinite words. `from_ltlf` embeds the finite ones, wit
 `alive` that holds as long as the word lasts; `to_finite` takes it out of the automaton again
 (Spot's tutorial "Working with LTL formulas with finite semantics"). Of the propositions' values
 per step only "one reached object or nothing" is kept. Spot's words are not empty, so whether
-the empty one is accepted comes from the definition.
+the empty one is accepted comes from our own normal form.
 
 The module `spot` of the package `spot` on the Python package index is something else; `spottl`
 there has the real bindings (tried with 2.13). Spot's own work is neither counted nor interrupted,
@@ -20,10 +20,10 @@ from types import ModuleType
 import numpy as np
 
 from edge.errors import UnavailableError
-from edge.mission.logic.formula import UNARY, Formula, postorder
+from edge.mission.logic.compiler import minimal
 from edge.mission.logic.limits import CompileError, Limits
-from edge.mission.logic.minimise import minimal
-from edge.mission.logic.semantics import holds
+from edge.mission.logic.normal_form import Nodes
+from edge.mission.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
 _WANTED = {
@@ -80,8 +80,9 @@ def language(
     rows, accepting = _determined(finite, steps, buddy.bddfalse, limits)
     # The empty word may differ from other words that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
-    accepting = [holds(formula, ()), *accepting]
-    return minimal(*_reachable(delta, np.array(accepting)), limits)
+    nodes = Nodes(formula, letters, limits)
+    accepting = [nodes.at_end[nodes.root], *accepting]
+    return minimal(delta, np.array(accepting), limits)
 
 
 def _determined(
@@ -121,18 +122,6 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
             values = values & one(variable)
         steps.append(values)
     return steps
-
-
-def _reachable(delta: np.ndarray, accepting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without the states that cannot be reached from state 0, which `minimal` wants."""
-    order, seen = [0], {0}
-    for state in order:
-        new = [t for t in dict.fromkeys(delta[state].tolist()) if t not in seen]
-        order += new
-        seen.update(new)
-    number = np.zeros(len(delta), np.int32)
-    number[order] = np.arange(len(order), dtype=np.int32)
-    return number[delta[order]], accepting[order]
 
 
 def _text(formula: Formula, letters: Sequence[str]) -> str:
