@@ -53,13 +53,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
     from edge.host.files import write_atomically
-    from edge.report import automaton as export
-    from edge.report import drawing
+    from edge.report import canvas, dot
+    from edge.report.drawing import draw
+    from edge.report.scene import make_scene
 
     content = {
-        ".svg": lambda: drawing.draw_svg(automaton, 0, steps),
-        ".png": lambda: drawing.draw_png(automaton, 0, steps),
-        ".dot": lambda: export.to_dot(automaton, 0, steps).encode(),
+        ".svg": lambda: canvas.svg(draw(make_scene(automaton, 0, steps))),
+        ".png": lambda: canvas.png(draw(make_scene(automaton, 0, steps))),
+        ".dot": lambda: dot.to_dot(automaton, 0, steps).encode(),
     }[path.suffix]()
     try:
         write_atomically(path, content)

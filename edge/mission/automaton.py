@@ -15,7 +15,7 @@ import numpy as np
 
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Effort
 from edge.mission.ltl import Formula, propositions
 
 __all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula"]
@@ -95,18 +95,18 @@ def compile_formula(
         CompileError: a limit was passed.
         UserError: Spot was chosen, and its real bindings are not there.
     """
-    limits = Limits(max_states, max_steps)
+    effort = Effort(max_states, max_steps)
     letters = propositions(formula)
-    delta, accepting = COMPILERS[compiler](formula, letters, limits)
-    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, limits))
+    delta, accepting = COMPILERS[compiler](formula, letters, effort)
+    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, effort))
 
 
-def steps_left(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndarray:
+def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
     """See `Automaton.steps_left`."""
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:
-        limits.spend_cells(delta.size)
+        effort.spend_cells(delta.size)
         reach = left[delta]
         new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
         if np.array_equal(new, left):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import unicodedata
+import warnings
 from html import escape
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -51,7 +52,8 @@ def content(figure: Figure, kind: str, **options: Any) -> bytes:
     out = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else None
     # Text stays text: a browser knows more letters than matplotlib's own face.
-    with rc_context({"svg.hashsalt": "edge", "svg.fonttype": "none"}):
+    with rc_context({"svg.hashsalt": "edge", "svg.fonttype": "none"}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(out, format=kind, metadata=metadata, **options)
     return out.getvalue()
 

@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from edge.mission.automaton import Automaton
 from edge.report import canvas
 from edge.report.canvas import PAPER, text_width
 from edge.report.palette import INK, MUTED
-from edge.report.scene import Arrow, Node, Role, Scene, make_scene
+from edge.report.scene import Arrow, Node, Role, Scene
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -81,34 +80,12 @@ class Layout(NamedTuple):
     routes: list[list[tuple[int, float]]]
 
 
-def draw_svg(
-    automaton: Automaton,
-    state: int | None = None,
-    plan: Sequence[str] = (),
-    path: Sequence[str] = (),
-) -> bytes:
-    """A drawing as an SVG file's content: no script, nothing fetched.
-
-    Args:
-        state: the current state, filled; None fills none.
-        plan: letters to be reached from there on (from the initial state, without it); blue.
-        path: letters that were reached from the initial state on; green.
-    """
-    return canvas.svg(draw(make_scene(automaton, state, plan, path)))
-
-
-def draw_png(
-    automaton: Automaton,
-    state: int | None = None,
-    plan: Sequence[str] = (),
-    path: Sequence[str] = (),
-) -> bytes:
-    """The same drawing as `draw_svg`'s, as a PNG file's content."""
-    return canvas.png(draw(make_scene(automaton, state, plan, path)))
-
-
 def draw(scene: Scene) -> Axes:
-    """Arrows first, then labels on a ground of their own, then states, then the note."""
+    """The picture of a scene: arrows, labels on a ground of their own, states, and the note.
+
+    Green: the way there. Blue: the plan from there. Filled: the current state. Two rings: it
+    accepts.
+    """
     layout = lay_out(scene)
     width = max(MIN_WIDTH, layout.width)
     note = textwrap.wrap(scene.note, int((width - 2 * MARGIN) / text_width("x", NOTE)))

@@ -132,7 +132,7 @@ def test_outcomes(tmp_path: Path) -> None:
     assert counts["cases"] == 4
     assert counts["not_expressible"] == 1
     assert counts["parts"]["visit"]["right"] == 1
-    table = translate.table("set", scores, left_out)
+    table = translate.table("set", counts)
     assert table.splitlines()[-1].split() == ["all", "4", "1", "1", "1", "1", "1"]
     assert len({len(line) for line in table.splitlines()}) == 1
 

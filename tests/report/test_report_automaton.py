@@ -17,8 +17,9 @@ from matplotlib.transforms import Bbox
 
 from edge.mission.automaton import NOTHING, Automaton, compile_formula
 from edge.mission.ltl import parse
-from edge.report.automaton import to_dot, to_networkx
-from edge.report.drawing import CURRENT, RADIUS, STYLES, draw, draw_png, draw_svg, lay_out
+from edge.report import canvas
+from edge.report.dot import to_dot
+from edge.report.drawing import CURRENT, RADIUS, STYLES, draw, lay_out
 from edge.report.scene import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_scene, wrap
 
 CASE_1 = (
@@ -65,6 +66,10 @@ def automata(draw: st.DrawFn) -> Automaton:
         left = np.minimum(left, left[delta].min(axis=1) + 1)
     letters = tuple("abcd"[:k])
     return Automaton(parse("true"), letters, delta, accepting, np.where(left > n, -1, left))
+
+
+def draw_svg(*shown) -> bytes:
+    return canvas.svg(draw(make_scene(*shown)))
 
 
 def texts(svg: bytes) -> list[str]:
@@ -255,36 +260,12 @@ def test_the_plan_has_a_colour_of_its_own():
 @pytest.mark.parametrize("name", ["true", "false", "choice", "hostile", "case 1"])
 def test_png(name):
     a = automaton(name)
-    png = draw_png(a, 0, a.letters[:1])
+    png = canvas.png(draw(make_scene(a, 0, a.letters[:1])))
     assert png.startswith(b"\x89PNG")
-    assert png != draw_png(a, None)
+    assert png != canvas.png(draw(make_scene(a, None)))
 
 
 # -- other programs -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FORMULAS)
-def test_networkx_has_every_step(name):
-    a = automaton(name)
-    graph = to_networkx(a)
-    assert list(graph.nodes) == list(range(a.n_states))
-    assert graph.number_of_edges() == a.n_states * (len(a.letters) + 1)
-    for s, t, data in graph.edges(data=True):
-        assert a.step(s, data["letter"]) == t
-    for s, data in graph.nodes(data=True):
-        left = int(a.steps_left[s])
-        assert data == {
-            "accepting": bool(a.accepting[s]), "dead": left < 0, "steps_left": left,
-            "initial": s == 0,
-        }  # fmt: skip
-
-
-def test_networkx_finds_the_same_shortest_words():
-    import networkx
-
-    a = automaton("case 2")
-    lengths = networkx.single_source_shortest_path_length(to_networkx(a), 0)
-    assert min(lengths[s] for s in np.flatnonzero(a.accepting)) == a.steps_left[0] == 3
 
 
 # Graphviz's grammar, as far as it is used: `name [key="value", …];` and `a -> b [ … ];`.

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.limits import CompileError, Effort
 from edge.mission.logic.normal_form import FALSE, TRUE, Dnf, Nodes, Rewriter, bits
 from edge.mission.ltl import Formula, neg
 
@@ -22,7 +22,7 @@ _CALL = 500
 
 
 def minimal(
-    delta: np.ndarray, accepting: np.ndarray, limits: Limits
+    delta: np.ndarray, accepting: np.ndarray, effort: Effort
 ) -> tuple[np.ndarray, np.ndarray]:
     """Merge equivalent states by partition refinement (Moore).
 
@@ -36,17 +36,17 @@ def minimal(
         delta (m, k) int32 and accepting (m,) bool of the minimal automaton.
     """
     refine = _refine_small if delta.size <= _SMALL else _refine
-    block = refine(delta, accepting, limits)
+    block = refine(delta, accepting, effort)
     _, first = np.unique(block, return_index=True)
     return _numbered(block[delta[first]], accepting[first], int(block[0]))
 
 
-def _refine(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndarray:
+def _refine(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
     """(n,) int64, which states are equivalent, as numbers without gaps."""
     n = len(delta)
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
-        limits.spend_cells((n + _CALL) * delta.shape[1])
+        effort.spend_cells((n + _CALL) * delta.shape[1])
         # As many columns as fit are packed into one int64, which sorts fast.
         key, size = block, count
         for column in delta.T:
@@ -65,11 +65,11 @@ def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
     return dense.reshape(-1), len(values)
 
 
-def _refine_small(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndarray:
+def _refine_small(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
     """What `_refine` does, for few states."""
     rows, block, count = delta.tolist(), accepting.tolist(), 0
     while count < len(rows):
-        limits.spend(delta.size)
+        effort.spend(delta.size)
         ids: dict[tuple, int] = {}
         block = [
             ids.setdefault((own, *[block[t] for t in row]), len(ids))
@@ -98,7 +98,7 @@ def _numbered(
 
 
 def explore(
-    formula: Formula, letters: Sequence[str], limits: Limits, max_clauses: int | None = None
+    formula: Formula, letters: Sequence[str], effort: Effort, max_clauses: int | None = None
 ) -> tuple[list[list[int]], list[bool]]:
     """Progress a formula over all words, breadth-first.
 
@@ -112,9 +112,9 @@ def explore(
     Raises:
         CompileError: a limit was passed; TooWide where it was `max_clauses`.
     """
-    nodes = Nodes(formula, letters, limits)
-    rewriter = Rewriter(nodes, len(letters), limits, max_clauses)
-    steps = _Steps(rewriter, limits)
+    nodes = Nodes(formula, letters, effort)
+    rewriter = Rewriter(nodes, len(letters), effort, max_clauses)
+    steps = _Steps(rewriter, effort)
     # State 0 is the formula itself, which as a function of atoms may be far wider than what it
     # progresses to; a twin of it is merged later.
     states: list[Dnf] = [FALSE]
@@ -125,7 +125,7 @@ def explore(
         found = index.get(state)
         if found is None:
             found = index[state] = len(states)
-            limits.check_states(found)
+            effort.check_states(found)
             states.append(state)
         return found
 
@@ -133,7 +133,7 @@ def explore(
     n = 1
     while n < len(states):
         state = states[n]
-        limits.spend(len(state) * (len(letters) + 1))
+        effort.spend(len(state) * (len(letters) + 1))
         union = 0
         for clause in state:
             union |= clause
@@ -158,12 +158,12 @@ class _Steps:
         changed: per letter, the atoms that it changes, as bits.
     """
 
-    def __init__(self, rewriter: Rewriter, limits: Limits) -> None:
+    def __init__(self, rewriter: Rewriter, effort: Effort) -> None:
         self.open_ended = 0
         self.changed = [0] * (rewriter.nothing + 1)
         self._known = 0
         self._rewriter = rewriter
-        self._limits = limits
+        self._effort = effort
         self._products: list[dict[int, Dnf]] = [{} for _ in self.changed]
 
     def learn(self, atoms: int) -> None:
@@ -197,7 +197,7 @@ class _Steps:
                 each = [products[1 << atom] for atom in bits(hit)]
                 product = products[hit] = self._rewriter.join("&", each)
             base = clause ^ hit
-            self._limits.spend(self._rewriter.per_implicant * len(product))
+            self._effort.spend(self._rewriter.per_implicant * len(product))
             for p in product:
                 parts.add(base | p)
         return TRUE if 0 in parts else self._rewriter.primes(parts)
@@ -209,7 +209,7 @@ _MAX_CUTS = 16
 
 
 def language(
-    formula: Formula, letters: Sequence[str], limits: Limits, cuts: int = _MAX_CUTS
+    formula: Formula, letters: Sequence[str], effort: Effort, cuts: int = _MAX_CUTS
 ) -> tuple[np.ndarray, np.ndarray]:
     """The minimal complete automaton of a formula over given letters and NOTHING.
 
@@ -226,25 +226,25 @@ def language(
     """
     op, parts = _parts(formula)
     if not parts or not cuts:
-        return _progressed(formula, letters, limits, None)
+        return _progressed(formula, letters, effort, None)
     try:
-        return _progressed(formula, letters, limits, _MAX_CLAUSES)
+        return _progressed(formula, letters, effort, _MAX_CLAUSES)
     except CompileError:
-        if limits.spent:
+        if effort.spent:
             raise
-    automata = [language(part, letters, limits, cuts - 1) for part in parts]
+    automata = [language(part, letters, effort, cuts - 1) for part in parts]
     automata.sort(key=lambda a: len(a[0]), reverse=True)
     result = automata.pop()
     while automata:
-        result = minimal(*_product(op, result, automata.pop(), limits), limits)
+        result = minimal(*_product(op, result, automata.pop(), effort), effort)
     return result
 
 
 def _progressed(
-    formula: Formula, letters: Sequence[str], limits: Limits, max_clauses: int | None
+    formula: Formula, letters: Sequence[str], effort: Effort, max_clauses: int | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, accepting = explore(formula, letters, limits, max_clauses)
-    return minimal(np.array(rows, np.int32), np.array(accepting), limits)
+    rows, accepting = explore(formula, letters, effort, max_clauses)
+    return minimal(np.array(rows, np.int32), np.array(accepting), effort)
 
 
 def _parts(formula: Formula) -> tuple[str, list[Formula]]:
@@ -266,7 +266,7 @@ def _product(
     op: str,
     a: tuple[np.ndarray, np.ndarray],
     b: tuple[np.ndarray, np.ndarray],
-    limits: Limits,
+    effort: Effort,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The reachable product of two automata over the same letters, initial state first."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
@@ -275,12 +275,12 @@ def _product(
     rows, pairs = [], [np.zeros(1, np.int64)]
     while len(pairs[-1]):
         i, j = np.divmod(pairs[-1], width)
-        limits.spend_cells(len(i) * delta_a.shape[1])
+        effort.spend_cells(len(i) * delta_a.shape[1])
         targets = delta_a[i].astype(np.int64) * width + delta_b[j]
         distinct, place = np.unique(targets, return_inverse=True)
         known = len(index)
         states = [index.setdefault(pair, len(index)) for pair in distinct.tolist()]
-        limits.check_states(len(index))
+        effort.check_states(len(index))
         number = np.array(states, np.int32)
         rows.append(number[place.reshape(targets.shape)])
         pairs.append(distinct[number >= known])

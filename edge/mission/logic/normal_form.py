@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import reduce
 from operator import and_, or_
 
-from edge.mission.logic.limits import PER_NODE, CompileError, Limits
+from edge.mission.logic.limits import PER_NODE, CompileError, Effort
 from edge.mission.ltl import Formula
 
 _DUAL = {
@@ -48,7 +48,7 @@ class Nodes:
         related: whether any temporal node implies another.
     """
 
-    def __init__(self, formula: Formula, letters: Sequence[str], limits: Limits) -> None:
+    def __init__(self, formula: Formula, letters: Sequence[str], effort: Effort) -> None:
         self.kind: list[str] = []
         self.args: list[tuple] = []
         self.support: list[int] = []
@@ -60,7 +60,7 @@ class Nodes:
         self._ids: dict[tuple, int] = {}
         self._column = {name: k for k, name in enumerate(letters)}
         self._false, self._true = self.node("false", ()), self.node("true", ())
-        self.root = self._translate(formula, limits)
+        self.root = self._translate(formula, effort)
 
     def some(self) -> int:
         """F true: the word is not empty."""
@@ -70,14 +70,14 @@ class Nodes:
         """G false: the word is empty."""
         return self.node("R", (self._false, self._false))
 
-    def _translate(self, formula: Formula, limits: Limits) -> int:
+    def _translate(self, formula: Formula, effort: Effort) -> int:
         # Formulas are told apart by identity: they all live as long as the root does.
         done: dict[tuple[int, bool], int] = {}
         stack = [(formula, True)]
         while stack:
             f, wanted = stack[-1]
             inner = _operands(f, wanted)
-            limits.spend(PER_NODE * (1 + len(inner)))
+            effort.spend(PER_NODE * (1 + len(inner)))
             missing = [(g, w) for g, w in inner if (id(g), w) not in done]
             if missing:
                 stack.extend(missing)
@@ -214,11 +214,11 @@ class Rewriter:
         per_implicant: steps of making one, besides comparing it with others.
     """
 
-    def __init__(self, nodes: Nodes, nothing: int, limits: Limits, max_clauses: int | None) -> None:
+    def __init__(self, nodes: Nodes, nothing: int, effort: Effort, max_clauses: int | None) -> None:
         self.nodes = nodes
         self.nothing = nothing
         self.max_clauses = max_clauses
-        self._limits = limits
+        self._effort = effort
         # Implicants are as wide as there are nodes, and wide ones take longer to move about.
         self.per_implicant = 8 + len(nodes.kind) // 128
         self._now: dict[int, Dnf] = {}
@@ -233,7 +233,7 @@ class Rewriter:
             node = stack[-1]
             kind = self.nodes.kind[node]
             inner = self.nodes.args[node] if kind in ("&", "|") else ()
-            self._limits.spend(PER_NODE * (1 + len(inner)))
+            self._effort.spend(PER_NODE * (1 + len(inner)))
             missing = [a for a in inner if a not in done]
             if missing:
                 stack.extend(missing)
@@ -256,7 +256,7 @@ class Rewriter:
             node, letter = key = stack[-1]
             depth, inner = len(stack), []
             of = operands[node] if kinds[node] in ("&", "|", "U", "R") else ()
-            self._limits.spend(PER_NODE * (1 + len(of)))
+            self._effort.spend(PER_NODE * (1 + len(of)))
             for a in of:
                 part = (a, letter if support[a] >> letter & 1 else nothing)
                 value = done.get(part)
@@ -300,7 +300,7 @@ class Rewriter:
             smaller = kept.copy()
             for c in by_size[size]:
                 compared = next((n for n, k in enumerate(smaller, 1) if k & c == k), 0)
-                self._limits.spend(self.per_implicant + (compared or len(smaller)))
+                self._effort.spend(self.per_implicant + (compared or len(smaller)))
                 if not compared:
                     kept.append(c)
             self._check_width(kept)
@@ -309,7 +309,7 @@ class Rewriter:
     def _weakest(self, implicants: Collection[int]) -> list[int]:
         kept: dict[int, int] = {}
         for n, c in enumerate(sorted(implicants)):
-            self._limits.spend(self.per_implicant + 2 * len(kept))
+            self._effort.spend(self.per_implicant + 2 * len(kept))
             if n % 64 == 63:
                 self._check_width(kept)
             least, closed = self._reduced.get(c) or self._reduce(c)
@@ -328,7 +328,7 @@ class Rewriter:
     def _both(self, a: Dnf, b: Dnf) -> Dnf:
         products: set[int] = set()
         for x in a:
-            self._limits.spend(self.per_implicant * len(b))
+            self._effort.spend(self.per_implicant * len(b))
             products.update([x | y for y in b])
         return self.primes(products)
 
@@ -361,7 +361,7 @@ class Rewriter:
         if entailed is None:
             entailed, todo = 0, 1 << atom
             while todo:
-                self._limits.spend(todo.bit_count())
+                self._effort.spend(todo.bit_count())
                 entailed |= todo
                 found = [self.nodes.implied[a] for a in bits(todo) if a < RELATED_NODES]
                 todo = reduce(or_, found, 0) & ~entailed
@@ -372,7 +372,7 @@ class Rewriter:
         """An implicant without atoms that its others imply; and all that it implies."""
         found = self._reduced.get(implicant)
         if found is None:
-            self._limits.spend(implicant.bit_count())
+            self._effort.spend(implicant.bit_count())
             least, closed = implicant, 0
             for atom in bits(implicant):
                 if least >> atom & 1:

@@ -21,7 +21,7 @@ import numpy as np
 
 from edge.errors import UnavailableError
 from edge.mission.logic.compiler import minimal
-from edge.mission.logic.limits import CompileError, Limits
+from edge.mission.logic.limits import CompileError, Effort
 from edge.mission.logic.normal_form import Nodes
 from edge.mission.ltl import UNARY, Formula, postorder
 
@@ -54,7 +54,7 @@ def available() -> bool:
 
 
 def language(
-    formula: Formula, letters: Sequence[str], limits: Limits
+    formula: Formula, letters: Sequence[str], effort: Effort
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `edge.mission.logic.compiler.language` does, by Spot: the same arrays.
 
@@ -77,16 +77,16 @@ def language(
     embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
     steps = _steps(finite, buddy, len(letters))
-    rows, accepting = _determined(finite, steps, buddy.bddfalse, limits)
+    rows, accepting = _determined(finite, steps, buddy.bddfalse, effort)
     # The empty word may differ from other words that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
-    nodes = Nodes(formula, letters, limits)
+    nodes = Nodes(formula, letters, effort)
     accepting = [nodes.at_end[nodes.root], *accepting]
-    return minimal(delta, np.array(accepting), limits)
+    return minimal(delta, np.array(accepting), effort)
 
 
 def _determined(
-    automaton, steps: list, impossible, limits: Limits
+    automaton, steps: list, impossible, effort: Effort
 ) -> tuple[list[list[int]], list[bool]]:
     """The subset construction over single letters; one state each where Spot's was determined."""
     states = [frozenset({automaton.get_init_state_number()})]
@@ -97,13 +97,13 @@ def _determined(
     while n < len(states):
         row = []
         edges = [edge for state in states[n] for edge in automaton.out(state)]
-        limits.spend(len(edges) * len(steps))
+        effort.spend(len(edges) * len(steps))
         for step in steps:
             target = frozenset(edge.dst for edge in edges if (edge.cond & step) != impossible)
             if target not in index:
                 index[target] = len(states)
                 states.append(target)
-                limits.check_states(len(states))
+                effort.check_states(len(states))
             row.append(index[target])
         rows.append(row)
         accepting.append(any(automaton.state_is_accepting(state) for state in states[n]))
