@@ -27,6 +27,16 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
     return line if len(line) <= limit else line[: limit - 1] + "…"
 
 
+def shorten(text: str, length: int) -> str:
+    """Printable text of at most `length` characters, its spaces kept; what does not print is `�`.
+
+    >>> shorten("tall white trash can", 10)
+    'tall whit…'
+    """
+    text = "".join(c if c.isprintable() else "�" for c in text)
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
 def printable_lines(text: object) -> str:
     """The lines of a text of ours that quotes others' words, without control characters.
 

@@ -10,10 +10,10 @@ from edge.cli.progress import Progress, ProgressWriter
 from edge.config import Config
 from edge.loop.service import Service
 from edge.mission.run import MissionRun
-from edge.report.drawing.shapes import shorten
 from edge.report.record import RunRecord, Story
 from edge.report.recorder import Recorder
 from edge.sinks import SinkBase
+from edge.text import shorten
 from edge.types import Detections, Goal, Instance, Observation
 
 # Reports draw it apart from what is occupied itself.

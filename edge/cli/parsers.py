@@ -146,7 +146,7 @@ def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
     explain.add_argument("--config", default="demo", help=f"{_CONFIG} (default: demo)")
     explain.add_argument("--draw", metavar="FILE", help="the automaton as .svg, .png or .dot")
-    explain.set_defaults(handler=lazy("edge.mission.explain", "run"))
+    explain.set_defaults(handler=lazy("edge.cli.explain", "run"))
 
 
 def _models(commands) -> None:  # type: ignore[no-untyped-def]

@@ -7,7 +7,7 @@ from functools import cache
 
 from edge import names
 from edge.mission.automaton import Automaton, compile_formula
-from edge.mission.ltl import Formula, postorder, propositions
+from edge.mission.ltl import Formula, propositions, renamed
 
 HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
 """HM3D's six object-goal categories, by their canonical names."""
@@ -36,7 +36,7 @@ def lift(formula: Formula) -> Lifted:
     """A task's formula with its objects left out; `world_of` gives them in the same order."""
     objects = propositions(formula)
     letters = {name: chr(ord("a") + i) for i, name in enumerate(objects)}
-    return Lifted(renamed(formula, letters), len(world_of(objects)) - len(objects))
+    return Lifted(renamed(formula, letters.__getitem__), len(world_of(objects)) - len(objects))
 
 
 def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:
@@ -44,18 +44,9 @@ def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:
     return objects + tuple(o for o in HM3D_OBJECTS if o not in objects)
 
 
-def renamed(formula: Formula, new: dict[str, str]) -> Formula:
-    """The formula with its propositions' names replaced."""
-    done: dict[int, Formula] = {}
-    for node in postorder(formula):
-        args = tuple(done[id(arg)] for arg in node.args)
-        done[id(node)] = Formula(node.op, args, new.get(node.name, node.name))
-    return done[id(formula)]
-
-
 def with_canonical_names(formula: Formula) -> Formula:
     """`tv` becomes `television`, as in worlds and detectors (`edge.names`)."""
-    return renamed(formula, {name: names.canonical(name) for name in propositions(formula)})
+    return renamed(formula, names.canonical)
 
 
 @cache

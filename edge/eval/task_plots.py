@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from edge.eval.intervals import Interval
 from edge.eval.task_report import Row
 from edge.host.files import write_atomically
-from edge.report import palette
+from edge.report import canvas, palette
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +83,6 @@ def _drawn(
     finish: Callable[[Axes, Sequence[Row]], None],
 ) -> dict[str, bytes]:
     """A plot's content by file ending."""
-    from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -100,14 +98,7 @@ def _drawn(
     legend = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False}
     if lines:
         axes.legend(**legend, fontsize=9, labelcolor=palette.INK, handlelength=3.2)
-    images = {}
-    # A fixed salt gives the same file for the same figures.
-    with rc_context({"svg.hashsalt": "edge", "svg.fonttype": "none"}):
-        for kind, metadata in (("svg", {"Date": None}), ("png", None)):
-            out = io.BytesIO()
-            figure.savefig(out, format=kind, metadata=metadata)
-            images[kind] = out.getvalue()
-    return images
+    return {kind: canvas.content(figure, kind) for kind in ("svg", "png")}
 
 
 def _lines(

@@ -117,45 +117,40 @@ def score(case: Case, translator: Translator) -> Score:
     return Score(case, outcome, to_text(formula), witness)
 
 
-def table(title: str, scores: Sequence[Score], left_out: Counter[str]) -> str:
-    """Outcomes by part, and in total, as aligned text."""
-    parts = list(dict.fromkeys([*(s.case.part for s in scores), *left_out]))
-    rows = [[part, *_counts([s for s in scores if s.case.part == part])] for part in parts]
-    rows.append(["all", *_counts(scores)])
-    for row in rows:
-        row.append(left_out.total() if row[0] == "all" else left_out[str(row[0])])
+def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
+    """Counts by part and in total."""
+    parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
+    return {
+        "cases": len(scores),
+        **_counts(scores, left_out.total()),
+        "parts": {
+            part: _counts([s for s in scores if s.case.part == part], left_out[part])
+            for part in parts
+        },
+    }
+
+
+def _counts(scores: Sequence[Score], left_out: int) -> dict[str, int]:
+    outcomes = Counter(s.outcome for s in scores)
+    return {**{outcome: outcomes[outcome] for outcome in OUTCOMES}, "not_expressible": left_out}
+
+
+def table(title: str, counts: dict[str, Any]) -> str:
+    """What `summary` counts as aligned text."""
+    columns = (*OUTCOMES, "not_expressible")
+    rows = [[part, [count[c] for c in columns]] for part, count in counts["parts"].items()]
+    rows.append(["all", [counts[c] for c in columns]])
     head = [title, "cases", *OUTCOMES, "not expressible"]
-    lines = [[str(cell) for cell in row] for row in [head, *rows]]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    for line in lines:
-        line[0] = line[0].ljust(widths[0])
+    lines = [head, *([name, sum(cells[:-1]), *cells] for name, cells in rows)]
+    widths = [max(len(str(line[i])) for line in lines) for i in range(len(head))]
     return "\n".join(
-        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True))
-        for line in lines
+        "  ".join([str(name).ljust(widths[0]), *map(_right, cells, widths[1:])])
+        for name, *cells in lines
     )
 
 
-def _counts(scores: Sequence[Score]) -> list[int]:
-    outcomes = Counter(s.outcome for s in scores)
-    return [len(scores), *(outcomes[outcome] for outcome in OUTCOMES)]
-
-
-def summary(scores: Sequence[Score], left_out: Counter[str]) -> dict[str, Any]:
-    """Counts by part and in total, for the JSON file."""
-    parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
-    counts = {part: Counter(s.outcome for s in scores if s.case.part == part) for part in parts}
-    return {
-        "cases": len(scores),
-        "not_expressible": left_out.total(),
-        **{outcome: sum(count[outcome] for count in counts.values()) for outcome in OUTCOMES},
-        "parts": {
-            part: {
-                **{outcome: count[outcome] for outcome in OUTCOMES},
-                "not_expressible": left_out[part],
-            }
-            for part, count in counts.items()
-        },
-    }
+def _right(cell: object, width: int) -> str:
+    return str(cell).rjust(width)
 
 
 def failure_lines(scores: Iterable[Score]) -> Iterator[str]:
@@ -192,10 +187,11 @@ def run(args: argparse.Namespace) -> int:
         began = time.perf_counter()
         scores, stopped_by = _scored(title, _sample(cases, args.limit), translator)
         seconds = time.perf_counter() - began
-        result[title] = {**summary(scores, left_out), "seconds": round(seconds, 2)}
+        counts = summary(scores, left_out)
+        result[title] = {**counts, "seconds": round(seconds, 2)}
         lines = list(failure_lines(scores))
         failed += lines
-        print(table(title, scores, left_out), *_shown(lines), sep="\n", end="\n\n")
+        print(table(title, counts), *_shown(lines), sep="\n", end="\n\n")
         if stopped_by is not None:
             break
     _write(args.failures, "".join(f"{line}\n" for line in failed))

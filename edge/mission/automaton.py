@@ -15,10 +15,10 @@ import numpy as np
 
 from edge.mission.logic import compiler as own_compiler
 from edge.mission.logic import spot_compiler
-from edge.mission.logic.formula import Formula, propositions
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Effort
+from edge.mission.ltl import Formula, propositions
 
-__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula", "compile_with"]
+__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula"]
 
 COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
 NOTHING = ""  # the letter of a step in which nothing of the formula is reached
@@ -80,9 +80,12 @@ class Automaton:
 
 
 def compile_formula(
-    formula: Formula, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS
+    formula: Formula,
+    max_states: int = MAX_STATES,
+    max_steps: int = MAX_STEPS,
+    compiler: Literal["own", "spot"] = "own",
 ) -> Automaton:
-    """The automaton of a formula, by our own compiler.
+    """The automaton of a formula; it is the same from either compiler.
 
     Args:
         max_states: the most states that it, or any automaton on the way to it, may have.
@@ -90,34 +93,20 @@ def compile_formula(
 
     Raises:
         CompileError: a limit was passed.
-    """
-    return compile_with("own", formula, max_states, max_steps)
-
-
-def compile_with(
-    compiler: Literal["own", "spot"],
-    formula: Formula,
-    max_states: int = MAX_STATES,
-    max_steps: int = MAX_STEPS,
-) -> Automaton:
-    """What `compile_formula` does, by a compiler of choice; the automaton is the same.
-
-    Raises:
-        CompileError: a limit was passed.
         UserError: Spot was chosen, and its real bindings are not there.
     """
-    limits = Limits(max_states, max_steps)
+    effort = Effort(max_states, max_steps)
     letters = propositions(formula)
-    delta, accepting = COMPILERS[compiler](formula, letters, limits)
-    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, limits))
+    delta, accepting = COMPILERS[compiler](formula, letters, effort)
+    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, effort))
 
 
-def steps_left(delta: np.ndarray, accepting: np.ndarray, limits: Limits) -> np.ndarray:
+def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
     """See `Automaton.steps_left`."""
     far = len(delta)
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:
-        limits.spend_cells(delta.size)
+        effort.spend_cells(delta.size)
         reach = left[delta]
         new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
         if np.array_equal(new, left):

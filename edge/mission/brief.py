@@ -10,7 +10,7 @@ from edge import names
 from edge.config import Mission, TranslatorLtl
 from edge.errors import UserError
 from edge.mission import ltl
-from edge.mission.automaton import Automaton, compile_with
+from edge.mission.automaton import Automaton, compile_formula
 from edge.mission.language.english import describe
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.ltl import Formula
@@ -83,7 +83,7 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
             "(mission.max_targets)"
         )
     limits = (config.max_states, config.compile_limit_steps)
-    automaton = compile_with(config.compiler, formula, *limits)
+    automaton = compile_formula(formula, *limits, config.compiler)
     diagnosis = diagnose(automaton, *limits)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
@@ -114,11 +114,6 @@ def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
 def _unified(formula: Formula) -> Formula:
     """The formula with one word for one thing: of synonyms, the one that came first."""
     first: dict[str, str] = {}
-    word = {p: first.setdefault(names.canonical(p), p) for p in ltl.propositions(formula)}
-    made: dict[int, Formula] = {}
-    for f in ltl.postorder(formula):
-        if f.op == "ap":
-            made[id(f)] = ltl.ap(word[f.name])
-        else:
-            made[id(f)] = Formula(f.op, tuple(made[id(arg)] for arg in f.args))
-    return made[id(formula)]
+    for name in ltl.propositions(formula):
+        first.setdefault(names.canonical(name), name)
+    return ltl.renamed(formula, lambda name: first[names.canonical(name)])

@@ -5,40 +5,448 @@ De Giacomo and Vardi, "Linear temporal logic and linear dynamic logic on finite 
 2013), extended to the empty word: a proposition, X, F, U and M are false of it; WX, G, R and W
 are true; ! negates.
 
->>> f = parse("F ((chair | couch) & F tv)")
->>> holds(f, ["couch", None, "tv"]), holds(f, ["tv", "couch"])
-(True, False)
+>>> parse("F ((chair | couch) & F tv)").args[0].op
+'&'
 """
 
 from __future__ import annotations
 
-from edge.mission.logic.formula import (
-    FALSE,
-    TRUE,
-    Formula,
-    always,
-    ap,
-    conj,
-    disj,
-    eventually,
-    iff,
-    implies,
-    neg,
-    next_,
-    postorder,
-    propositions,
-    release,
-    strong_release,
-    to_text,
-    until,
-    weak_next,
-    weak_until,
-)
-from edge.mission.logic.ltl_parser import FormulaError, parse, parse_prefix
-from edge.mission.logic.semantics import holds
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-__all__ = [
-    "FALSE", "TRUE", "Formula", "FormulaError", "always", "ap", "conj", "disj", "eventually",
-    "holds", "iff", "implies", "neg", "next_", "parse", "parse_prefix", "postorder",
-    "propositions", "release", "strong_release", "to_text", "until", "weak_next", "weak_until",
-]  # fmt: skip
+from edge import names
+from edge.errors import UserError
+from edge.text import one_line
+
+WORD = r"[A-Za-z_][A-Za-z0-9_]*"
+UNARY = ("!", "X", "WX", "F", "G")
+# Binding strength, weakest first; U W R M share one level.
+STRENGTH = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "W": 5, "R": 5, "M": 5}
+STRENGTH |= dict.fromkeys(UNARY, 6)
+KEYWORDS = frozenset({"X", "WX", "F", "G", "U", "W", "R", "M", "true", "false"})
+_ATOM_STRENGTH = 7
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Formula:
+    """One operator and its operands; equal when the trees are equal.
+
+    Attributes:
+        op: "true", "false", "ap" (a proposition), "!", "&", "|", "->", "<->", "X", "WX" (strong
+            and weak next), "F", "G", "U", "W" (strong and weak until), "R" or "M" (weak and
+            strong release).
+        args: operands; & and | have two or more, and none of their own kind.
+        name: the proposition's name, of "ap" only.
+    """
+
+    op: str
+    args: tuple[Formula, ...] = ()
+    name: str = ""
+    _hash: list[int] = field(default_factory=list, init=False)
+
+    def __hash__(self) -> int:
+        if not self._hash:
+            for f in postorder(self):
+                if not f._hash:
+                    f._hash.append(hash((f.op, f.name, *(arg._hash[0] for arg in f.args))))
+        return self._hash[0]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Formula):
+            return NotImplemented
+        if hash(self) != hash(other):
+            return False
+        pairs, same = [(self, other)], set()
+        while pairs:
+            a, b = pairs.pop()
+            if a is b or (id(a), id(b)) in same:
+                continue
+            if a._hash != b._hash or a.op != b.op or a.name != b.name or len(a.args) != len(b.args):
+                return False
+            same.add((id(a), id(b)))
+            pairs.extend(zip(a.args, b.args, strict=True))
+        return True
+
+    def __str__(self) -> str:
+        return to_text(self)
+
+    def __repr__(self) -> str:
+        return f"<Formula {to_text(self)}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return parse, (to_text(self),)
+
+
+TRUE = Formula("true")
+FALSE = Formula("false")
+
+
+def ap(name: str) -> Formula:
+    """The proposition "`name` is reached in this step"; the name must not be blank."""
+    if not name.strip():
+        raise ValueError("a proposition needs a name")
+    return Formula("ap", (), name)
+
+
+def neg(f: Formula) -> Formula:
+    """!f"""
+    return Formula("!", (f,))
+
+
+def conj(*fs: Formula) -> Formula:
+    """f & g & …, nested conjunctions flattened; `true` of none, f itself of one."""
+    return _nary("&", fs, TRUE)
+
+
+def disj(*fs: Formula) -> Formula:
+    """f | g | …, nested disjunctions flattened; `false` of none, f itself of one."""
+    return _nary("|", fs, FALSE)
+
+
+def implies(a: Formula, b: Formula) -> Formula:
+    """a -> b"""
+    return Formula("->", (a, b))
+
+
+def iff(a: Formula, b: Formula) -> Formula:
+    """a <-> b"""
+    return Formula("<->", (a, b))
+
+
+def next_(f: Formula) -> Formula:
+    """X f: there is a next step, and f holds there."""
+    return Formula("X", (f,))
+
+
+def weak_next(f: Formula) -> Formula:
+    """WX f: f holds at the next step, if there is one."""
+    return Formula("WX", (f,))
+
+
+def eventually(f: Formula) -> Formula:
+    """F f: f holds now or at some later step."""
+    return Formula("F", (f,))
+
+
+def always(f: Formula) -> Formula:
+    """G f: f holds now and at all later steps."""
+    return Formula("G", (f,))
+
+
+def until(a: Formula, b: Formula) -> Formula:
+    """a U b: b holds at some step, and a at every step before it."""
+    return Formula("U", (a, b))
+
+
+def weak_until(a: Formula, b: Formula) -> Formula:
+    """a W b: a U b, or a at every step ("not a until b" of speech is `!a W b`)."""
+    return Formula("W", (a, b))
+
+
+def release(a: Formula, b: Formula) -> Formula:
+    """a R b: b holds up to and including the first step at which a does, if any."""
+    return Formula("R", (a, b))
+
+
+def strong_release(a: Formula, b: Formula) -> Formula:
+    """a M b: a R b, and a does hold at some step."""
+    return Formula("M", (a, b))
+
+
+def postorder(f: Formula) -> Iterator[Formula]:
+    """Every distinct object of the tree, operands before operators."""
+    seen: set[int] = set()
+    stack = [(f, False)]
+    while stack:
+        node, ready = stack.pop()
+        if ready:
+            yield node
+        elif id(node) not in seen:
+            seen.add(id(node))
+            stack.append((node, True))
+            stack.extend((arg, False) for arg in reversed(node.args))
+
+
+def propositions(f: Formula) -> tuple[str, ...]:
+    """The names in a formula, in order of first appearance."""
+    return tuple(dict.fromkeys(node.name for node in postorder(f) if node.op == "ap"))
+
+
+def renamed(f: Formula, new: Callable[[str], str]) -> Formula:
+    """The formula with every proposition's name replaced."""
+    done: dict[int, Formula] = {}
+    for node in postorder(f):
+        if node.op == "ap":
+            done[id(node)] = ap(new(node.name))
+        else:
+            done[id(node)] = Formula(node.op, tuple(done[id(arg)] for arg in node.args))
+    return done[id(f)]
+
+
+def to_text(f: Formula) -> str:
+    """Infix text with no needless parentheses; `parse` gives the same formula back.
+
+    >>> to_text(eventually(conj(disj(ap("chair"), ap("potted plant")), eventually(ap("tv")))))
+    'F ((chair | "potted plant") & F tv)'
+    """
+    out: list[str] = []
+    todo: list[Formula | str] = [f]
+    while todo:
+        item = todo.pop()
+        if isinstance(item, str):
+            out.append(item)
+        else:
+            todo.extend(reversed(_pieces(item)))
+    return "".join(out)
+
+
+def _pieces(f: Formula) -> list[Formula | str]:
+    if f.op == "ap":
+        return [_name_text(f.name)]
+    if not f.args:
+        return [f.op]
+    own = STRENGTH[f.op]
+    if f.op in UNARY:
+        return [f.op if f.op == "!" else f.op + " ", *_operand_text(f.args[0], own)]
+    pieces: list[Formula | str] = []
+    last = len(f.args) - 1
+    for k, arg in enumerate(f.args):
+        # All but & and | associate to the right, so only a right operand may be of their level.
+        right = k == last and f.op not in "&|"
+        pieces += _operand_text(arg, own if right else own + 1)
+        if k < last:
+            pieces.append(f" {f.op} ")
+    return pieces
+
+
+def _operand_text(f: Formula, at_least: int) -> list[Formula | str]:
+    return [f] if STRENGTH.get(f.op, _ATOM_STRENGTH) >= at_least else ["(", f, ")"]
+
+
+def _name_text(name: str) -> str:
+    if re.fullmatch(WORD, name) and name not in KEYWORDS:
+        return name
+    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _nary(op: str, fs: tuple[Formula, ...], empty: Formula) -> Formula:
+    flat: list[Formula] = []
+    for f in fs:
+        flat.extend(f.args if f.op == op else (f,))
+    if len(flat) < 2:
+        return flat[0] if flat else empty
+    return Formula(op, tuple(flat))
+
+
+MAX_CHARS = 200_000
+_SPELLINGS = {
+    "&&": "&", "∧": "&", "||": "|", "∨": "|", "=>": "->", "→": "->", "<=>": "<->", "↔": "<->",
+    "¬": "!", "<>": "F", "◇": "F", "[]": "G", "□": "G", "○": "X",
+}  # fmt: skip
+_PREFIX_SPELLINGS = _SPELLINGS | {"i": "->", "e": "<->"}
+_TOKEN = re.compile(
+    rf"""(?P<space>\s+)
+    | (?P<word>{WORD})
+    | (?P<quoted>"(?:[^"\\]|\\.)*")
+    | (?P<op><->|<=>|<>|->|=>|\[\]|&&|\|\||[!&|◇□○¬∧∨→↔])
+    | (?P<paren>[()])""",
+    re.VERBOSE | re.DOTALL,
+)
+_NARY = {"&": conj, "|": disj}
+_CONSTANTS = {"true": TRUE, "false": FALSE}
+
+
+class FormulaError(UserError):
+    """A text that is no formula.
+
+    Attributes:
+        column: of the first character that does not fit, counted from 1; one past the end of
+            the text when something is missing there.
+    """
+
+    def __init__(self, column: int, message: str) -> None:
+        super().__init__(f"formula, column {column}: {message}")
+        self.column = column
+
+
+class _Token(NamedTuple):
+    kind: str  # "op", "name", "constant", "(", ")" or "end"
+    text: str
+    column: int
+
+    @property
+    def shown(self) -> str:
+        if self.kind == "end":
+            return "the end"
+        return f"'{one_line(self.text, 40)}'"
+
+
+def parse(text: str) -> Formula:
+    """The formula that an infix text writes.
+
+    From tightest to loosest: `! X WX F G`; `U W R M`; `&`; `|`; `->`; `<->`; binary operators
+    other than & and | associate to the right. Propositions are words, or anything in double
+    quotes (`\\"` and `\\\\` inside), that `edge.names` takes for a name. `&& || => <=> <> []` and
+    ◇ □ ○ ¬ ∧ ∨ → ↔ are read too.
+
+    Raises:
+        FormulaError: the text is no formula, a proposition is no name, or the text is longer than
+            `MAX_CHARS`.
+    """
+    values: list[Formula] = []
+    ops: list[_Token] = []
+    operand_next = True
+    for token in _tokens(text, _SPELLINGS):
+        if operand_next:
+            operand_next = _operand(token, values, ops)
+        else:
+            operand_next = _operator(token, values, ops)
+    return values[0]
+
+
+def parse_prefix(text: str) -> Formula:
+    """The formula that a prefix text writes, as Lang2LTL's data does: `& F a U ! b c`.
+
+    `i` is implication and `e` equivalence; every other word that is no operator of `parse` is a
+    proposition.
+
+    Raises:
+        FormulaError: the text is no formula, or longer than `MAX_CHARS`.
+    """
+    waiting: list[_Waiting] = []
+    done: Formula | None = None
+    for token in _tokens(text, _PREFIX_SPELLINGS):
+        if done is not None:
+            if token.kind == "end":
+                return done
+            raise FormulaError(token.column, f"the formula is complete before {token.shown}")
+        if token.kind == "op":
+            if token.text in _NARY and waiting and waiting[-1].op == token.text:
+                waiting[-1].missing += 1
+            else:
+                waiting.append(_Waiting(token.text, 1 if token.text in UNARY else 2))
+        elif token.kind in ("name", "constant"):
+            done = _close(waiting, _leaf(token))
+        else:
+            raise FormulaError(token.column, _wants_operand(token))
+    raise AssertionError("the end token is always handled")
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A prefix operator and how many operands it still lacks."""
+
+    op: str
+    missing: int
+    args: list[Formula] = field(default_factory=list)
+
+
+def _close(waiting: list[_Waiting], value: Formula) -> Formula | None:
+    """Hand a value to the innermost operator that waits; the whole formula once none does."""
+    while waiting:
+        inner = waiting[-1]
+        inner.args.append(value)
+        inner.missing -= 1
+        if inner.missing:
+            return None
+        waiting.pop()
+        value = _apply(inner.op, inner.args)
+    return value
+
+
+def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
+    """Take a token where an operand must begin; whether one must still begin after it."""
+    if token.kind == "(" or (token.kind == "op" and token.text in UNARY):
+        ops.append(token)
+        return True
+    if token.kind in ("name", "constant"):
+        values.append(_leaf(token))
+        return False
+    raise FormulaError(token.column, _wants_operand(token))
+
+
+def _operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
+    """Take a token after an operand; whether an operand must begin after it."""
+    if token.kind == "op" and token.text not in UNARY:
+        while ops and ops[-1].kind == "op" and STRENGTH[ops[-1].text] > STRENGTH[token.text]:
+            _reduce(values, ops)
+        ops.append(token)
+        return True
+    if token.kind in (")", "end"):
+        while ops and ops[-1].kind == "op":
+            _reduce(values, ops)
+        if token.kind == ")":
+            if not ops:
+                raise FormulaError(token.column, "')' closes nothing")
+            ops.pop()
+        elif ops:
+            raise FormulaError(token.column, f"expected ')' for the '(' of column {ops[-1].column}")
+        return False
+    raise FormulaError(
+        token.column, f"expected an operator such as & or U before {token.shown}, or the end"
+    )
+
+
+def _reduce(values: list[Formula], ops: list[_Token]) -> None:
+    """Apply the innermost operator; a run of & (or of |) at once, since it is one operator."""
+    op = ops.pop().text
+    n = 1 if op in UNARY else 2
+    while op in _NARY and ops and ops[-1].kind == "op" and ops[-1].text == op:
+        ops.pop()
+        n += 1
+    args = values[-n:]
+    del values[-n:]
+    values.append(_apply(op, args))
+
+
+def _apply(op: str, args: list[Formula]) -> Formula:
+    return _NARY[op](*args) if op in _NARY else Formula(op, tuple(args))
+
+
+def _leaf(token: _Token) -> Formula:
+    return _CONSTANTS[token.text] if token.kind == "constant" else ap(token.text)
+
+
+def _wants_operand(token: _Token) -> str:
+    return f"expected a proposition, '(' or one of ! X WX F G, found {token.shown}"
+
+
+def _tokens(text: str, spellings: dict[str, str]) -> Iterator[_Token]:
+    if len(text) > MAX_CHARS:
+        raise FormulaError(MAX_CHARS + 1, f"{len(text)} characters; at most {MAX_CHARS} are read")
+    at = 0
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise FormulaError(at + 1, _unreadable(text[at]))
+        kind, found, column = match.lastgroup, match[0], at + 1
+        at = match.end()
+        if kind == "quoted":
+            yield _name(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
+        elif kind == "paren":
+            yield _Token(found, found, column)
+        elif kind != "space":
+            op = spellings.get(found, found)
+            if op in STRENGTH:
+                yield _Token("op", op, column)
+            elif op in _CONSTANTS:
+                yield _Token("constant", op, column)
+            else:
+                yield _name(op, column)
+    yield _Token("end", "", len(text) + 1)
+
+
+def _name(text: str, column: int) -> _Token:
+    try:
+        names.normalise(text)
+    except names.NotANameError as error:
+        raise FormulaError(column, str(error)) from None
+    return _Token("name", text, column)
+
+
+def _unreadable(char: str) -> str:
+    if char == '"':
+        return "this quote is never closed"
+    return f"{char!r} belongs to no operator; put names in double quotes"

@@ -12,7 +12,7 @@ import numpy as np
 
 from edge.config import PlannerExpected, PlannerVitl
 from edge.mission.automaton import Automaton
-from edge.mission.logic.formula import Formula
+from edge.mission.ltl import Formula
 from edge.mission.planning import distances
 from edge.mission.planning.expected import ExpectedPlanner, PlannerError
 from edge.mission.planning.plan import Knowledge, Plan, Planner

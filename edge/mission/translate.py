@@ -1,11 +1,10 @@
-"""From an instruction to a formula: one interface, a backend per kind of configuration."""
+"""From an instruction to a formula: one translator, which a configuration gives its reader."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from edge.config import TranslatorGrammar, TranslatorLlm, TranslatorLtl
 from edge.mission import ltl
@@ -26,9 +25,9 @@ class Translation:
     Attributes:
         formula: its text parses back to the same formula.
         english: the formula in plain English, to be shown to whoever gave the instruction.
-        backend: the kind of translator.
+        backend: the translator's kind.
         seconds: how long it took.
-        attempts: requests made; 1 for the offline backends.
+        attempts: requests made; 1 where no server is asked.
     """
 
     instruction: str
@@ -44,8 +43,16 @@ class Translation:
         return one_line(self.english, _UNDERSTOOD_CHARS)
 
 
-class Translator(Protocol):
-    """Anything that turns an instruction into a formula."""
+@dataclass(frozen=True)
+class Translator:
+    """Turns instructions into formulas.
+
+    Attributes:
+        read: the formula that an instruction asks for, and how many requests that took.
+    """
+
+    kind: str
+    read: Callable[[str], tuple[ltl.Formula, int]]
 
     def translate(self, instruction: str) -> Translation:
         """The instruction's formula.
@@ -53,23 +60,10 @@ class Translator(Protocol):
         Raises:
             UserError: it cannot be translated; a TranslationError names the part.
         """
-        ...
-
-
-@dataclass(frozen=True)
-class OfflineTranslator:
-    """A translator that is a function of the instruction alone."""
-
-    kind: str
-    parse: Callable[[str], ltl.Formula]
-
-    def translate(self, instruction: str) -> Translation:
-        """See `Translator.translate`."""
-        began = time.perf_counter()
-        formula = validated(self.parse(instruction))
-        return Translation(
-            instruction, formula, describe(formula), self.kind, time.perf_counter() - began
-        )
+        began_s = time.monotonic()
+        formula, attempts = self.read(instruction)
+        english, seconds = describe(validated(formula)), time.monotonic() - began_s
+        return Translation(instruction, formula, english, self.kind, seconds, attempts)
 
 
 def validated(formula: ltl.Formula) -> ltl.Formula:
@@ -87,19 +81,15 @@ def validated(formula: ltl.Formula) -> ltl.Formula:
     return formula
 
 
-def _make_llm(config: TranslatorLlm) -> Translator:
-    from edge.mission.language.llm import make  # needs the chat client; the offline backends do not
-
-    return make(config)
-
-
-_BACKENDS: dict[str, Callable[..., Translator]] = {
-    "ltl": lambda _: OfflineTranslator("ltl", ltl.parse),
-    "grammar": lambda _: OfflineTranslator("grammar", grammar.parse_english),
-    "llm": _make_llm,
-}
-
-
 def make_translator(config: TranslatorLtl | TranslatorGrammar | TranslatorLlm) -> Translator:
-    """The backend that a configuration names."""
-    return _BACKENDS[config.kind](config)
+    """The translator that a configuration names.
+
+    Raises:
+        ChatError: the language model's URL or API key cannot be used.
+    """
+    if config.kind == "llm":
+        from edge.mission.language.llm import Model  # needs the chat client; the others do not
+
+        return Translator("llm", Model(config).read)
+    parse = {"ltl": ltl.parse, "grammar": grammar.parse_english}[config.kind]
+    return Translator(config.kind, lambda instruction: (parse(instruction), 1))

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from edge.report import palette
-from edge.report.drawing.shapes import (
-    Box,
-    Curve,
-    Disc,
-    Group,
-    Picture,
-    Polygon,
-    Shape,
-    Text,
-    shorten,
-)
+from edge.report import canvas, palette
 from edge.report.record import RunRecord
+from edge.text import shorten
 from edge.types import Step
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, ROW, FOOT = 170.0, 24.0, 14.0, 28.0, 62.0
-BAR = 14.0
-TEXT = 12.0
+BAR = 0.5  # of a row
+TEXT = 11.0
 MAX_ROWS = 40
 LINE, ZEBRA = "#dde2ea", "#f6f8fb"
-MARKED = ("seen", "reached", "failed", "warning")
+# What happened to a target: matplotlib's mark, its fill, its rim, its size in px, what it means.
+MARKS = {
+    "seen": ("o", "#ffffff", palette.INK, 9.0, "seen"),
+    "warning": ("^", palette.WARNING, palette.WARNING, 11.0, "warning"),
+    "failed": ("X", palette.OUTCOME["failed"], "#ffffff", 15.0, "failed"),
+    "reached": ("o", palette.OUTCOME["reached"], "#ffffff", 18.0, "reached, in this order"),
+}
 TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 36000)
 
 
@@ -74,7 +73,7 @@ def _last_s(record: RunRecord) -> float:
     return max(times, default=0.0)
 
 
-def picture(record: RunRecord) -> Picture | None:
+def draw(record: RunRecord) -> Axes | None:
     """Bars for what was pursued, marks for what happened; None when there is nothing to show."""
     steps = _steps(record)
     labels = list(dict.fromkeys(s.label for s in steps if s.label))
@@ -82,119 +81,95 @@ def picture(record: RunRecord) -> Picture | None:
         return None
     rows = {label: k for k, label in enumerate(labels[:MAX_ROWS])}
     begin_s = min(0.0, record.seconds(steps[0].stamp_ns))
-    chart = _Chart(record, rows, begin_s, max(_last_s(record), begin_s + 1.0))
-    parts = (*chart.grid(), *chart.bars(), *chart.end(), *chart.marks(), *chart.legend(len(labels)))
-    return Picture("The mission over time", WIDTH, TOP + ROW * len(rows) + FOOT, parts)
+    end_s = max(_last_s(record), begin_s + 1.0)
+    height = TOP + ROW * len(rows) + FOOT
+    page = canvas.page(WIDTH, height)
+    box = (LEFT / WIDTH, FOOT / height, (WIDTH - LEFT - RIGHT) / WIDTH, ROW * len(rows) / height)
+    chart = page.figure.add_axes(box, xlim=(begin_s, end_s), ylim=(len(rows) - 0.5, -0.5))
+    _frame(chart, rows, record.targets)
+    _bars(chart, [span for span in spans(record) if span.label in rows], rows, record.targets)
+    _marks(chart, record, rows)
+    handles = _legend(chart)
+    place = ((LEFT - 14) / WIDTH, 0.0)
+    page.figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=len(handles),
+                       frameon=False, fontsize=TEXT, labelcolor=palette.MUTED)  # fmt: skip
+    if len(labels) > len(rows):
+        more = f"{len(labels) - len(rows)} more targets are not shown"
+        canvas.write(page, more, WIDTH - RIGHT, height - 16, TEXT, ha="right", color=palette.MUTED)
+    return page
 
 
-class _Chart(NamedTuple):
-    record: RunRecord
-    rows: dict[str, int]
-    begin_s: float
-    end_s: float
-
-    def x(self, t_s: float) -> float:
-        part = (t_s - self.begin_s) / (self.end_s - self.begin_s)
-        return LEFT + min(1.0, max(0.0, part)) * (WIDTH - LEFT - RIGHT)
-
-    def y(self, label: str) -> float:
-        return TOP + ROW * (self.rows[label] + 0.5)
-
-    def colour(self, label: str) -> str:
-        return palette.target_colour(label, self.record.targets)
-
-    @property
-    def bottom(self) -> float:
-        return TOP + ROW * len(self.rows)
-
-    def grid(self) -> Iterator[Group]:
-        for label, k in self.rows.items():
-            ground = Box(0, TOP + k * ROW, WIDTH, ROW, ZEBRA if k % 2 == 0 else "#ffffff", 0)
-            words = Text(
-                shorten(label, 22),
-                LEFT - 12,
-                self.y(label) + 4,
-                TEXT,
-                self.colour(label),
-                "end",
-                True,
-            )
-            yield Group(shorten(label, 200), (ground, words))
-        span_s = self.end_s - self.begin_s
-        step_s = next((t for t in TICKS_S if span_s / t <= 12), TICKS_S[-1] * 10)
-        ticks = [k * step_s for k in range(int(span_s / step_s) + 1)]
-        lines = [(_line(self.x(t), TOP, self.bottom, LINE), _tick(self, t)) for t in ticks]
-        yield Group("", tuple(shape for pair in lines for shape in pair))
-
-    def bars(self) -> Iterator[Group]:
-        """A switch before the target was reached is a line from the end of a bar to the next."""
-        pursued = [span for span in spans(self.record) if span.label in self.rows]
-        for span in pursued:
-            x0, x1 = self.x(span.start_s), self.x(span.end_s)
-            y = self.y(span.label) - BAR / 2
-            bar = Box(x0, y, max(2.0, x1 - x0), BAR, self.colour(span.label))
-            title = f"{span.start_s:.1f} to {span.end_s:.1f} s: {shorten(span.reason, 300)}"
-            yield Group(title, (bar,))
-        for before, after in pairwise(pursued):
-            if not before.settled:
-                title = f"switched at {after.start_s:.1f} s: {shorten(after.reason, 300)}"
-                yield Group(
-                    title, _switch(self.x(after.start_s), self.y(before.label), self.y(after.label))
-                )
-
-    def end(self) -> Iterator[Group]:
-        for step in self.record.story.steps:
-            if step.kind == "end":
-                colour = palette.outcome_colour(self.record.mission.phase)
-                x = self.x(self.record.seconds(step.stamp_ns))
-                yield Group(shorten(step.text, 300), (_line(x, TOP, self.bottom, colour, 2.0),))
-
-    def marks(self) -> Iterator[Group]:
-        steps = [s for s in self.record.story.steps if s.kind in MARKED and s.label in self.rows]
-        order = [s for s in self.record.story.steps if s.kind == "reached"]
-        for step in sorted(steps, key=lambda step: step.kind in ("reached", "failed")):
-            t_s = self.record.seconds(step.stamp_ns)
-            number = next((f"{k}" for k, s in enumerate(order, start=1) if s is step), "")
-            mark = _mark(step.kind, self.x(t_s), self.y(step.label), number)
-            yield Group(f"{t_s:.1f} s: {shorten(step.text, 300)}", mark)
-
-    def legend(self, n_labels: int) -> Iterator[Group]:
-        x, y = LEFT, self.bottom + FOOT - 16
-        for kind, words in (("seen", "seen"), ("reached", "reached, in this order"),
-                            ("failed", "failed"), ("warning", "warning")):  # fmt: skip
-            text = Text(words, x + 13, y + 4, 11, palette.MUTED)
-            yield Group("", (*_mark(kind, x, y, "1"), text))
-            x += 42 + 6.6 * len(words)
-        switch = Text("switched to another before that", x + 13, y + 4, 11, palette.MUTED)
-        yield Group("", (*_switch(x, y - 8, y + 8), switch))
-        if n_labels > len(self.rows):
-            more = f"{n_labels - len(self.rows)} more targets are not shown"
-            yield Group("", (Text(more, WIDTH - RIGHT, y + 4, 11, palette.MUTED, "end"),))
+def in_words(record: RunRecord) -> str:
+    """What the picture shows, for who cannot see it."""
+    told = (f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}" for s in spans(record))
+    return "; ".join(["The mission over time", *told])
 
 
-def _line(x: float, y0: float, y1: float, colour: str, width: float = 1.0) -> Curve:
-    return Curve(((x, y0), (x, y0), (x, y1), (x, y1)), colour, width)
+def _frame(chart: Axes, rows: dict[str, int], targets: Sequence[str]) -> None:
+    """A row for each target, and round numbers along the time."""
+    for k in range(0, len(rows), 2):
+        chart.axhspan(k - 0.5, k + 0.5, color=ZEBRA, zorder=0)
+    names = [shorten(label, 22) for label in rows]
+    chart.set_yticks(list(rows.values()), names, fontsize=TEXT, fontweight="bold")
+    for tick, label in zip(chart.get_yticklabels(), rows, strict=True):
+        tick.set(color=palette.target_colour(label, targets), parse_math=False)
+    begin_s, end_s = chart.get_xlim()
+    step_s = next((t for t in TICKS_S if (end_s - begin_s) / t <= 12), TICKS_S[-1] * 10)
+    ticks_s = [k * step_s for k in range(int(end_s / step_s) + 1)]
+    words = [f"{t:g} s" if t < 300 else f"{t / 60:g} min" for t in ticks_s]
+    chart.set_xticks(ticks_s, words, fontsize=TEXT, color=palette.MUTED)
+    chart.grid(axis="x", color=LINE)
+    chart.set_axisbelow(True)
+    chart.tick_params(length=0, pad=8)
+    chart.spines[:].set_visible(False)
 
 
-def _tick(chart: _Chart, t_s: float) -> Text:
-    words = f"{t_s:g} s" if t_s < 300 else f"{t_s / 60:g} min"
-    return Text(words, chart.x(t_s), chart.bottom + 16, 11, palette.MUTED, "middle")
+def _bars(
+    chart: Axes, pursued: Sequence[Span], rows: dict[str, int], targets: Sequence[str]
+) -> None:
+    """A switch before the target was reached is an arrow from the end of a bar to the next."""
+    least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400
+    chart.barh(
+        [rows[span.label] for span in pursued],
+        [max(least_s, span.end_s - span.start_s) for span in pursued],
+        left=[span.start_s for span in pursued],
+        height=BAR,
+        color=[palette.target_colour(span.label, targets) for span in pursued],
+    )
+    arrow = {"arrowstyle": "-|>", "color": palette.INK, "shrinkA": 0, "shrinkB": 0}
+    for before, after in pairwise(pursued):
+        if not before.settled:
+            y0, y1 = rows[before.label], rows[after.label]
+            tip = y1 - BAR / 2 if y1 > y0 else y1 + BAR / 2
+            chart.annotate("", (after.start_s, tip), (after.start_s, y0), arrowprops=arrow)
 
 
-def _switch(x: float, y0: float, y1: float) -> tuple[Shape, ...]:
-    down = 1.0 if y1 > y0 else -1.0
-    tip = y1 - down * (BAR / 2 if abs(y1 - y0) > ROW / 2 + 3 else 0.0)
-    head = ((x, tip), (x - 4, tip - 6 * down), (x + 4, tip - 6 * down))
-    return (_line(x, y0, tip - 5 * down, palette.INK, 1.4), Polygon(head, palette.INK))
+def _marks(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
+    """The mission's end, and what happened to its targets; the reached ones are numbered."""
+    steps = _steps(record)
+    for step in steps:
+        if step.kind == "end":
+            colour = palette.outcome_colour(record.mission.phase)
+            chart.axvline(record.seconds(step.stamp_ns), color=colour, lw=2.0, clip_on=False)
+    for order, (kind, look) in enumerate(MARKS.items(), start=5):
+        those = [s for s in steps if s.kind == kind]
+        for number, step in enumerate(those, start=1):
+            if step.label in rows:
+                at = (max(record.seconds(step.stamp_ns), chart.get_xlim()[0]), rows[step.label])
+                chart.plot(*at, **_look(look), zorder=order, clip_on=False)
+                if kind == "reached":
+                    canvas.write(chart, f"{number}", *at, 10.0, ha="center", color="#ffffff",
+                                 zorder=order)  # fmt: skip
 
 
-def _mark(kind: str, x: float, y: float, number: str) -> tuple[Shape, ...]:
-    if kind == "seen":
-        return (Disc(x, y, 4.5, "#ffffff", palette.INK, 1.6),)
-    if kind == "warning":
-        triangle = ((x, y - 8), (x - 7.5, y + 5.5), (x + 7.5, y + 5.5))
-        return Polygon(triangle, palette.WARNING), Text("!", x, y + 4.5, 10, "#fff", "middle", True)
-    colour = palette.OUTCOME[kind]
-    words = number if kind == "reached" else "×"
-    disc = Disc(x, y, 9.0, colour, "#ffffff", 1.5)
-    return disc, Text(words, x, y + 4, 11, "#ffffff", "middle", True)
+def _look(mark: tuple[str, str, str, float, str]) -> dict:
+    marker, fill, rim, size, _ = mark
+    return {"marker": marker, "ms": size, "mfc": fill, "mec": rim, "mew": 1.4, "ls": "none"}
+
+
+def _legend(chart: Axes) -> list:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], **_look(mark), label=mark[-1]) for mark in MARKS.values()]
+    switch = {"marker": r"$\downarrow$", "color": palette.INK, "ls": "none", "ms": 8}
+    return [*handles, Line2D([], [], **switch, label="switched to another before that")]

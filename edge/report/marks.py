@@ -9,8 +9,8 @@ import numpy as np
 
 from edge import names
 from edge.report import palette, raster
-from edge.report.drawing.shapes import shorten
 from edge.report.record import RunRecord
+from edge.text import shorten
 from edge.types import Instance, Step
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.host.files import write_atomically
 from edge.report import key, marks, palette, raster, way
+from edge.report.canvas import content
 from edge.report.record import RunRecord
 
 if TYPE_CHECKING:
@@ -52,15 +53,13 @@ def draw(record: RunRecord, path: Path) -> None:
 
 def png(record: RunRecord) -> bytes:
     """The picture as a PNG file's content."""
-    import io
-
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     box = _view(record)
     layout = _layout(box)
     figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)
     axes = figure.add_axes(layout.place(LEFT_IN, TOP_IN, layout.map_width, layout.map_height))
     _frame(axes, box)
     _map(axes, record)
@@ -73,9 +72,7 @@ def png(record: RunRecord) -> bytes:
     _scale_bar(axes, box)
     _title(figure, record, layout)
     key.draw(figure, record, layout.place(right + 0.1, TOP_IN - 0.1, 0.0, 0.0)[:2])
-    out = io.BytesIO()
-    canvas.print_png(out)
-    return out.getvalue()
+    return content(figure, "png")
 
 
 def _layout(box: raster.Box) -> Layout:

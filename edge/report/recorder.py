@@ -14,9 +14,8 @@ from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyReport
 from edge.report.album import Album
-from edge.report.drawing.shapes import shorten
 from edge.report.record import RunRecord, Story
-from edge.text import without_secrets
+from edge.text import shorten, without_secrets
 from edge.types import Detections, Goal, Instance, MissionStatus
 
 STEP_M = 0.05

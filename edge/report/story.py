@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
-from edge.report import gantt
-from edge.report.automaton import draw_svg
-from edge.report.drawing.shapes import shorten, svg
+from edge.report import canvas, drawing, gantt
 from edge.report.record import RunRecord, Story
+from edge.report.scene import make_scene
+from edge.text import shorten
 
 MAX_TEXT = 4000
 
@@ -37,14 +37,19 @@ def _class(key: str) -> str:
 
 
 def _timeline(record: RunRecord) -> str:
-    picture = gantt.picture(record)
-    return f'<div class="drawing">{svg(picture)}</div>' if picture is not None else ""
+    axes = gantt.draw(record)
+    if axes is None:
+        return ""
+    return f'<div class="drawing">{canvas.img(axes, gantt.in_words(record))}</div>'
 
 
 def _automaton(story: Story) -> str:
-    drawing = draw_svg(story.automaton, story.state, story.plan, story.word)
+    scene = make_scene(story.automaton, story.state, story.plan, story.word)
+    title = f"Automaton with {story.automaton.n_states} states, now in state {story.state}"
+    words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
     return (
-        f'<h2>Automaton</h2><div class="drawing">{drawing}</div><p class="note">Blue disc: the '
+        f'<h2>Automaton</h2><div class="drawing">{canvas.img(drawing.draw(scene), words)}</div>'
+        '<p class="note">Blue disc: the '
         "state at the end. Green: the way there. Blue arrows: the plan from there. Double ring: "
         "the mission is fulfilled. An arrow is taken by reaching one of the things beside it.</p>"
     )

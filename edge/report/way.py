@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edge.report import gantt, palette
-from edge.report.drawing.shapes import shorten
 from edge.report.record import RunRecord
+from edge.text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

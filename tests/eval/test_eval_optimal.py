@@ -12,7 +12,7 @@ from edge.eval.lifted import lift
 from edge.eval.task_planners import least_explorations
 from edge.eval.task_templates import generate
 from edge.mission.automaton import Automaton, compile_formula, steps_left
-from edge.mission.logic.limits import Limits
+from edge.mission.logic.limits import Effort
 from edge.mission.ltl import TRUE, parse
 
 
@@ -80,7 +80,7 @@ def test_kernel_equals_value_iteration_on_random_automata(seed):
     n_states, n_letters, others = rng.integers(2, 7), rng.integers(1, 4), rng.integers(0, 2)
     delta = rng.integers(0, n_states, (n_states, n_letters + 1)).astype(np.int32)
     accepting = rng.random(n_states) < 0.25
-    left = steps_left(delta, accepting, Limits())
+    left = steps_left(delta, accepting, Effort())
     letters = tuple("abc"[:n_letters])
     problem = Problem.of(Automaton(TRUE, letters, delta, accepting, left), int(others))
     p_obs = float(rng.uniform(0.1, 1.0))

@@ -8,9 +8,9 @@ from collections import Counter
 import pytest
 
 from edge import names
-from edge.eval.lifted import HM3D_OBJECTS, lift, renamed, world_of
+from edge.eval.lifted import HM3D_OBJECTS, lift, world_of
 from edge.eval.task_templates import FAMILIES, JOINTS, Template, formula_of, generate, sentence_of
-from edge.mission.ltl import ap, neg, parse, propositions, to_text
+from edge.mission.ltl import parse, propositions, to_text
 
 DIGEST = "21de6270f80f429f"
 OBJECTS = ("bed", "television", "sofa", "toilet", "chair", "houseplant")
@@ -113,13 +113,6 @@ def test_lifting_leaves_the_names_out():
     assert (a.formula, a.others) == (parse("F (a & F b)"), 4)
     assert lift(parse("F (oven & F bed)")).others == 5  # a seventh object in the world
     assert lift(parse("F television & F bed")) != a
-
-
-def test_renamed_survives_deep_formulas():
-    formula = ap("bed")
-    for _ in range(5000):
-        formula = neg(formula)
-    assert propositions(renamed(formula, {"bed": "sofa"})) == ("sofa",)
 
 
 def test_world_holds_the_six_categories_and_the_tasks_own_objects():

@@ -16,7 +16,6 @@ from edge.eval.task_file import read_tasks
 from edge.eval.translate import lang2ltl_cases
 from edge.host.files import open_regular, read_regular
 from edge.mission.checkpoint import load as load_checkpoint
-from edge.mission.planning.cooccurrence import read_houses as read_rooms
 from edge.models.bench.frames import from_folder
 from edge.models.export import keep_vocabulary
 from edge.models.index import find_wheels
@@ -85,7 +84,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
         lambda path: load_procthor(WorldProcthor(file=str(path), name="x"), DEFAULTS),
     ),
     "objects of a mesh": ("o.json", read_objects),
-    "rooms to count": ("h.jsonl.gz", lambda path: list(read_rooms(path))),
     "recording": ("r.mcap", lambda path: list(recording.read(path))),
     "tasks": ("t.jsonl", read_tasks),
     "utterances": ("u.csv", lang2ltl_cases),

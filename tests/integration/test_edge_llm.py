@@ -17,10 +17,9 @@ from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
 from edge.eval.task_templates import generate
 from edge.mission.automaton import compile_formula
-from edge.mission.language.grounding import objects_in
-from edge.mission.language.llm import constraint, conversation, make, read
+from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
 from edge.mission.ltl import parse
-from edge.mission.translate import TranslationError
+from edge.mission.translate import TranslationError, make_translator
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
@@ -53,7 +52,7 @@ def translated(url: str, instruction: str, expected: str, **config) -> str:
     """One line about how it went; fails on anything but a formula or a clean refusal."""
     settings = TranslatorLlm(url=url, constrain="gbnf", time_limit_s=PATIENCE_S, **config)
     try:
-        result = make(settings).translate(instruction)
+        result = make_translator(settings).translate(instruction)
     except TranslationError as error:
         return f"refused  {instruction} → {error}"
     assert parse(str(result.formula)) == result.formula
@@ -79,7 +78,7 @@ def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction, _)
             answer = client.ask(conversation(instruction), **options)
         except CutOffError:
             continue
-        read(answer, objects)  # raises what a user would see
+        formula_in(answer, objects)  # raises what a user would see
 
 
 def test_translations(url, capsys):
@@ -93,4 +92,4 @@ def test_translations(url, capsys):
 def test_a_time_limit_that_is_too_short_is_named(url):
     settings = TranslatorLlm(url=url, constrain="gbnf", time_limit_s=0.001)
     with pytest.raises(ChatError, match=r"no whole answer within 0\.001 s"):
-        make(settings).translate("Go to the chair, then to the bed.")
+        make_translator(settings).translate("Go to the chair, then to the bed.")

@@ -11,8 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from edge.mission.automaton import NOTHING, Automaton, compile_formula
-from edge.mission.logic.formula import TRUE
-from edge.mission.ltl import parse
+from edge.mission.ltl import TRUE, parse
 from edge.mission.planning.plan import Knowledge
 
 W_NOTHING = 1e-6

@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ltl_semantics import holds
 from test_mission_ltl import formulas
 
 from edge.config import Mission
 from edge.errors import UserError
 from edge.mission import automaton as automaton_module
 from edge.mission.automaton import NOTHING, CompileError, compile_formula, steps_left
-from edge.mission.logic import compiler, minimise
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
-from edge.mission.ltl import holds, parse
+from edge.mission.logic import compiler
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
+from edge.mission.ltl import parse
 
 CASE_1 = (
     "(F (toilet & F bed) | F (couch & F chair) | F (plant & F tv))"
@@ -207,9 +208,9 @@ def idle(automaton, states: set[int]) -> set[int]:
 def test_both_refinements_agree(n, k, random):
     delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)
     accepting = np.array([random.random() < 0.4 for _ in range(n)])
-    limits = Limits()
-    small = minimise._refine_small(delta, accepting, limits)
-    large = minimise._refine(delta, accepting, limits)
+    limits = Effort()
+    small = compiler._refine_small(delta, accepting, limits)
+    large = compiler._refine(delta, accepting, limits)
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
     assert set(large) == set(range(large.max() + 1))
 
@@ -220,8 +221,8 @@ def test_packing_of_many_columns_agrees():
     delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
     delta[20:] = delta[:20]
     accepting = np.tile(rng.random(20) < 0.5, 2)
-    large = minimise._refine(delta, accepting, Limits())
-    small = minimise._refine_small(delta, accepting, Limits())
+    large = compiler._refine(delta, accepting, Effort())
+    small = compiler._refine_small(delta, accepting, Effort())
     assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
     assert large.max() + 1 == 20
 
@@ -252,7 +253,7 @@ def test_limit_of_steps(text):
     with pytest.raises(CompileError, match=r"no automaton within 20000 steps; use fewer targets"):
         compile_formula(formula, max_steps=20_000)
     with pytest.raises(CompileError, match="within 0 steps"):
-        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Limits(1, 0))
+        steps_left(np.zeros((1, 1), np.int32), np.ones(1, bool), Effort(1, 0))
 
 
 @pytest.mark.parametrize(
@@ -278,13 +279,13 @@ def steps_of(compiled, text, monkeypatch) -> int:
     """How many steps a compilation takes in all."""
     made = []
 
-    class Noted(Limits):
+    class Noted(Effort):
         def __init__(self, *args):
             super().__init__(*args)
             made.append(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(automaton_module, "Limits", Noted)
+        patch.setattr(automaton_module, "Effort", Noted)
         compiled(parse(text))
     return made[-1].steps
 
@@ -296,7 +297,7 @@ def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
         "from edge.mission.logic import limits\n"
         "from edge.mission.ltl import parse\n"
         "def counted(self, n): limits.total = getattr(limits, 'total', 0) + n\n"
-        "limits.Limits.spend = counted\n"
+        "limits.Effort.spend = counted\n"
         "for text in sys.argv[1:]:\n"
         "    a = compile_formula(parse(text))\n"
         "    print(a.letters, a.delta.tolist(), a.accepting.tolist(), limits.total)"

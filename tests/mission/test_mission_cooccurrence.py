@@ -1,76 +1,11 @@
-"""Counting which things share a room, and the table that comes with the package."""
+"""How much likelier a room holds one thing if it holds another."""
 
 from __future__ import annotations
-
-import gzip
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge.mission.planning import cooccurrence
-
-FILE = Path(cooccurrence.__file__).with_name("cooccurrence.json")
-HOUSES = Path(__file__).parents[3] / "shared/worlds/procthor_train.jsonl.gz"
-SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
-L_SHAPE = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 4], [0, 4]]
-
-
-def house(things: list[tuple[str, float, float]], rooms=(SQUARE,)) -> dict:
-    return {
-        "rooms": [{"polygon": room} for room in rooms],
-        "objects": [{"category": name, "center": [x, y, 0.5]} for name, x, y in things],
-    }
-
-
-@pytest.mark.parametrize(
-    ("houses", "expected"),
-    [
-        ([], {"rooms": 0, "things": [], "rooms_with_both": []}),
-        ([house([])], {"rooms": 1, "things": [], "rooms_with_both": []}),
-        (
-            [house([("bed", 1, 1), ("bed", 1.5, 1), ("vase", 9, 9)])] * 5,
-            {"rooms": 5, "things": ["bed"], "rooms_with_both": [[5]]},
-        ),
-        (
-            [house([("tv", 1, 1), ("bed", 1.5, 1)])] * 5 + [house([("couch", 1, 1)])] * 5,
-            {
-                "rooms": 10,
-                "things": ["bed", "sofa", "television"],
-                "rooms_with_both": [[5], [0, 5], [5, 0, 5]],
-            },
-        ),
-        ([house([("bed", 1, 1)])] * 4, {"rooms": 4, "things": [], "rooms_with_both": []}),
-    ],
-)
-def test_count(houses, expected):
-    assert cooccurrence.count(houses) == expected
-
-
-@pytest.mark.parametrize(
-    ("polygon", "x", "y", "inside"),
-    [
-        ([], 0.0, 0.0, False),
-        (SQUARE, 1, 1, True),
-        (SQUARE, 3, 1, False),
-        (L_SHAPE, 3, 0.5, True),
-        (L_SHAPE, 0.5, 3, True),
-        (L_SHAPE, 3, 3, False),
-    ],
-)
-def test_inside(polygon, x, y, inside):
-    assert cooccurrence.inside(polygon, x, y) == inside
-
-
-def test_the_table_is_the_count_of_the_training_houses():
-    if not HOUSES.exists():
-        pytest.skip("needs the ProcTHOR houses of the shared folder")
-    data = json.loads(FILE.read_text())
-    assert FILE.stat().st_size < 60_000
-    assert "Apache-2.0" in data.pop("licence")
-    data.pop("about")
-    assert cooccurrence.count(cooccurrence.read_houses(HOUSES)) == data
 
 
 def test_the_table_holds_together():
@@ -111,34 +46,3 @@ def test_small_counts_are_drawn_towards_one(both, lift):
 
 def test_lift_of_nothing():
     assert cooccurrence.load().lift([]).shape == (0, 0)
-
-
-def test_main_prints_a_table(tmp_path, capsys):
-    file = tmp_path / "houses.jsonl.gz"
-    with gzip.open(file, "wt") as out:
-        out.writelines(json.dumps(house([("bed", 1, 1)])) + "\n" for _ in range(5))
-    assert cooccurrence.main([str(file)]) == 0
-    table = json.loads(capsys.readouterr().out)
-    assert table["things"] == ["bed"]
-    assert "Apache-2.0" in table["licence"]
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (None, "No such file"),
-        (b"no gzip", "ot a gzipped file"),
-        (gzip.compress(b"{", mtime=0), "line 1: not JSON"),
-        (gzip.compress(b'{"rooms": 3}', mtime=0), "not houses with rooms and objects"),
-        (gzip.compress(b"{}" * 100, mtime=0)[:-9], "end-of-stream"),
-    ],
-)
-def test_main_names_what_is_wrong(tmp_path, capsys, content, words):
-    file = tmp_path / "houses.jsonl.gz"
-    if content is not None:
-        file.write_bytes(content)
-    assert cooccurrence.main([str(file)]) == 1
-    error = capsys.readouterr().err
-    assert str(file) in error
-    assert words in error
-    assert error.count("\n") == 1

@@ -17,15 +17,17 @@ from edge.chat import ChatError
 from edge.config import TranslatorLlm
 from edge.errors import UserError
 from edge.mission.language import llm
-from edge.mission.language.formula_grammar import (
+from edge.mission.language.llm import (
+    EXAMPLES,
     MOST_NAMES,
     MOST_NESTING,
     MOST_OPERANDS,
     SPARE,
+    conversation,
+    formula_in,
     gbnf,
+    objects_in,
 )
-from edge.mission.language.grounding import objects_in
-from edge.mission.language.llm import EXAMPLES, conversation, make, read
 from edge.mission.ltl import parse, propositions
 from edge.mission.translate import TranslationError, make_translator
 
@@ -33,7 +35,7 @@ INSTRUCTION = "Clean the couch, then turn on the TV; don't go to the bed before 
 
 
 def translate(url: str, instruction: str = INSTRUCTION, **config):
-    return make(TranslatorLlm(url=url, **config)).translate(instruction)
+    return make_translator(TranslatorLlm(url=url, **config)).translate(instruction)
 
 
 @pytest.mark.parametrize(
@@ -175,13 +177,13 @@ def test_the_registry_knows_the_backend():
 
 @pytest.mark.parametrize(("sentence", "formula"), EXAMPLES)
 def test_the_examples_keep_the_rules(sentence, formula):
-    assert read(formula, objects_in(sentence)) is not None
+    assert formula_in(formula, objects_in(sentence)) is not None
 
 
 @given(st.text(max_size=60))
 def test_any_answer_is_a_formula_or_a_user_error(answer):
     with contextlib.suppress(UserError):
-        assert set(propositions(read(answer, ("chair", "bed")))) <= {"chair", "bed"}
+        assert set(propositions(formula_in(answer, ("chair", "bed")))) <= {"chair", "bed"}
 
 
 @pytest.mark.parametrize(
@@ -210,7 +212,7 @@ def test_every_known_name_is_found_in_a_sentence():
 
 def test_a_name_within_a_longer_one_is_not_named():
     with pytest.raises(UserError, match="names no 'table'"):
-        read("F table", objects_in("go to the coffee table"))
+        formula_in("F table", objects_in("go to the coffee table"))
 
 
 @given(st.text(max_size=200))

@@ -12,7 +12,7 @@ from test_mission_automaton import CASE_1, CASE_2, CASE_2_WEAK, same, targets
 from test_mission_ltl import formulas
 
 from edge.errors import UserError
-from edge.mission.automaton import CompileError, compile_formula, compile_with
+from edge.mission.automaton import CompileError, compile_formula
 from edge.mission.logic import spot_compiler
 from edge.mission.ltl import parse, propositions
 
@@ -51,14 +51,16 @@ def test_what_is_not_spot_is_told_apart(monkeypatch, modules, says):
         monkeypatch.setitem(sys.modules, name, fake)
     assert not spot_compiler.available()
     with pytest.raises(UserError, match=r"compiler 'spot': .*; install .*, or choose") as error:
-        compile_with("spot", parse("F a"))
+        compile_formula(parse("F a"), compiler="spot")
     assert says in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_own_needs_no_spot(monkeypatch):
     monkeypatch.setitem(sys.modules, "spot", None)
-    assert same(compile_with("own", parse("F a & F b")), compile_formula(parse("F a & F b")))
+    assert same(
+        compile_formula(parse("F a & F b"), compiler="own"), compile_formula(parse("F a & F b"))
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,13 +85,13 @@ def test_text_for_spot(text, written):
      targets(6), "alive & F p0", "WX (!a & WX b) <-> a M !b"],
 )  # fmt: skip
 def test_same_automaton(text):
-    assert same(compile_with("spot", parse(text)), compile_formula(parse(text)))
+    assert same(compile_formula(parse(text), compiler="spot"), compile_formula(parse(text)))
 
 
 @needs_spot
 @given(formulas(max_leaves=6))
 def test_same_automaton_of_any_formula(f):
-    ours, spots = compile_formula(f), compile_with("spot", f)
+    ours, spots = compile_formula(f), compile_formula(f, compiler="spot")
     assert same(ours, spots)
     assert np.array_equal(ours.steps_left, spots.steps_left)
 
@@ -97,8 +99,8 @@ def test_same_automaton_of_any_formula(f):
 @needs_spot
 def test_limits():
     with pytest.raises(CompileError, match="states"):
-        compile_with("spot", parse(targets(6)), max_states=30)
+        compile_formula(parse(targets(6)), max_states=30, compiler="spot")
     with pytest.raises(CompileError, match="within 0 steps"):
-        compile_with("spot", parse("F a"), max_steps=0)
+        compile_formula(parse("F a"), max_steps=0, compiler="spot")
     with pytest.raises(CompileError, match="nested deeper than 1000"):
-        compile_with("spot", parse("!" * 1001 + "a"))
+        compile_formula(parse("!" * 1001 + "a"), compiler="spot")

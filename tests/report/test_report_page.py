@@ -34,6 +34,7 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self.addresses += [value for key, value in attrs if key in ("src", "href")]
+        self.text += dict(attrs).get("alt", "")
         if tag not in VOID:
             self.open.append(tag)
 

@@ -23,7 +23,7 @@ def test_an_instruction_about_one_thing_is_explained_without_drawings(run):
     text = story.section(replace(run, story=story_of("F chair", instruction="find me a chair")))
     reader = Reader(text)
     assert "find me a chair" in reader.text
-    assert "svg" not in reader.tags
+    assert "img" not in reader.tags
 
 
 def test_a_mission_is_explained_and_drawn(long_run):

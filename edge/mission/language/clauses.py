@@ -14,9 +14,7 @@ from __future__ import annotations
 from typing import Literal
 
 from edge import names
-from edge.mission.language.adjuncts import narrower, take_adjunct
-from edge.mission.language.conditions import take_condition
-from edge.mission.language.counts import take_count
+from edge.mission.language.adjuncts import narrower, take_adjunct, take_condition
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
@@ -26,6 +24,7 @@ from edge.mission.language.spoken import (
     Clause,
     Memory,
     skip_particles,
+    take_count,
     take_mood,
 )
 from edge.mission.language.things import (

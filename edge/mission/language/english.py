@@ -13,11 +13,93 @@ television is reached.'
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import product
 
-from edge.mission.language.chains import Chain, Stop, alternatives_of, options_of
+from edge.mission.language.goals import Visit
 from edge.mission.language.things import Things, take_things
 from edge.mission.language.words import Reader, TranslationError
 from edge.mission.ltl import Formula, conj, postorder, propositions, to_text
+
+MAX_ALTERNATIVES = 32
+
+
+# A formula seen as what it asks for: F(a & (F b | F c) & F d) asks for "a, then d" and one of "a,
+# then b" and "a, then c". Sequences distribute over & and | because whatever they ask for later is
+# also asked for earlier.
+Chain = tuple[Visit, ...]
+Alternatives = list[tuple[Chain, ...]]
+
+
+def options_of(f: Formula) -> tuple[str, ...] | None:
+    """The names of a proposition or of a disjunction of propositions; None of anything else."""
+    parts = f.args if f.op == "|" else (f,)
+    return tuple(part.name for part in parts) if all(p.op == "ap" for p in parts) else None
+
+
+def alternatives_of(f: Formula) -> Alternatives | None:
+    """Sets of chains, any one set of which fulfils the formula; None if it is not of that kind."""
+    if f.op == "|":
+        each = [alternatives_of(part) for part in f.args]
+        if any(a is None for a in each):
+            return None
+        return _capped([chains for a in each if a is not None for chains in a])
+    if f.op == "&":
+        return _all_of(f.args)
+    return _sequence(f) if f.op == "F" else None
+
+
+def _capped(found: Alternatives) -> Alternatives | None:
+    return found if len(found) <= MAX_ALTERNATIVES else None
+
+
+def _all_of(parts: tuple[Formula, ...]) -> Alternatives | None:
+    found: Alternatives = [()]
+    for part in parts:
+        more = alternatives_of(part)
+        if more is None or len(found) * len(more) > MAX_ALTERNATIVES:
+            return None
+        found = [(*a, *b) for a, b in product(found, more)]
+    return found
+
+
+def _sequence(f: Formula) -> Alternatives | None:
+    """F(p & what follows), F((p | q) & …), and p several times."""
+    body = f.args[0]
+    options = options_of(body)
+    if options is not None:
+        return [((Visit(options),),)]
+    if body.op != "&":
+        return None
+    first, *rest = body.args
+    options = options_of(first)
+    if options is None:
+        return None
+    again = _once_more(first, rest)
+    if again is not None:
+        later = _sequence(again)
+        return later and [
+            tuple((Visit(s.options, s.times + 1), *more) for s, *more in chains) for chains in later
+        ]
+    found = _all_of(tuple(part.args[0] if part.op == "X" else part for part in rest))
+    strict = all(part.op == "X" for part in rest)
+    if found is None or not all(
+        strict or not set(chain[0].options) & set(options) for chains in found for chain in chains
+    ):
+        return None
+    return [tuple((Visit(options), *chain) for chain in chains) for chains in found]
+
+
+def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
+    """g in F(p & F(!p & g)), g of the form F(p …); None if it is not of that form."""
+    if len(rest) != 1 or rest[0].op != "F" or rest[0].args[0].op != "&":
+        return None
+    gap, *more = rest[0].args[0].args
+    if gap != Formula("!", (first,)) or len(more) != 1 or more[0].op != "F":
+        return None
+    body = more[0].args[0]
+    starts = body.args[0] if body.op == "&" else body
+    return more[0] if starts == first else None
+
 
 MAX_NODES = 600
 """Longer formulas are shown as they are: no sentence of that length helps anyone."""
@@ -59,7 +141,7 @@ def _goals(parts: tuple[Formula, ...]) -> list[str]:
     sentences = [f"reach {_stop(*_count_of(part), word='exactly')}" for part in exact]
     singles = [part for part in singles if part not in exact]
     if singles:
-        stops = [Stop(options_of(part.args[0]) or ()) for part in singles]
+        stops = [Visit(options_of(part.args[0]) or ()) for part in singles]
         sentences.append(f"reach {_any_order(stops)}")
     for part in parts:
         if part in singles or part in exact:
@@ -112,12 +194,12 @@ def _needs_a_sentence(f: Formula, asked: tuple[Formula, ...]) -> bool:
     return f.op == "U" or (f.op in ("G", "!") and bool(names & set(propositions(f))))
 
 
-_Merged = tuple[Chain, tuple[Stop, ...]]
+_Merged = tuple[Chain, tuple[Visit, ...]]
 
 
 def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
     """Chains that differ in their last stop only, taken together: (what they share, the last)."""
-    groups: dict[Chain, list[Stop]] = {}
+    groups: dict[Chain, list[Visit]] = {}
     for chain in dict.fromkeys(chains):
         groups.setdefault(chain[:-1], []).append(chain[-1])
     merged: list[_Merged] = []
@@ -134,7 +216,7 @@ def _chain(merged: _Merged) -> str:
     return ", then ".join([*(_stop(s.options, s.times) for s in shared), _any_order(list(last))])
 
 
-def _any_order(stops: list[Stop]) -> str:
+def _any_order(stops: list[Visit]) -> str:
     if len(stops) == 1:
         return _stop(stops[0].options, stops[0].times)
     *most, last = (_things(stop.options) for stop in stops)

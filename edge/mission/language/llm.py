@@ -1,4 +1,4 @@
-"""Translator backend `llm`: a language model writes the formula, and nothing it says is trusted.
+"""Translator `llm`: a language model writes the formula, and nothing it says is trusted.
 
 One question per instruction, and a second one when the answer is no formula, or speaks of an
 object that the instruction does not name. ViTL (IV-A1) translates with an LLM in the same way;
@@ -10,18 +10,145 @@ from __future__ import annotations
 import logging
 import re
 import time
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import Any
 
 from edge import names
 from edge.chat import CutOffError, client_of
 from edge.config import TranslatorLlm
 from edge.errors import UserError
-from edge.mission.language.english import describe
-from edge.mission.language.formula_grammar import gbnf
-from edge.mission.language.grounding import objects_in
-from edge.mission.ltl import Formula, FormulaError, parse, postorder, propositions
-from edge.mission.translate import Translation, TranslationError, validated
+from edge.mission.language import lexicon
+from edge.mission.language.words import TranslationError
+from edge.mission.ltl import Formula, FormulaError, ap, parse, propositions, renamed, to_text
 from edge.text import one_line
+
+MOST_NAMES = 100
+MOST_NESTING = 8  # parentheses within parentheses: a sequence of n objects needs n - 1
+MOST_OPERANDS = 12
+SPARE = 3  # more of both than there are names: an object may be wanted several times
+
+UNARY = ("!", "F ", "G ", "X ")
+BINARY = (" W ", " U ")  # the other operators say nothing that these cannot
+ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
+
+
+def gbnf(phrases: Sequence[str]) -> str:
+    """GBNF of the formulas whose propositions are among `phrases`.
+
+    Nesting and the number of operands are bounded by how many phrases there are, so that a model
+    which repeats itself comes to an end. With more than `MOST_NAMES`, every name in quotes is
+    allowed.
+
+    >>> print(gbnf(["tv", "potted plant"]).splitlines()[1])
+    name ::= "tv" | "\\"potted plant\\""
+    """
+    texts = dict.fromkeys(to_text(ap(phrase)) for phrase in phrases)
+    name = ANY_NAME if len(texts) > MOST_NAMES else " | ".join(map(_literal, texts))
+    nesting = min(len(texts) + SPARE, MOST_NESTING)
+    operands = min(len(texts) + SPARE, MOST_OPERANDS)
+    rules = {
+        "root": f"first{nesting} (and{nesting} | or{nesting})?",
+        "name": name,
+        "unary": " | ".join(map(_literal, UNARY)),
+        "binary": " | ".join(map(_literal, BINARY)),
+    }
+    for n in range(nesting + 1):
+        rules |= _level(n, operands)
+    return "\n".join(f"{rule} ::= {body}" for rule, body in rules.items()) + "\n"
+
+
+def _level(n: int, operands: int) -> dict[str, str]:
+    """The rules of formulas with at most `n` parentheses within each other, `operands` per & or |.
+
+    Within a pair of parentheses stands one kind of &, | or ->, so that nobody has to know which
+    binds tighter. One step reaches one object, so only the first part of a conjunction may be a
+    bare name, and none a conjunction of its own: `a & b` contradicts itself, and small models
+    like to go on with it for ever.
+    """
+    times = f"{{1,{operands - 1}}}"
+    rules = {
+        f"first{n}": f"name | timed{n}",
+        f"and{n}": f'(" & " timed{n}){times}',
+        f"or{n}": f'(" | " first{n}){times} | " -> " timed{n}',
+        f"timed{n}": f"signed{n} (binary first{n})?",
+        f"signed{n}": "unary{1,3} name",
+    }
+    if n > 0:
+        rules[f"both{n}"] = f'"(" first{n - 1} and{n - 1} ")"'
+        rules[f"either{n}"] = f'"(" (first{n - 1} or{n - 1} | timed{n - 1}) ")"'
+        rules[f"first{n}"] = f"name | timed{n} | both{n}"
+        rules[f"signed{n}"] = f"unary{{1,3}} (name | both{n} | either{n}) | either{n}"
+    return rules
+
+
+def _literal(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+LONGEST_NAME = 5  # words in one name of the alias table
+LONGEST_UNKNOWN = 3  # words in a name that the alias table does not have
+
+ARTICLES = frozenset({"a", "an", "the", "some", "any", "my", "our"})
+# Words that are no part of an object's name, but for those that the alias table has.
+STOP_WORDS = frozenset(word for phrase in lexicon.TABLE for word in phrase) | ARTICLES
+STOP_WORDS |= {"for", "from", "than", "how", "which", "who", "what", "s", "t", "doesn", "didn"}
+
+
+def objects_in(instruction: str) -> tuple[str, ...]:
+    """Phrases of an instruction that may name an object, in lower case, in order, each once.
+
+    The longest names of the alias table come first; a name within a longer one ("table" in
+    "coffee table") is not named. What is left between them and `STOP_WORDS` may be the words
+    before such a name ("red chair"), or a name that the table does not have.
+
+    >>> objects_in("Go to the coffee table, then decorate the red potted plant.")
+    ('coffee table', 'decorate', 'potted plant', 'red potted plant')
+    >>> objects_in("Do not do that!")
+    ()
+    """
+    found: list[str] = []
+    for part in re.split(r"[^\w\s'’&\-]+", instruction.lower()):
+        for named, run in groupby(_names_and_words(part), key=_may_name):
+            if named:
+                found += _phrases(list(run))
+    return tuple(dict.fromkeys(found))
+
+
+def _names_and_words(part: str) -> Iterator[str]:
+    """The known names in a part of an instruction, longest first, and the words between them."""
+    words = re.findall(r"[^\W_]+|&", part)
+    at = 0
+    while at < len(words):
+        length = 1
+        if words[at] not in ARTICLES:  # `names` takes one before a name for a part of it
+            lengths = range(min(LONGEST_NAME, len(words) - at), 1, -1)
+            known = (n for n in lengths if names.is_known(" ".join(words[at : at + n])))
+            length = next(known, 1)
+        yield " ".join(words[at : at + length])
+        at += length
+
+
+def _may_name(item: str) -> bool:
+    return item not in STOP_WORDS or names.is_known(item)
+
+
+def _phrases(run: list[str]) -> Iterator[str]:
+    """The names that a run of known names and unknown words may hold."""
+    before: list[str] = []
+    for item in run:
+        if names.is_known(item):
+            yield item
+            if 0 < len(before) <= LONGEST_UNKNOWN:
+                yield " ".join((*before, item))
+            before = []
+        else:
+            before.append(item)
+    for first in range(len(before)):
+        for end in range(first + 1, min(first + LONGEST_UNKNOWN, len(before)) + 1):
+            yield " ".join(before[first:end])
+
 
 log = logging.getLogger("edge.mission")
 
@@ -59,8 +186,8 @@ EXAMPLES = (
 )
 
 
-class LlmTranslator:
-    """A `Translator` that asks the server of its configuration.
+class Model:
+    """The language model of a configuration.
 
     Raises:
         ChatError: the server's URL or the API key cannot be used.
@@ -70,8 +197,9 @@ class LlmTranslator:
         self._config = config
         self._client = client_of(config)
 
-    def translate(self, instruction: str) -> Translation:
-        """The instruction's formula, its propositions canonical names that the instruction names.
+    def read(self, instruction: str) -> tuple[Formula, int]:
+        """The instruction's formula, its propositions canonical names that the instruction names,
+        and how many requests it took.
 
         Raises:
             TranslationError: the instruction names no object, or no answer was a usable formula.
@@ -84,21 +212,18 @@ class LlmTranslator:
             raise TranslationError(f"no object to reach is named in {one_line(instruction, 100)!r}")
         messages = conversation(instruction)
         options = {"temperature": 0, **constraint(self._config.constrain, objects)}
-        for attempts in (1, 2):
+        for attempt in (1, 2):
             left_s = self._config.time_limit_s - (time.monotonic() - begin_s)
             try:
                 answer = self._client.ask(messages, left_s=left_s, **options)
-                formula = read(answer, objects)
+                formula = formula_in(answer, objects)
             except CutOffError as error:
                 answer, fault = error.answer, "the formula does not come to an end"
             except (FormulaError, _UnusableError) as error:
                 fault = str(error)
             else:
                 _report_left_out(formula, objects)
-                seconds = time.monotonic() - begin_s
-                return Translation(
-                    instruction, formula, describe(formula), "llm", seconds, attempts
-                )
+                return formula, attempt
             messages += repair(answer, fault)
         shown = one_line(bare(answer), SHOWN_TO_USER)
         raise TranslationError(
@@ -109,15 +234,6 @@ class LlmTranslator:
 
 class _UnusableError(UserError):
     """A formula that must not be carried out; the message is for the model, and for the user."""
-
-
-def make(config: TranslatorLlm) -> LlmTranslator:
-    """The translator that a configuration describes.
-
-    Raises:
-        ChatError: the server's URL or the API key cannot be used.
-    """
-    return LlmTranslator(config)
 
 
 def conversation(instruction: str) -> list[dict[str, str]]:
@@ -155,7 +271,7 @@ def constraint(kind: str, objects: tuple[str, ...]) -> dict[str, Any]:
     return {"max_tokens": MAX_TOKENS, **field}
 
 
-def read(answer: str, objects: tuple[str, ...]) -> Formula:
+def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
     """The formula in a model's answer, its propositions replaced by their canonical names.
 
     Args:
@@ -169,7 +285,7 @@ def read(answer: str, objects: tuple[str, ...]) -> Formula:
     text = bare(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
         raise _UnusableError(f"the answer has {len(text)} characters; it must be one short formula")
-    formula = renamed(parse(text))
+    formula = renamed(parse(text), _canonical)
     allowed = {names.canonical(phrase) for phrase in objects}
     strange = [name for name in propositions(formula) if name not in allowed]
     if strange:
@@ -178,7 +294,7 @@ def read(answer: str, objects: tuple[str, ...]) -> Formula:
         )
     if not propositions(formula):
         raise _UnusableError("the formula speaks of no object")
-    return validated(formula)
+    return formula
 
 
 def bare(answer: str) -> str:
@@ -192,19 +308,6 @@ def bare(answer: str) -> str:
         text = fenced[1].strip()
     text = re.sub(r"\A(?:LTL|Formula|Answer|Output)(?: formula)?\s*[:=]\s*", "", text, flags=re.I)
     return text.strip("`").strip()
-
-
-def renamed(formula: Formula) -> Formula:
-    """The formula with every proposition replaced by its canonical name (`edge.names`).
-
-    Raises:
-        UserError: a proposition is no name at all.
-    """
-    done: dict[int, Formula] = {}
-    for node in postorder(formula):
-        name = _canonical(node.name) if node.op == "ap" else ""
-        done[id(node)] = Formula(node.op, tuple(done[id(arg)] for arg in node.args), name)
-    return done[id(formula)]
 
 
 def _canonical(name: str) -> str:

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from edge.mission.language.counts import Count
 from edge.mission.language.goals import (
     Every,
     Goal,
@@ -19,7 +18,7 @@ from edge.mission.language.goals import (
     steps,
     visits,
 )
-from edge.mission.language.spoken import Clause, Condition
+from edge.mission.language.spoken import Clause, Condition, Count
 from edge.mission.language.things import Things
 from edge.mission.language.words import Reader
 from edge.mission.ltl import Formula, always, ap, implies, neg, next_, weak_next

@@ -8,8 +8,8 @@ import numpy as np
 
 from edge.mission.automaton import Automaton
 from edge.mission.logic.compiler import language
-from edge.mission.logic.formula import Formula, conj, propositions
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Limits
+from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, Effort
+from edge.mission.ltl import Formula, conj, propositions
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def diagnose(
     )
     conflict: tuple[Formula, ...] = ()
     if not automaton.accepting.any():
-        conflict = _conflict(automaton.formula, Limits(max_states, max_steps))
+        conflict = _conflict(automaton.formula, Effort(max_states, max_steps))
     return Diagnosis(conflict, bool(automaton.accepting.all()), unused)
 
 
@@ -66,7 +66,7 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _conflict(formula: Formula, limits: Limits) -> tuple[Formula, ...]:
+def _conflict(formula: Formula, effort: Effort) -> tuple[Formula, ...]:
     """A subset of the conjuncts that is contradictory, and would not be without any of them.
 
     Later conjuncts are dropped first, so what stays is what was said first.
@@ -74,11 +74,11 @@ def _conflict(formula: Formula, limits: Limits) -> tuple[Formula, ...]:
     kept = list(conjuncts(formula))
     for part in reversed(kept.copy()):
         fewer = [f for f in kept if f is not part]
-        if fewer and not _possible(conj(*fewer), limits):
+        if fewer and not _possible(conj(*fewer), effort):
             kept = fewer
     return tuple(kept)
 
 
-def _possible(formula: Formula, limits: Limits) -> bool:
-    _, accepting = language(formula, propositions(formula), limits)
+def _possible(formula: Formula, effort: Effort) -> bool:
+    _, accepting = language(formula, propositions(formula), effort)
     return bool(accepting.any())

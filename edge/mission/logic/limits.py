@@ -21,8 +21,8 @@ class CompileError(UserError):
     """A formula whose automaton is too big, or takes too much work."""
 
 
-class Limits:
-    """The limits of one compilation, or of several together.
+class Effort:
+    """The work of one compilation, or of several together, and how much of it is allowed.
 
     Attributes:
         steps: taken until now.

@@ -4,7 +4,7 @@ Spot reads formulas over infinite words. `from_ltlf` embeds the finite ones, wit
 `alive` that holds as long as the word lasts; `to_finite` takes it out of the automaton again
 (Spot's tutorial "Working with LTL formulas with finite semantics"). Of the propositions' values
 per step only "one reached object or nothing" is kept. Spot's words are not empty, so whether
-the empty one is accepted comes from the definition.
+the empty one is accepted comes from our own normal form.
 
 The module `spot` of the package `spot` on the Python package index is something else; `spottl`
 there has the real bindings (tried with 2.13). Spot's own work is neither counted nor interrupted,
@@ -20,10 +20,10 @@ from types import ModuleType
 import numpy as np
 
 from edge.errors import UnavailableError
-from edge.mission.logic.formula import UNARY, Formula, postorder
-from edge.mission.logic.limits import CompileError, Limits
-from edge.mission.logic.minimise import minimal
-from edge.mission.logic.semantics import holds
+from edge.mission.logic.compiler import minimal
+from edge.mission.logic.limits import CompileError, Effort
+from edge.mission.logic.normal_form import Nodes
+from edge.mission.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
 _WANTED = {
@@ -54,7 +54,7 @@ def available() -> bool:
 
 
 def language(
-    formula: Formula, letters: Sequence[str], limits: Limits
+    formula: Formula, letters: Sequence[str], effort: Effort
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `edge.mission.logic.compiler.language` does, by Spot: the same arrays.
 
@@ -77,15 +77,16 @@ def language(
     embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
     steps = _steps(finite, buddy, len(letters))
-    rows, accepting = _determined(finite, steps, buddy.bddfalse, limits)
+    rows, accepting = _determined(finite, steps, buddy.bddfalse, effort)
     # The empty word may differ from other words that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
-    accepting = [holds(formula, ()), *accepting]
-    return minimal(*_reachable(delta, np.array(accepting)), limits)
+    nodes = Nodes(formula, letters, effort)
+    accepting = [nodes.at_end[nodes.root], *accepting]
+    return minimal(delta, np.array(accepting), effort)
 
 
 def _determined(
-    automaton, steps: list, impossible, limits: Limits
+    automaton, steps: list, impossible, effort: Effort
 ) -> tuple[list[list[int]], list[bool]]:
     """The subset construction over single letters; one state each where Spot's was determined."""
     states = [frozenset({automaton.get_init_state_number()})]
@@ -96,13 +97,13 @@ def _determined(
     while n < len(states):
         row = []
         edges = [edge for state in states[n] for edge in automaton.out(state)]
-        limits.spend(len(edges) * len(steps))
+        effort.spend(len(edges) * len(steps))
         for step in steps:
             target = frozenset(edge.dst for edge in edges if (edge.cond & step) != impossible)
             if target not in index:
                 index[target] = len(states)
                 states.append(target)
-                limits.check_states(len(states))
+                effort.check_states(len(states))
             row.append(index[target])
         rows.append(row)
         accepting.append(any(automaton.state_is_accepting(state) for state in states[n]))
@@ -121,18 +122,6 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
             values = values & one(variable)
         steps.append(values)
     return steps
-
-
-def _reachable(delta: np.ndarray, accepting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without the states that cannot be reached from state 0, which `minimal` wants."""
-    order, seen = [0], {0}
-    for state in order:
-        new = [t for t in dict.fromkeys(delta[state].tolist()) if t not in seen]
-        order += new
-        seen.update(new)
-    number = np.zeros(len(delta), np.int32)
-    number[order] = np.arange(len(order), dtype=np.int32)
-    return number[delta[order]], accepting[order]
 
 
 def _text(formula: Formula, letters: Sequence[str]) -> str:

@@ -14,9 +14,9 @@ import numpy as np
 from edge.config import PlannerExpected, PlannerVitl
 from edge.errors import UserError
 from edge.mission.automaton import NOTHING, Automaton
-from edge.mission.planning import cooccurrence, reasons
+from edge.mission.planning import cooccurrence
 from edge.mission.planning import plan_kernels as kernels
-from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan
+from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, explain
 from edge.mission.planning.vitl import W_NOTHING, VitlPlanner, working_order
 
 MAX_LETTERS = 12
@@ -116,7 +116,7 @@ class ExpectedPlanner:
         tied.sort(key=lambda c: (len(ways[c]), names[c] != current, c))
         first = tied[0]
         options = tuple((names[c], cost[c]) for c in (*tied, *ranked[len(tied) :]))
-        reason = reasons.explain(names[first], options, knowledge, "about {:.2f} attempts".format)
+        reason = explain(names[first], options, knowledge, "about {:.2f} attempts".format)
         return Plan(names[first] or None, ways[first], cost[first], True, (), reason, options)
 
     def _follow(

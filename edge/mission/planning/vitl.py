@@ -9,8 +9,15 @@ import numpy as np
 from edge.config import PlannerVitl
 from edge.mission.automaton import NOTHING, Automaton
 from edge.mission.planning import plan_kernels as kernels
-from edge.mission.planning import reasons
-from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan
+from edge.mission.planning.plan import (
+    ACCEPTED,
+    DEAD,
+    Knowledge,
+    Plan,
+    explain,
+    explain_blocked,
+    explain_kept,
+)
 
 W_NOTHING = 1e-6
 """Weight of a step that reaches nothing: free, but never idle."""
@@ -90,11 +97,11 @@ class VitlPlanner:
             first = self._kept(ranked, cost, current)
         path = self._follow(first, state)
         if first == best:
-            reason = reasons.explain(path[0], options, knowledge, self._text)
+            reason = explain(path[0], options, knowledge, self._text)
         else:
             gain = self._text(self._float(cost[first] - cost[best]))
             margin = self._text(self.config.replan_margin_m)
-            reason = reasons.explain_kept(path[0], names[best], gain, margin)
+            reason = explain_kept(path[0], names[best], gain, margin)
         return Plan(path[0] or None, path, self._float(cost[first]), True, (), reason, options)
 
     def _blocked(
@@ -102,7 +109,7 @@ class VitlPlanner:
     ) -> Plan:
         """What to answer where the best path needs failed objects: as few of them as possible."""
         needed = tuple(dict.fromkeys(c for c in path if c in knowledge.failed))
-        reason = reasons.explain_blocked(needed)
+        reason = explain_blocked(needed)
         return Plan(None, (), math.inf, False, needed, reason, options)
 
     def _kept(self, ranked: list[int], cost: list[int], current: str | None) -> int:

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from edge.mission.automaton import NOTHING, Automaton
-from edge.report.drawing.shapes import shorten
+from edge.text import shorten
 
 MAX_WHOLE = 40  # states that are drawn without leaving any out
 MAX_PART = 26
@@ -85,7 +85,7 @@ def make_scene(
     roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
     nodes, arrows = [], []
     for s in shown:
-        ways = _ways(automaton, s)
+        ways = ways_on(automaton, s)
         dead = [] if automaton.dead(s) else _fatal(automaton, s)
         hidden = [t for t in ways if t not in index and not automaton.dead(t)]
         nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
@@ -110,7 +110,7 @@ def _roles(
     return {pair: (role, letter) for pair, letter in zip(pairwise(states), letters, strict=True)}
 
 
-def _ways(automaton: Automaton, state: int) -> dict[int, list[str]]:
+def ways_on(automaton: Automaton, state: int) -> dict[int, list[str]]:
     """Next state to the letters that lead there; without those that change nothing."""
     ways: dict[int, list[str]] = {}
     for letter, to in zip((*automaton.letters, NOTHING), automaton.delta[state], strict=True):
@@ -145,7 +145,7 @@ def _shown(
     level = part[:1]
     while level:
         first = level == [here]
-        ways = (t for s in level for t in _ways(automaton, s) if not automaton.dead(t))
+        ways = (t for s in level for t in ways_on(automaton, s) if not automaton.dead(t))
         level = [t for t in dict.fromkeys(ways) if t not in part]
         while level and not _fits(automaton, [*part, *level]):
             level = level[:-1] if first else []  # the nearest are worth showing in part

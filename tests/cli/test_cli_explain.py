@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from edge.cli import explain
 from edge.config import Mission, TranslatorLtl
 from edge.errors import UserError
-from edge.mission import explain
 from edge.mission.brief import prepare
 from edge.mission.logic import limits
 from edge.text import MAX_CHARS

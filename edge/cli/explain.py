@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edge.errors import FileError, UserError
 from edge.host import resources
 from edge.text import one_line
+
+if TYPE_CHECKING:
+    from edge.mission.automaton import Automaton
 
 _DRAWINGS = (".svg", ".png", ".dot")
 _LIST_CHARS = 1000
@@ -47,14 +51,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _draw(path: Path, automaton, steps: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
+def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
     from edge.host.files import write_atomically
-    from edge.report import automaton as drawing
+    from edge.report import canvas, dot
+    from edge.report.drawing import draw
+    from edge.report.scene import make_scene
 
     content = {
-        ".svg": lambda: drawing.draw_svg(automaton, 0, steps).encode(),
-        ".png": lambda: drawing.draw_png(automaton, 0, steps),
-        ".dot": lambda: drawing.to_dot(automaton, 0, steps).encode(),
+        ".svg": lambda: canvas.svg(draw(make_scene(automaton, 0, steps))),
+        ".png": lambda: canvas.png(draw(make_scene(automaton, 0, steps))),
+        ".dot": lambda: dot.to_dot(automaton, 0, steps).encode(),
     }[path.suffix]()
     try:
         write_atomically(path, content)

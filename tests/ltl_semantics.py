@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.logic.formula import Formula, postorder
+from edge.mission.ltl import Formula, postorder
 
 
 def holds(f: Formula, word: Sequence[str | None]) -> bool:

@@ -1,1 +1,0 @@
-"""Drawings of automata as shapes: what is shown, where it stands, how it looks, SVG and PNG."""
