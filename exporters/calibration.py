@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 import onnxruntime
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
 
 BINS = 2048
 LEVELS = 255

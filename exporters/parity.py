@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
 from exporters.files import ExportError
 from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format

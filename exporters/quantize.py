@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
 from exporters.calibration import (
     Feed,
     collect_histograms,
