@@ -46,8 +46,8 @@ class Connection:
 def failure(error: Exception) -> str:
     """Why a request brought no answer, and what to do, in the words of who asked."""
     cause: BaseException = error
-    while cause.__cause__ is not None:  # httpx wraps what httpcore wraps
-        cause = cause.__cause__
+    while inner := cause.__cause__ or cause.__context__:  # httpx wraps what httpcore wraps
+        cause = inner
     match cause:
         case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
             return "the host is not known; check the URL"
