@@ -83,6 +83,6 @@ _ACTIONS = {
     "export": ("make a model file from weights (extra `export`)", _export, "make", "export"),
     "quantize": ("make a variant from the FP32 file", _quantize, "make", "quantize"),
     "check": ("hash, interface and one inference", _check, "check", "run"),
-    "bench": ("compare the variants of a family on this machine", _bench, "bench", "run"),
+    "bench": ("compare the variants of a family on this machine", _bench, "bench.compare", "run"),
     "use": ("change the model of a running service", _use, "use", "run"),
 }
