@@ -8,16 +8,23 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import json
 import math
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
+import yaml
 
-from exporters.cards import ExportCard, cards_folder, load_card, update_parity
-from exporters.files import ExportError, replace_atomically, sha256_of, write_json
+from edge.errors import UserError
+from edge.host import resources
+from edge.host.files import write_atomically
+from edge.models.make import TRAINED
+from edge.perception.card_types import DetectCard
+from edge.perception.cards import read_card
+from edge.perception.text import VOCABULARY_FILE
+from exporters.files import ExportError, replace_atomically, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
 from exporters.parity import (
@@ -28,30 +35,33 @@ from exporters.parity import (
     ParityReport,
     check_limits,
     measure,
+    torch_model,
 )
 from exporters.quantize import calibration_feeds, input_hw, quantize, split_images
 from exporters.recipes import recipe_of
 
 TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
-VOCABULARY_FILE = "clip_vitb32_vocab.npz"
-"""In the cache, where the service looks for one that nobody names."""
 
 
-def default_cache() -> Path:
-    """Where the service looks for model files."""
-    if "EDGE_CACHE_DIR" in os.environ:
-        return Path(os.environ["EDGE_CACHE_DIR"]) / "models"
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return root / "edge-vln" / "models"
-
-
-def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | None:
-    """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
-    if card.family not in FAMILIES:
+def load_card(name: str, folder: Path) -> DetectCard:
+    """A detector's card; raises UserError for one that is not valid, or not made from weights."""
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        raise ExportError(f"{folder}: no card {name!r} (choices: {choices})")
+    card = read_card(path)
+    if card.family in TRAINED:
+        raise ExportError(f"{name}: made with `{TRAINED[card.family]}`, not from weights")
+    if not isinstance(card, DetectCard) or card.family not in FAMILIES:
         raise ExportError(
-            f"{card.path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
+            f"{path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
         )
+    return card
+
+
+def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
+    """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
     if args.weights is None and card.derived_from is None:
         raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
     text = _prompts(card, args)
@@ -62,11 +72,11 @@ def export_card(card: ExportCard, args: argparse.Namespace) -> ParityReport | No
 
 
 def _export(
-    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
     if card.derived_from is None:
         return _export_fp32(card, args, text)
-    fp32 = load_card(card.derived_from, card.path.parent)
+    fp32 = load_card(card.derived_from, args.cards)
     if args.calibration is None:
         raise ExportError(
             f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
@@ -81,7 +91,7 @@ def _export(
     return _export_derived(card, fp32, args, text)
 
 
-def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
+def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
     """Household words of a vocabulary file, or the COCO names inside the checkpoint."""
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
@@ -89,7 +99,7 @@ def _prompts(card: ExportCard, args: argparse.Namespace) -> TextEmbeddings:
         raise ExportError(f"{card.name}: --vocabulary is missing; name an .npz of text embeddings")
     from exporters.yolo_world import coco_prompts
 
-    return coco_prompts(args.weights, card.weights_sha256[0])
+    return coco_prompts(args.weights, card.weights_sources()[0].sha256)
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
@@ -109,26 +119,26 @@ def _validation_images(args: argparse.Namespace) -> list[Path]:
 
 
 def _export_fp32(
-    card: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
     """Checkpoint → FP32 ONNX, compared with torch where there are images to compare on."""
     from exporters.yolo_world import export_onnx, load_detector
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, card.weights_sha256[0])
+    detector = load_detector(args.weights, card.weights_sources()[0].sha256)
     report = None
     with replace_atomically(out) as made:  # a file that fails its limits never gets its name
-        export_onnx(detector, *card.hw, made)
+        export_onnx(detector, card.input.height, card.input.width, made)
         if validation := _validation_images(args):
-            report = measure(args.weights, made, validation, text)
+            report = measure(torch_model(detector), made, validation, text)
             _conclude(card, args, report, FP32_LIMITS, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
     return report
 
 
 def _export_derived(
-    card: ExportCard, fp32: ExportCard, args: argparse.Namespace, text: TextEmbeddings
+    card: DetectCard, fp32: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport:
     """FP32 ONNX → FP16 or INT8, compared with the FP32 on images it was not calibrated on."""
     source, out, recipe = args.cache / fp32.file, args.cache / card.file, recipe_of(card.family)
@@ -148,7 +158,7 @@ def _export_derived(
 
 
 def _conclude(
-    card: ExportCard,
+    card: DetectCard,
     args: argparse.Namespace,
     report: ParityReport,
     limits: Limits,
@@ -159,7 +169,13 @@ def _conclude(
     if not args.no_gate:
         check_limits(report, limits, card.name)
     if args.update_card:
-        update_parity(card.path, card_parity(report, reference))
+        _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
+
+
+def _update_card(path: Path, parity: dict) -> None:
+    """Replace the card's measured parity; the other keys keep their order."""
+    card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
+    write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
 
 
 def card_parity(report: ParityReport, reference: str) -> dict:
@@ -175,7 +191,7 @@ def card_parity(report: ParityReport, reference: str) -> dict:
 
 
 def _write_sidecar(
-    card: ExportCard,
+    card: DetectCard,
     out: Path,
     report: ParityReport | None,
     reference: str,
@@ -191,11 +207,12 @@ def _write_sidecar(
         "sha256": sha256_of(out),
         "bytes": out.stat().st_size,
         "parity": card_parity(report, reference) if report else None,
-        "weights_sha256": next(iter(card.weights_sha256), None),
+        "weights_sha256": next((source.sha256 for source in card.weights_sources()), None),
         "calibration_sha256": calibration,
         "tools": {tool: _version(tool) for tool in TOOLS},
     }
-    write_json(out.with_name(out.name + ".json"), content)
+    sidecar = json.dumps(content, indent=2) + "\n"
+    write_atomically(out.with_name(out.name + ".json"), sidecar.encode())
     print(f"{card.file} sha256 {content['sha256']}")
 
 
@@ -220,15 +237,16 @@ def main(argv: list[str] | None = None) -> int:
         help="folder of other images for the parity; default: every fourth calibration image",
     )
     parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
-    parser.add_argument("--cache", type=Path, default=default_cache(), help="folder for the files")
-    parser.add_argument("--cards", type=Path, help="folder of model cards")
+    parser.add_argument("--cache", type=Path, default=resources.models_dir(), help="for the files")
+    cards = resources.data_dir("models")
+    parser.add_argument("--cards", type=Path, default=cards, help="folder of model cards")
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
     args = parser.parse_args(argv)
     try:
-        card = load_card(args.card, args.cards or cards_folder())
+        card = load_card(args.card, args.cards)
         report = export_card(card, args)
-    except ExportError as error:
+    except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     if report is not None:

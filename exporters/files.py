@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.host.files import open_regular
+from edge.errors import UserError
+from edge.perception import model_file
 
 
-class ExportError(Exception):
+class ExportError(UserError):
     """An error that the user can act on; its text is one line: what, where, what to do."""
 
 
 def sha256_of(path: Path) -> str:
     """Hex digest of a file; raises ExportError if it cannot be read."""
-    digest = hashlib.sha256()
     try:
-        with open_regular(path) as file:
-            for block in iter(lambda: file.read(1 << 20), b""):
-                digest.update(block)
+        return model_file.sha256_of(path)
     except OSError as error:
         raise ExportError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    return digest.hexdigest()
 
 
 def check_sha256(path: Path, expected: str) -> None:
@@ -54,9 +49,3 @@ def replace_atomically(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def write_json(path: Path, content: dict) -> None:
-    """Write JSON atomically, keys in the order given."""
-    with replace_atomically(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -1,15 +1,8 @@
-"""How well one detector repeats another: the check at the end of each export step.
-
-    python -m exporters.parity REFERENCE CANDIDATE --images DIR --txt-feats VOCABULARY.npz
-
-Either model may be an .onnx file or YOLO-World's .pt checkpoint.
-"""
+"""How well one detector repeats another: the check at the end of each export step."""
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from edge.host.bars import counted
+from edge.models.bench.boxes import Found, agree, overlaps
 from exporters.files import ExportError
-from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import check_format
+from exporters.images import TextEmbeddings, load_input
+from exporters.onnx_format import check_format, cpu_session
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5
-MATCH_IOU = 0.5
 SCORE_BAND = (0.05, 0.3)
 """Scores below the detection threshold that the policy still weighs (VL-Nav eq. 3)."""
 
@@ -80,58 +73,20 @@ class ParityReport:
         return "\n".join(f"  {name:<14}{value:>10}" for name, value in rows)
 
 
-@dataclass(frozen=True)
-class Boxes:
-    """Detections of one image: parallel arrays, best score first.
-
-    Attributes:
-        xyxy_px: (m, 4) float32.
-        score: (m,) float32.
-        class_id: (m,) int64.
-    """
-
-    xyxy_px: np.ndarray
-    score: np.ndarray
-    class_id: np.ndarray
-
-
-def box_iou(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> np.ndarray:
-    """Intersection over union of (m, 4) and (k, 4) boxes, (m, k); 0 where a union is empty."""
-    top_left = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
-    bottom_right = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
-    intersection = np.clip(bottom_right - top_left, 0, None).prod(axis=2)
-    area = lambda xyxy: np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1)  # noqa: E731
-    union = area(a_xyxy)[:, None] + area(b_xyxy)[None] - intersection
-    return np.divide(intersection, union, out=np.zeros_like(union), where=union > 0)
-
-
 def select_boxes(
     xyxy_px: np.ndarray, scores: np.ndarray, threshold: float = SCORE_THRESHOLD
-) -> Boxes:
+) -> Found:
     """Boxes (A, 4) with scores (A, n) above a threshold, after class-wise NMS."""
     anchor, class_id = np.nonzero(scores > threshold)
     order = np.argsort(-scores[anchor, class_id], kind="stable")
     anchor, class_id = anchor[order], class_id[order]
     boxes = xyxy_px[anchor]
-    rivals = (box_iou(boxes, boxes) > NMS_IOU) & (class_id[:, None] == class_id[None])
+    rivals = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
     kept = np.ones(len(boxes), bool)
     for row in range(len(boxes)):
         if kept[row]:
             kept[row + 1 :] &= ~rivals[row, row + 1 :]
-    return Boxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
-
-
-def count_matches(reference: Boxes, candidate: Boxes) -> int:
-    """Pairs of one class and IoU >= `MATCH_IOU`, each box used once, best candidate first."""
-    iou = box_iou(candidate.xyxy_px, reference.xyxy_px)
-    iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
-    matches = 0
-    for row in range(len(iou)):
-        column = int(iou[row].argmax()) if iou.shape[1] else 0
-        if iou.shape[1] and iou[row, column] >= MATCH_IOU:
-            iou[:, column] = 0.0
-            matches += 1
-    return matches
+    return Found(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
 
 
 def compare(
@@ -150,7 +105,7 @@ def compare(
         ref_boxes, ref_scores = _finite("reference", reference(image, txt_feats), count)
         cand_boxes, cand_scores = _finite("candidate", candidate(image, txt_feats), count)
         ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
-        matched += count_matches(ref, cand)
+        matched += agree(ref, cand).hits
         wanted += len(ref.score)
         found += len(cand.score)
         band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
@@ -209,13 +164,8 @@ def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
 
 def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:
     """An ONNX detector on the CPU, and its input height and width in pixels."""
-    import onnxruntime
-
     check_format(path)
-    options = onnxruntime.SessionOptions()
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.intra_op_num_threads = 2
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    session = cpu_session(path, threads=2)
     height, width = session.get_inputs()[0].shape[2:]
 
     def run(images: np.ndarray, txt_feats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -238,47 +188,11 @@ def torch_model(detector: object) -> Model:
 
 
 def measure(
-    reference: Path, candidate: Path, images: list[Path], text: TextEmbeddings
+    reference: Model | Path, candidate: Path, images: list[Path], text: TextEmbeddings
 ) -> ParityReport:
-    """Compare two model files, an .onnx or YOLO-World's .pt against an .onnx, on image files."""
-    run_candidate, hw = onnx_model(candidate)
-    if reference.suffix == ".pt":
-        from exporters.yolo_world import SHA256, load_detector
-
-        run_reference = torch_model(load_detector(reference, SHA256["yolo-world-s"]))
-    else:
-        run_reference, reference_hw = onnx_model(reference)
-        if reference_hw != hw:
-            raise ExportError(
-                f"{candidate}: input is {hw}, that of {reference} is {reference_hw}; "
-                "compare models of one size"
-            )
+    """Compare a model, or the ONNX file of one, with an ONNX file, on image files."""
+    run, hw = onnx_model(candidate)
+    if isinstance(reference, Path):
+        reference, _ = onnx_model(reference)
     inputs = (load_input(path, hw) for path in counted("pictures: compared", images))
-    return compare(run_reference, run_candidate, inputs, text.emb[None])
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m exporters.parity")
-    parser.add_argument("reference", type=Path)
-    parser.add_argument("candidate", type=Path)
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
-    parser.add_argument("--prompts", help="comma-separated words; default: a household list")
-    parser.add_argument("--no-gate", action="store_true", help="report only")
-    args = parser.parse_args(argv)
-    try:
-        words = args.prompts.split(",") if args.prompts else None
-        text = load_text_embeddings(args.txt_feats, words)
-        report = measure(args.reference, args.candidate, list_images(args.images), text)
-        print(report.to_json())
-        print(report.table(), file=sys.stderr)
-        if not args.no_gate:
-            check_limits(report, INT8_LIMITS, str(args.candidate))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return compare(reference, run, inputs, text.emb[None])

@@ -14,7 +14,7 @@ from edge.models.local import pulled_weights
 from edge.perception.cards import FileCard, ModelError, card_path, load_card, verify_model
 from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
-_TRAINED = {
+TRAINED = {
     "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
 }
 """Families that are not made from weights, and the commands that train them."""
@@ -34,7 +34,7 @@ def export(args: argparse.Namespace) -> int:
             vocabulary cannot be kept.
     """
     card = with_file(args.name)
-    if card.family in _TRAINED:
+    if card.family in TRAINED:
         raise ModelError(f"models export: {card.name} is trained: {how_to_make(card)}")
     weights = args.weights or pulled_weights(card)
     if weights is None:
@@ -78,7 +78,7 @@ def with_file(name: str) -> FileCard:
 
 def how_to_make(card: FileCard) -> str:
     """The command that makes a model's file, as a part of a sentence."""
-    return f"`{_TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
+    return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
 def need_modules(action: str, modules: tuple[str, ...]) -> None:

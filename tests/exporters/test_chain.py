@@ -87,10 +87,11 @@ def test_int8_sees_what_fp32_sees(cache, photos, vocabulary):
 
 
 def test_the_export_is_the_same_twice(cache, weights, tmp_path):
-    from exporters.yolo_world import SHA256, export_onnx, load_detector
+    from exporters.files import sha256_of
+    from exporters.yolo_world import export_onnx, load_detector
 
     again = tmp_path / "again.onnx"
-    export_onnx(load_detector(weights, SHA256["yolo-world-s"]), 256, 320, again)
+    export_onnx(load_detector(weights, sha256_of(weights)), 256, 320, again)
     assert again.read_bytes() == (cache / f"{NAME.replace('int8-cpu', 'fp32')}.onnx").read_bytes()
 
 
@@ -142,9 +143,11 @@ def small(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr("exporters.__main__.recipe_of", lambda family: small_net.RECIPE)
     random = np.random.default_rng(0)
     for precision in ("fp32", "fp16", "int8-cpu"):
-        card = {"name": precision, "precision": precision, "file": f"{precision}.onnx"}
-        card |= {"family": "yolo-world-s", "input": {"height": 32, "width": 32}, "sources": []}
-        card |= {"derived_from": None if precision == "fp32" else "fp32", "sha256": None}
+        card = yaml.safe_load((CARDS / f"{NAME}.yaml").read_text()) | {
+            "name": precision, "precision": precision, "file": f"{precision}.onnx",
+            "derived_from": None if precision == "fp32" else "fp32", "sources": [],
+            "input": {"height": 32, "width": 32},
+        }  # fmt: skip
         (tmp_path / f"{precision}.yaml").write_text(yaml.safe_dump(card))
     for number in range(8):
         cv2.imwrite(str(tmp_path / f"{number}.png"), random.integers(0, 255, (32, 32, 3)))

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 
 from edge import config
+from edge.models.bench.boxes import overlaps
 from exporters.files import ExportError
 from exporters.mini import evaluate, looks
 from exporters.mini.evaluate import (
@@ -19,11 +20,10 @@ from exporters.mini.evaluate import (
     Report,
     _average_precision,
     _counts,
-    _iou,
     _match,
     _questions,
+    check_gate,
 )
-from exporters.mini.gate import check_gate
 from exporters.mini.views import OBJECT, WIDTH_PX, Frames
 
 CHAIR = 1 + looks.CATEGORIES.index("chair")
@@ -87,7 +87,7 @@ def test_a_second_box_on_a_thing_is_wrong_and_one_on_a_maybe_is_left_out():
     boxes = np.array(
         [[0, 0, 40, 70], [0, -30, 40, 40], [100, 100, 140, 140], [200, 0, 240, 40]], np.float32
     )
-    assert _iou(boxes[:1], boxes[1:2]) < IOU, "both stay, though they are on one thing"
+    assert overlaps(boxes[:1], boxes[1:2])[0] < IOU, "both stay, though they are on one thing"
     scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
     found = _match(boxes, scores, some, _counts(some), CHAIR)
     assert found == [(pytest.approx(0.9), 1), (pytest.approx(0.8), 0), (pytest.approx(0.6), 0)]
@@ -140,7 +140,7 @@ def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
         (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),
     )
     frames = Frames(np.zeros((1, 256, WIDTH_PX, 3), np.uint8), pair, np.array([0, 2]))
-    monkeypatch.setattr(evaluate, "open_model", lambda path, threads=2: FakeModel(pair["box"]))
+    monkeypatch.setattr(evaluate, "cpu_session", lambda path, threads: FakeModel(pair["box"]))
     monkeypatch.setattr(evaluate, "_latency", lambda *args: (1.0, 1.0))
     measured = evaluate.measure(Path("detector.onnx"), Path("text.onnx"), frames)
     assert measured.pairs["color"][1] == measured.pairs["cut_off_size"][1] == 2

@@ -10,16 +10,7 @@ import pytest
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from exporters.files import ExportError
-from exporters.parity import (
-    Boxes,
-    Limits,
-    ParityReport,
-    box_iou,
-    check_limits,
-    compare,
-    count_matches,
-    select_boxes,
-)
+from exporters.parity import Limits, ParityReport, check_limits, compare, select_boxes
 
 pytestmark = pytest.mark.export
 
@@ -29,14 +20,6 @@ FAR = (50.0, 50.0, 60.0, 60.0)
 IMAGE = np.zeros((1, 3, 32, 32), np.float32)
 TEXT = np.zeros((1, 2, 512), np.float32)
 NAN = float("nan")
-
-
-def boxes(*rows: tuple[tuple[float, ...], float, int]) -> Boxes:
-    return Boxes(
-        np.array([row[0] for row in rows], np.float32).reshape(-1, 4),
-        np.array([row[1] for row in rows], np.float32),
-        np.array([row[2] for row in rows], np.int64),
-    )
 
 
 def model(xyxy_px: list, scores: list):
@@ -61,28 +44,6 @@ def test_select_boxes(xyxy_px, scores, kept):
     )
     pairs = zip(found.score, found.class_id, strict=True)
     assert [(pytest.approx(s), c) for s, c in kept] == list(pairs)
-
-
-@pytest.mark.parametrize(
-    ("reference", "candidate", "matches"),
-    [
-        pytest.param([], [], 0, id="empty"),
-        pytest.param([(A, 0.9, 0)], [], 0, id="lost"),
-        pytest.param([], [(A, 0.9, 0)], 0, id="invented"),
-        pytest.param([(A, 0.9, 0)], [(A_SHIFTED, 0.4, 0)], 1, id="moved a little"),
-        pytest.param([(A, 0.9, 0)], [(A, 0.9, 1)], 0, id="another class"),
-        pytest.param([(A, 0.9, 0)], [(A, 0.9, 0), (A_SHIFTED, 0.8, 0)], 1, id="used once"),
-        pytest.param([(A, 0.9, 0)], [(FAR, 0.9, 0)], 0, id="elsewhere"),
-    ],
-)
-def test_count_matches(reference, candidate, matches):
-    assert count_matches(boxes(*reference), boxes(*candidate)) == matches
-
-
-def test_box_iou():
-    iou = box_iou(np.array([A, FAR]), np.array([A, A_SHIFTED, (5.0, 5.0, 5.0, 5.0)]))
-    np.testing.assert_allclose(iou, [[1.0, 9 / 11, 0.0], [0.0, 0.0, 0.0]])
-    assert box_iou(np.empty((0, 4)), np.array([A])).shape == (0, 1)
 
 
 def test_compare_without_images():

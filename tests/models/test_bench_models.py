@@ -21,7 +21,18 @@ from edge.errors import UserError
 from edge.geometry import invert
 from edge.host import resources
 from edge.models.bench import compare, frames, report, variants, worker
-from edge.models.bench.boxes import KIND, NAMED, NO, Found, Tally, Truth, agree, agreement, judge
+from edge.models.bench.boxes import (
+    KIND,
+    NAMED,
+    NO,
+    Found,
+    Tally,
+    Truth,
+    agree,
+    agreement,
+    judge,
+    overlaps,
+)
 from edge.perception.cards import card_path, load_detector_card
 from edge.perception.text import PromptError
 from edge.sim.sensors import CameraRig
@@ -129,13 +140,11 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
 
 
-@given(pictures(), pictures())
-def test_agreement_counts_as_the_exporters_parity_does(one, other):
-    parity = pytest.importorskip("exporters.parity")
-    theirs = parity.count_matches(
-        *(parity.Boxes(f.xyxy_px, f.score, f.class_id.astype(np.int64)) for f in (one, other))
-    )
-    assert agree(one, other).hits == theirs
+def test_overlaps():
+    iou, share = overlaps(boxes(SOFA, CHAIR), boxes(SOFA, [4, 0, 44, 40], [5, 5, 5, 5]))
+    np.testing.assert_allclose(iou, [[1.0, 36 / 44, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(share, [[1.0, 0.9, 0.0], [0.0, 0.0, 0.0]])
+    assert overlaps(boxes(), boxes(SOFA))[0].shape == (0, 1)
 
 
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
