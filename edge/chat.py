@@ -1,32 +1,29 @@
 """A client for any OpenAI-compatible chat server.
 
-Standard library only: one POST needs no HTTP package on the robot, and `http.client` follows no
-redirects and reads no proxy variables, so the API key goes to the configured server alone.
+Neither redirects nor the environment's proxies are followed: the API key goes to the configured
+server alone.
 """
 
 from __future__ import annotations
 
-import http.client
+import contextlib
 import json
 import os
 import queue
 import re
-import socket
 import ssl
 import threading
-import time
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
+import httpx
+
 from edge.config import TranslatorLlm
 from edge.errors import UnavailableError
+from edge.host.http import Connection, failure
 from edge.text import one_line, without_secrets
 
-READ_BYTES = 65536
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
 ROUNDING = 1e-3  # how far above 0 a log-probability may be
 LEAST = -1e4  # where OpenAI and vLLM say -9999, llama.cpp may say -3e38
@@ -54,46 +51,30 @@ class _GivenUpError(Exception):
 
 @dataclass(slots=True, eq=False)
 class _Exchange:
-    """One request, which a thread of its own carries out.
+    """One request, which a thread of its own carries out, as looking up a host name may take long.
 
-    A socket's own time limit holds for each read, so a server that sends one byte a second would
-    outlast it, and looking up a host name knows no limit at all. Hence whoever waits for
-    `outcome` limits the total, and gives up by shutting the socket down.
-
-    Attributes:
-        sock: once it is connected. The connection lets go of its own as soon as a header says
-            that the server will close it, while the answer is still being read.
+    Whoever waits for `outcome` limits the total, and gives up by cutting the connection.
     """
 
-    connection: http.client.HTTPConnection
-    outcome: queue.SimpleQueue = field(default_factory=queue.SimpleQueue)
-    sock: socket.socket | None = None
-    given_up: bool = False
+    connection: Connection = field(default_factory=Connection)
+    outcome: queue.SimpleQueue[_Reply | Exception] = field(default_factory=queue.SimpleQueue)
 
-    def run(self, target: str, body: bytes, headers: dict[str, str], max_bytes: int) -> None:
+    def run(self, client: httpx.Client, request: httpx.Request, max_bytes: int) -> None:
         try:
-            self.connection.connect()  # an address and the handshake have the socket's limit in all
-            self.sock = self.connection.sock
-            if not self.given_up:  # looked at after `sock` is set: `give_up` does the reverse
-                self.connection.request("POST", target, body, headers)
-                self.outcome.put(_receive(self.connection.getresponse(), max_bytes))
-        except Exception as error:  # whatever it is, it is raised anew where the answer is awaited
+            self.outcome.put(_receive(client.send(request, stream=True), max_bytes))
+        except Exception as error:  # whatever it is, it is told where the answer is awaited
             self.outcome.put(error)
-        finally:
-            self.connection.close()
 
-    def give_up(self) -> None:
-        self.given_up = True
-        if self.sock is not None:
-            with suppress(OSError):  # it may have been closed by now
-                self.sock.shutdown(socket.SHUT_RDWR)
+    def give_up(self, why: Exception) -> None:
+        self.outcome.put(why)
+        self.connection.cut()
 
 
 @dataclass(frozen=True, slots=True)
 class _Reply:
     status: int
-    headers: http.client.HTTPMessage
-    body: bytes  # one byte longer than allowed where the server would have sent more
+    headers: httpx.Headers
+    body: bytes  # longer than allowed where the server would have sent more
 
 
 class ChatClient:
@@ -123,10 +104,10 @@ class ChatClient:
         self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
         self._parts, self._api_key = parts, (api_key or "").strip()
         self._lock, self._closed = threading.Lock(), False
-        self._connection: Callable[..., http.client.HTTPConnection] = http.client.HTTPConnection
-        if parts.scheme == "https":  # reading the certificates takes longer than a short answer
-            context = ssl.create_default_context()
-            self._connection = partial(http.client.HTTPSConnection, context=context)
+        # Reading the certificates takes longer than a short answer.
+        verify = ssl.create_default_context() if parts.scheme == "https" else False
+        limits = httpx.Limits(max_keepalive_connections=0)
+        self._http = httpx.Client(verify=verify, trust_env=False, limits=limits)
         self._under_way: set[_Exchange] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
@@ -177,8 +158,7 @@ class ChatClient:
         with self._lock:
             self._closed, exchanges = True, tuple(self._under_way)
         for exchange in exchanges:
-            exchange.outcome.put(_GivenUpError())
-            exchange.give_up()
+            exchange.give_up(_GivenUpError())
 
     def _reply(
         self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]
@@ -199,30 +179,40 @@ class ChatClient:
         return reply
 
     def _exchange(self, body: bytes, left_s: float) -> _Reply:
-        parts, end_s = self._parts, time.monotonic() + left_s
-        connection = self._connection(parts.hostname, parts.port, timeout=left_s)
-        headers = {"Content-Type": "application/json", "Accept": "application/json"}
-        if self._api_key:
-            headers["Authorization"] = f"Bearer {self._api_key}"
-        target = f"{parts.path.rstrip('/')}/chat/completions" + (parts.query and f"?{parts.query}")
-        exchange = _Exchange(connection)
+        exchange = _Exchange()
+        request = self._request(body, left_s, exchange.connection)
         with self._lock:
             if self._closed:
                 raise self._error(_reason(_GivenUpError(), self.time_limit_s))
             self._under_way.add(exchange)
-        arguments = (target, body, headers, self.max_answer_bytes)
+        arguments = (self._http, request, self.max_answer_bytes)
         threading.Thread(target=exchange.run, args=arguments, name="chat", daemon=True).start()
         try:
-            outcome = exchange.outcome.get(timeout=max(end_s - time.monotonic(), 0.0))
+            outcome = exchange.outcome.get(timeout=left_s)
         except queue.Empty:
-            exchange.give_up()
             outcome = TimeoutError()
+            exchange.give_up(outcome)
         finally:
             with self._lock:
                 self._under_way.discard(exchange)
         if isinstance(outcome, _Reply):
             return outcome
         raise self._error(_reason(outcome, self.time_limit_s)) from None
+
+    def _request(self, body: bytes, left_s: float, connection: Connection) -> httpx.Request:
+        parts = self._parts
+        url = parts._replace(path=f"{parts.path.rstrip('/')}/chat/completions", fragment="")
+        headers = {
+            "Content-Type": "application/json", "Accept": "application/json",
+            "Accept-Encoding": "identity",
+        }  # fmt: skip
+        if self._api_key:
+            headers["Authorization"] = f"Bearer {self._api_key}"
+        extensions = {"trace": connection.trace}
+        return self._http.build_request(
+            "POST", url.geturl(), content=body, headers=headers, timeout=left_s,
+            extensions=extensions,
+        )  # fmt: skip
 
     def _content(self, reply: _Reply) -> str:
         answer, shown = self._json(reply), self._quote(reply.body)
@@ -275,7 +265,7 @@ class ChatClient:
     def _explanation(self, body: bytes) -> str:
         """What the server says about an HTTP error, where it says something."""
         text: Any = body
-        with suppress(ValueError, RecursionError):
+        with contextlib.suppress(ValueError, RecursionError):
             text = json.loads(body)
         for key in ("error", "message", "detail"):
             if isinstance(text, dict) and key in text:
@@ -313,38 +303,26 @@ def _split(url: str) -> SplitResult:
     return parts
 
 
-def _receive(response: http.client.HTTPResponse, max_bytes: int) -> _Reply:
-    """Reads until one byte more than `max_bytes` is there, or to the end."""
-    chunks, missing = [], max_bytes + 1
-    while missing > 0 and (chunk := response.read(min(missing, READ_BYTES))):
-        chunks.append(chunk)
-        missing -= len(chunk)
-    # `read(amount)` of a body of known length does not complain when the connection ends early.
-    if missing > 0 and response.length:
-        raise http.client.IncompleteRead(b"", response.length)
-    return _Reply(response.status, response.headers, b"".join(chunks))
+def _receive(response: httpx.Response, max_bytes: int) -> _Reply:
+    """Reads until more than `max_bytes` are there, or to the end."""
+    body = bytearray()
+    with contextlib.closing(response):
+        for chunk in response.iter_raw():
+            body += chunk
+            if len(body) > max_bytes:
+                break
+    return _Reply(response.status_code, response.headers, bytes(body))
 
 
-def _reason(error: BaseException, limit_s: float) -> str:
+def _reason(error: Exception, limit_s: float) -> str:
     """What went wrong, and what to do."""
     match error:
         case _GivenUpError():
             return "no longer waited for"
-        case TimeoutError():
+        case TimeoutError() | httpx.TimeoutException():
             return f"no whole answer within {limit_s:g} s; raise time_limit_s or use a faster model"
-        case socket.gaierror() | UnicodeError():  # UnicodeError: a label no host name may have
-            return "the host is not known; check the URL"
-        case ssl.SSLCertVerificationError():
-            return f"its certificate is not trusted ({one_line(error.verify_message)})"
-        case ConnectionRefusedError():
-            return "nothing listens there; start the server or correct the URL"
-        case ConnectionError() | http.client.IncompleteRead():
-            return "closed the connection before its answer was whole; see the server's log"
-        case http.client.HTTPException() | ssl.SSLError():
-            name = type(error).__name__
-            return f"does not speak {'TLS' if 'SSL' in name else 'HTTP'} ({name}); check the URL"
-        case OSError():
-            return f"cannot be reached ({error.strerror or type(error).__name__}); check the URL"
+        case httpx.HTTPError() | UnicodeError():
+            return failure(error)
     raise error
 
 

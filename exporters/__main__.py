@@ -8,18 +8,23 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import json
 import math
 import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
+import yaml
 
+from edge.errors import UserError
 from edge.host import resources
+from edge.host.files import write_atomically
+from edge.models.make import TRAINED
 from edge.perception.card_types import DetectCard
+from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
-from exporters.cards import load_card, update_parity, weights_hashes
-from exporters.files import ExportError, replace_atomically, sha256_of, write_json
+from exporters.files import ExportError, replace_atomically, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
 from exporters.parity import (
@@ -30,6 +35,7 @@ from exporters.parity import (
     ParityReport,
     check_limits,
     measure,
+    torch_model,
 )
 from exporters.quantize import calibration_feeds, input_hw, quantize, split_images
 from exporters.recipes import recipe_of
@@ -38,12 +44,24 @@ TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
 
 
+def load_card(name: str, folder: Path) -> DetectCard:
+    """A detector's card; raises UserError for one that is not valid, or not made from weights."""
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        raise ExportError(f"{folder}: no card {name!r} (choices: {choices})")
+    card = read_card(path)
+    if card.family in TRAINED:
+        raise ExportError(f"{name}: made with `{TRAINED[card.family]}`, not from weights")
+    if not isinstance(card, DetectCard) or card.family not in FAMILIES:
+        raise ExportError(
+            f"{path}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
+        )
+    return card
+
+
 def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | None:
     """Make a card's ONNX file and its sidecar in the cache; None where parity was not measured."""
-    if card.family not in FAMILIES:
-        raise ExportError(
-            f"{card.name}: family: unknown {card.family!r} (choices: {', '.join(FAMILIES)})"
-        )
     if args.weights is None and card.derived_from is None:
         raise ExportError(f"{card.name}: --weights is missing: it is made from nothing else")
     text = _prompts(card, args)
@@ -81,7 +99,7 @@ def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
         raise ExportError(f"{card.name}: --vocabulary is missing; name an .npz of text embeddings")
     from exporters.yolo_world import coco_prompts
 
-    return coco_prompts(args.weights, weights_hashes(card)[0])
+    return coco_prompts(args.weights, card.weights_sources()[0].sha256)
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
@@ -108,12 +126,12 @@ def _export_fp32(
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, weights_hashes(card)[0])
+    detector = load_detector(args.weights, card.weights_sources()[0].sha256)
     report = None
     with replace_atomically(out) as made:  # a file that fails its limits never gets its name
         export_onnx(detector, card.input.height, card.input.width, made)
         if validation := _validation_images(args):
-            report = measure(args.weights, made, validation, text)
+            report = measure(torch_model(detector), made, validation, text)
             _conclude(card, args, report, FP32_LIMITS, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
     return report
@@ -151,7 +169,13 @@ def _conclude(
     if not args.no_gate:
         check_limits(report, limits, card.name)
     if args.update_card:
-        update_parity(args.cards / f"{card.name}.yaml", card_parity(report, reference))
+        _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
+
+
+def _update_card(path: Path, parity: dict) -> None:
+    """Replace the card's measured parity; the other keys keep their order."""
+    card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
+    write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
 
 
 def card_parity(report: ParityReport, reference: str) -> dict:
@@ -183,11 +207,12 @@ def _write_sidecar(
         "sha256": sha256_of(out),
         "bytes": out.stat().st_size,
         "parity": card_parity(report, reference) if report else None,
-        "weights_sha256": next(iter(weights_hashes(card)), None),
+        "weights_sha256": next((source.sha256 for source in card.weights_sources()), None),
         "calibration_sha256": calibration,
         "tools": {tool: _version(tool) for tool in TOOLS},
     }
-    write_json(out.with_name(out.name + ".json"), content)
+    sidecar = json.dumps(content, indent=2) + "\n"
+    write_atomically(out.with_name(out.name + ".json"), sidecar.encode())
     print(f"{card.file} sha256 {content['sha256']}")
 
 
@@ -212,19 +237,16 @@ def main(argv: list[str] | None = None) -> int:
         help="folder of other images for the parity; default: every fourth calibration image",
     )
     parser.add_argument("--vocabulary", type=Path, help="text embeddings .npz; default: COCO")
-    parser.add_argument(
-        "--cache", type=Path, default=resources.models_dir(), help="folder for the files"
-    )
-    parser.add_argument(
-        "--cards", type=Path, default=resources.data_dir("models"), help="folder of model cards"
-    )
+    parser.add_argument("--cache", type=Path, default=resources.models_dir(), help="for the files")
+    cards = resources.data_dir("models")
+    parser.add_argument("--cards", type=Path, default=cards, help="folder of model cards")
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
     args = parser.parse_args(argv)
     try:
         card = load_card(args.card, args.cards)
         report = export_card(card, args)
-    except ExportError as error:
+    except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     if report is not None:

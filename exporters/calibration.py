@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import onnx
-import onnxruntime
+from onnxruntime import InferenceSession
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
+from exporters.onnx_format import cpu_session
 
 BINS = 2048
 LEVELS = 255
@@ -56,7 +57,7 @@ def float_tensors(model: onnx.ModelProto) -> list[str]:
     return [name for name in made if known.get(name) == onnx.TensorProto.FLOAT]
 
 
-def tensor_session(model: onnx.ModelProto, names: list[str]) -> onnxruntime.InferenceSession:
+def tensor_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession:
     """A session that also returns the intermediate float tensors `names`."""
     augmented = onnx.ModelProto()
     augmented.CopyFrom(model)
@@ -66,12 +67,7 @@ def tensor_session(model: onnx.ModelProto, names: list[str]) -> onnxruntime.Infe
         for name in names
         if name not in present
     )
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    return onnxruntime.InferenceSession(
-        augmented.SerializeToString(), options, providers=["CPUExecutionProvider"]
-    )
+    return cpu_session(augmented.SerializeToString())
 
 
 def collect_histograms(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, Histogram]:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from edge.perception import model_file, onnx_file
-from edge.perception.model_file import ModelError
-
-OPSET = 19
-"""Opset of the exports: the newest the TorchScript exporter writes without warnings."""
+from edge.errors import UserError
+from edge.perception import model_file
 
 
-class ExportError(Exception):
+class ExportError(UserError):
     """An error that the user can act on; its text is one line: what, where, what to do."""
 
 
@@ -26,14 +22,6 @@ def sha256_of(path: Path) -> str:
         return model_file.sha256_of(path)
     except OSError as error:
         raise ExportError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-
-
-def check_format(path: Path) -> None:
-    """Raise ExportError unless every target can load the ONNX file (its IR, its opset, …)."""
-    try:
-        onnx_file.check_format(path, onnx_file.read_onnx(path))
-    except (ModelError, onnx_file.NotOnnx) as error:
-        raise ExportError(str(error)) from None
 
 
 def check_sha256(path: Path, expected: str) -> None:
@@ -61,9 +49,3 @@ def replace_atomically(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def write_json(path: Path, content: dict) -> None:
-    """Write JSON atomically, keys in the order given."""
-    with replace_atomically(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import onnx
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
 from exporters.calibration import Feed, float_tensors, tensor_session
-from exporters.files import ExportError, check_format, replace_atomically
+from exporters.files import ExportError, replace_atomically
+from exporters.onnx_format import check_format
 from exporters.recipes import Recipe, nodes_like
 
 SAFE_LIMIT = float(np.finfo(np.float16).max) / 8

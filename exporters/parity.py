@@ -1,25 +1,19 @@
-"""How well one detector repeats another: the check at the end of each export step.
-
-    python -m exporters.parity REFERENCE CANDIDATE --images DIR --txt-feats VOCABULARY.npz
-
-Either model may be an .onnx file or YOLO-World's .pt checkpoint.
-"""
+"""How well one detector repeats another: the check at the end of each export step."""
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from edge.eval.progress_bar import counted
-from edge.models.bench.boxes import Found, Tally, agree, overlaps
-from exporters.files import ExportError, check_format
-from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
+from edge.host.bars import counted
+from edge.models.bench.boxes import Found, agree, overlaps
+from exporters.files import ExportError
+from exporters.images import TextEmbeddings, load_input
+from exporters.onnx_format import check_format, cpu_session
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5
@@ -52,7 +46,7 @@ class ParityReport:
     Attributes:
         images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
-        recall: share of those that the candidate also has (same class, see `agree`).
+        recall: share of those that the candidate also has (same class, IoU >= `MATCH_IOU`).
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
             reference score lies in `SCORE_BAND`; NaN where there is none.
@@ -103,7 +97,7 @@ def compare(
     Raises:
         ExportError: a model gives values that are not finite, with which nothing compares.
     """
-    count, tally = 0, Tally()
+    count = matched = wanted = found = 0
     errors: list[np.ndarray] = []
     worst = 0.0
     for image in images:
@@ -111,16 +105,18 @@ def compare(
         ref_boxes, ref_scores = _finite("reference", reference(image, txt_feats), count)
         cand_boxes, cand_scores = _finite("candidate", candidate(image, txt_feats), count)
         ref, cand = select_boxes(ref_boxes, ref_scores), select_boxes(cand_boxes, cand_scores)
-        tally += agree(ref, cand)
+        matched += agree(ref, cand).hits
+        wanted += len(ref.score)
+        found += len(cand.score)
         band = (ref_scores >= SCORE_BAND[0]) & (ref_scores < SCORE_BAND[1])
         errors.append((cand_scores[band] - ref_scores[band]) / ref_scores[band])
         worst = max(worst, float(np.abs(cand_scores - ref_scores).max(initial=0.0)))
     error = np.concatenate(errors) if errors else np.empty(0)
     return ParityReport(
         images=count,
-        detections=tally.wanted,
-        recall=1.0 if tally.recall is None else tally.recall,
-        precision=1.0 if tally.precision is None else tally.precision,
+        detections=wanted,
+        recall=matched / wanted if wanted else 1.0,
+        precision=matched / found if found else 1.0,
         score_error=float(np.abs(error).mean()) if error.size else float("nan"),
         score_bias=float(error.mean()) if error.size else float("nan"),
         max_abs_diff=worst,
@@ -168,13 +164,8 @@ def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
 
 def onnx_model(path: Path) -> tuple[Model, tuple[int, int]]:
     """An ONNX detector on the CPU, and its input height and width in pixels."""
-    import onnxruntime
-
     check_format(path)
-    options = onnxruntime.SessionOptions()
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.intra_op_num_threads = 2
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    session = cpu_session(path, threads=2)
     height, width = session.get_inputs()[0].shape[2:]
 
     def run(images: np.ndarray, txt_feats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,47 +188,11 @@ def torch_model(detector: object) -> Model:
 
 
 def measure(
-    reference: Path, candidate: Path, images: list[Path], text: TextEmbeddings
+    reference: Model | Path, candidate: Path, images: list[Path], text: TextEmbeddings
 ) -> ParityReport:
-    """Compare two model files, an .onnx or YOLO-World's .pt against an .onnx, on image files."""
-    run_candidate, hw = onnx_model(candidate)
-    if reference.suffix == ".pt":
-        from exporters.yolo_world import SHA256, load_detector
-
-        run_reference = torch_model(load_detector(reference, SHA256["yolo-world-s"]))
-    else:
-        run_reference, reference_hw = onnx_model(reference)
-        if reference_hw != hw:
-            raise ExportError(
-                f"{candidate}: input is {hw}, that of {reference} is {reference_hw}; "
-                "compare models of one size"
-            )
+    """Compare a model, or the ONNX file of one, with an ONNX file, on image files."""
+    run, hw = onnx_model(candidate)
+    if isinstance(reference, Path):
+        reference, _ = onnx_model(reference)
     inputs = (load_input(path, hw) for path in counted("pictures: compared", images))
-    return compare(run_reference, run_candidate, inputs, text.emb[None])
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m exporters.parity")
-    parser.add_argument("reference", type=Path)
-    parser.add_argument("candidate", type=Path)
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
-    parser.add_argument("--prompts", help="comma-separated words; default: a household list")
-    parser.add_argument("--no-gate", action="store_true", help="report only")
-    args = parser.parse_args(argv)
-    try:
-        words = args.prompts.split(",") if args.prompts else None
-        text = load_text_embeddings(args.txt_feats, words)
-        report = measure(args.reference, args.candidate, list_images(args.images), text)
-        print(report.to_json())
-        print(report.table(), file=sys.stderr)
-        if not args.no_gate:
-            check_limits(report, INT8_LIMITS, str(args.candidate))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return compare(reference, run, inputs, text.emb[None])

@@ -15,7 +15,7 @@ import onnx
 from numpy.lib.stride_tricks import sliding_window_view
 from onnx import numpy_helper
 
-from edge.eval.progress_bar import counted
+from edge.host.bars import counted
 from exporters.calibration import Feed, tensor_session
 
 DAMPING = 0.01

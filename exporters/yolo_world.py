@@ -1,17 +1,12 @@
 """YOLO-World v2 from its PyTorch checkpoint to one ONNX file that takes the prompt as an input.
 
-    python -m exporters.yolo_world --weights yolov8s-worldv2.pt --size 256x320 --out FILE.onnx
-
 Every detector ONNX of this project has the same contract, see `INPUTS` and `OUTPUTS`.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 import tempfile
-import warnings
 from pathlib import Path
 
 # Ultralytics pip-installs what it misses, tells its makers what is run, and writes settings to the
@@ -25,18 +20,15 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from exporters.files import OPSET, ExportError, check_format, check_sha256, replace_atomically
-from exporters.images import TextEmbeddings, list_images
+from exporters.files import check_sha256, replace_atomically
+from exporters.images import TextEmbeddings
+from exporters.onnx_format import check_format, export_module
 
 INPUTS = ("images", "txt_feats")
 """`images` (1, 3, H, W) float32 RGB 0..1, letterboxed; `txt_feats` (1, n, 512), unit rows."""
 OUTPUTS = ("boxes", "scores")
 """`boxes` (1, A, 4) float32 xyxy in input pixels; `scores` (1, A, n) float32 after the sigmoid."""
 TEXT_DIM = 512
-SHA256 = {
-    "yolo-world-s": "7c951d3baac2de906e3deda859b2ff965350fbfa14f51b81ea52f0e3d98519c8",
-}
-"""Checkpoints that may be unpickled, by family; the cards repeat them for the downloader."""
 
 
 class YoloWorldDetector(nn.Module):
@@ -134,19 +126,9 @@ def export_onnx(detector: nn.Module, height_px: int, width_px: int, out: Path) -
     """Write the detector as ONNX with a static image size and a free number of prompts."""
     images = torch.zeros(1, 3, height_px, width_px)
     txt_feats = nn.functional.normalize(torch.ones(1, 3, TEXT_DIM), dim=-1)
-    with replace_atomically(out) as temporary, warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # dynamo=False is deprecated, see below
-        warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
-        torch.onnx.export(
-            detector,
-            (images, txt_feats),
-            str(temporary),
-            dynamo=False,  # the only exporter that keeps the module path in node names
-            opset_version=OPSET,
-            input_names=list(INPUTS),
-            output_names=list(OUTPUTS),
-            dynamic_axes={"txt_feats": {1: "n"}, "scores": {1: "anchors", 2: "n"}},
-        )
+    inputs, free = (images, txt_feats), {"txt_feats": {1: "n"}, "scores": {1: "anchors", 2: "n"}}
+    with replace_atomically(out) as temporary:
+        export_module(detector, temporary, dict(zip(INPUTS, inputs, strict=True)), OUTPUTS, free)
         onnx.save(_slimmed(onnx.load(temporary), height_px, width_px), temporary)
         check_format(temporary)
 
@@ -165,47 +147,3 @@ def _slimmed(model: onnx.ModelProto, height_px: int, width_px: int) -> onnx.Mode
             setattr(dim, "dim_param" if isinstance(size, str) else "dim_value", size)
     onnx.checker.check_model(slim)
     return slim
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """'256x320' → (256, 320): height and width in pixels, multiples of the coarsest stride."""
-    try:
-        height, width = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise ExportError(f"--size: {text!r} is not HEIGHTxWIDTH, for example 256x320") from None
-    if height <= 0 or width <= 0 or height % 32 or width % 32:
-        raise ExportError(f"--size: {text!r}: height and width must be positive multiples of 32")
-    return height, width
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m exporters.yolo_world", description=__doc__)
-    parser.add_argument("--weights", type=Path, required=True)
-    parser.add_argument("--size", required=True, help="HEIGHTxWIDTH in pixels, such as 256x320")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--validation", type=Path, help="images to compare with torch on")
-    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
-    parser.add_argument("--family", choices=sorted(SHA256), default="yolo-world-s")
-    args = parser.parse_args(argv)
-    from exporters.parity import FP32_LIMITS, check_limits, measure
-
-    try:
-        height, width = parse_size(args.size)
-        sha256 = SHA256[args.family]
-        with replace_atomically(args.out) as made:
-            export_onnx(load_detector(args.weights, sha256), height, width, made)
-            if args.validation is not None:
-                text = coco_prompts(args.weights, sha256)
-                report = measure(args.weights, made, list_images(args.validation), text)
-                print(f"{report.to_json()}\n{report.table()}", file=sys.stderr)
-                if not args.no_gate:
-                    check_limits(report, FP32_LIMITS, str(args.out))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(args.out)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
+from edge.cli import model_parsers
+from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
 from edge.mission import order
 
-Handler = Callable[[argparse.Namespace], int]
-
-_CONFIG = "YAML file, or the name of a ready configuration"
 _TARGET = "what to find, in place of mission.target"
 
 
@@ -40,7 +37,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, add in _OWN.items():
         add(commands).set_defaults(handler=handlers.get(name))
-    for add in (_mission, _models, _record, _bench, _eval, _doctor):
+    for add in (_mission, model_parsers.add, _record, _bench, _eval, _doctor):
         add(commands)
     return parser
 
@@ -57,30 +54,9 @@ def _exit_codes() -> str:
     return "\n".join(["exit codes:", *lines, "  128+N broken off by signal N"])
 
 
-def lazy(module: str, function: str) -> Handler:
-    """A handler that imports its module when it is called."""
-    return lambda args: getattr(import_module(module), function)(args)
-
-
-def positive(text: str) -> float:
-    """An option's positive number."""
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
-    return value
-
-
-def count(text: str) -> int:
-    """An option's whole number, at least 1."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
-    return value
-
-
 def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     run = commands.add_parser("run", help="run the service on a robot's (or simulator's) sensors")
-    run.add_argument("config", help=_CONFIG)
+    run.add_argument("config", help=CONFIG)
     _what(run)
     run.add_argument("--once", action="store_true", help="exit when the mission is over")
     run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
@@ -91,7 +67,7 @@ def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
 def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     text = "simulator, controller and service in the built-in house"
     demo = commands.add_parser("demo", help=text)
-    demo.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
+    demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     _what(demo)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
     _trust(demo)
@@ -113,7 +89,7 @@ def _trust(command: argparse.ArgumentParser) -> None:
 
 def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     sim = commands.add_parser("sim", help="run the simulated robot (and the reference controller)")
-    sim.add_argument("config", help=_CONFIG)
+    sim.add_argument("config", help=CONFIG)
     sim.add_argument("--no-motion", action="store_true", help="bring another motion controller")
     _with_parent(sim)
     return sim
@@ -121,7 +97,7 @@ def _sim(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
 
 def _motion(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     motion = commands.add_parser("motion", help="run the reference motion controller alone")
-    motion.add_argument("config", help=_CONFIG)
+    motion.add_argument("config", help=CONFIG)
     _with_parent(motion)
     return motion
 
@@ -133,7 +109,7 @@ def _with_parent(command: argparse.ArgumentParser) -> None:
 
 def _config(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     config = commands.add_parser("config", help="check a configuration; print it or its schema")
-    config.add_argument("config", nargs="?", default="demo", help=f"{_CONFIG} (default: demo)")
+    config.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     config.add_argument("--schema", action="store_true", help="print the JSON Schema")
     return config
 
@@ -144,21 +120,14 @@ def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain = actions.add_parser("explain", help="what is understood, and how it is planned")
     explain.add_argument("text", help="an instruction in words")
     explain.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
-    explain.add_argument("--config", default="demo", help=f"{_CONFIG} (default: demo)")
+    explain.add_argument("--config", default="demo", help=f"{CONFIG} (default: demo)")
     explain.add_argument("--draw", metavar="FILE", help="the automaton as .svg, .png or .dot")
     explain.set_defaults(handler=lazy("edge.cli.explain", "run"))
 
 
-def _models(commands) -> None:  # type: ignore[no-untyped-def]
-    # It takes `count`, `lazy` and `positive` from here.
-    from edge.models.arguments import add_arguments
-
-    add_arguments(commands.add_parser("models", help="list, fetch, make, check and change models"))
-
-
 def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record = commands.add_parser("record", help="write what the sensors send to an MCAP file")
-    record.add_argument("config", help=_CONFIG)
+    record.add_argument("config", help=CONFIG)
     record.add_argument("--out", required=True, metavar="FILE", help="the MCAP file to write")
     record.add_argument(
         "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
@@ -168,7 +137,7 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     bench = commands.add_parser("bench", help="play a recorded run, print the latency table")
-    bench.add_argument("config", nargs="?", default="cpu", help=f"{_CONFIG} (default: cpu)")
+    bench.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
     bench.add_argument(
         "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
     )
@@ -188,13 +157,10 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
 
 
 def _eval(commands) -> None:  # type: ignore[no-untyped-def]
-    # They take `count` from here.
-    from edge.eval.tasks import add_arguments as tasks_options
-
     evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
     episodes = kinds.add_parser("episodes", help="find-the-object episodes in simulated time")
-    episodes.add_argument("config", help=_CONFIG)
+    episodes.add_argument("config", help=CONFIG)
     episodes.add_argument(
         "--targets",
         default="trash can,sofa,chair,bed,desk",
@@ -213,10 +179,38 @@ def _eval(commands) -> None:  # type: ignore[no-untyped-def]
     episodes.add_argument("--report", metavar="DIR", help="a report for every episode, and results")
     episodes.add_argument("--episode", help=argparse.SUPPRESS)
     episodes.set_defaults(handler=lazy("edge.eval.episodes", "run"))
-    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
-    tasks_options(tasks)
-    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
+    _eval_tasks(kinds)
     _eval_translate(kinds)
+
+
+_P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
+
+
+def _eval_tasks(kinds) -> None:  # type: ignore[no-untyped-def]
+    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
+    option = tasks.add_argument
+    option("--tasks", type=Path, metavar="FILE", help="tasks from there (JSON lines) instead")
+    option("--export", type=Path, metavar="FILE", help="write the tasks there and stop")
+    option("--n", type=count, default=2000, help="tasks to generate (default: %(default)s)")
+    option("--seed", type=seed, default=0, help="of tasks and of luck (default: %(default)s)")
+    option(
+        "--p-obs", type=shares, default=_P_OBS, metavar="P,P,…",
+        help="probabilities that an exploration finds its target (default: 0.1,0.2,…,1.0)",
+    )  # fmt: skip
+    option("--planners", metavar="NAME,NAME,…", help="default: all that need no language model")
+    option("--episodes", type=count, default=1, help="a task and p_obs (default: %(default)s)")
+    option("--jobs", type=count, default=cores(), help="processes (default: one a core)")
+    option(
+        "--out", type=Path, default=Path("tasks-report"), metavar="DIR",
+        help="for the plots and results.json (default: ./%(default)s)",
+    )  # fmt: skip
+    option("--llm", metavar="URL", help="compare a language model too: an OpenAI-compatible API")
+    option("--model", default="default", help="its name on that server (default: %(default)s)")
+    option(
+        "--llm-tasks", type=count, default=20, metavar="N",
+        help="how many of the tasks it gets (default: %(default)s)",
+    )  # fmt: skip
+    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
 
 
 def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]

@@ -86,31 +86,29 @@ def plan_episodes(
 ) -> list[Episode]:
     """`starts` seeded starts a target, each at least `min_distance_m` of driving away from it."""
     from edge.eval import geodesic
-    from edge.eval.progress_bar import ProgressBar
+    from edge.host.bars import counted
     from edge.sim.base import free_poses
     from edge.sim.worlds import load_world
 
     world = load_world(config)
     episodes: list[Episode] = []
-    with ProgressBar("targets", len(targets)) as bar:
-        for k, target in enumerate(targets):
-            wanted = objects_of(world, target)
-            radius_m = config.robot.radius_m
-            field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
-            poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
-            found = []
-            for pose in poses:
-                shortest = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
-                if min_distance_m <= shortest < math.inf and len(found) < starts:
-                    start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
-                    found.append(Episode(target, start, shortest))
-            if len(found) < starts:
-                raise UserError(
-                    f"{world.name}: only {len(found)} of {starts} starts lie {min_distance_m:g} m "
-                    f"of driving from a {target}; ask for fewer or a smaller --min-distance"
-                )
-            episodes += found
-            bar.update(k + 1)
+    for k, target in enumerate(counted("targets", targets)):
+        wanted = objects_of(world, target)
+        radius_m = config.robot.radius_m
+        field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
+        poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
+        found = []
+        for pose in poses:
+            shortest = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            if min_distance_m <= shortest < math.inf and len(found) < starts:
+                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+                found.append(Episode(target, start, shortest))
+        if len(found) < starts:
+            raise UserError(
+                f"{world.name}: only {len(found)} of {starts} starts lie {min_distance_m:g} m "
+                f"of driving from a {target}; ask for fewer or a smaller --min-distance"
+            )
+        episodes += found
     return episodes
 
 

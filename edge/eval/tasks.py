@@ -7,7 +7,6 @@ The formulas are given (right): translation is what `edge eval translate` measur
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,36 +17,7 @@ if TYPE_CHECKING:
     from edge.eval.task_runs import Results, Settings
     from edge.eval.task_templates import Task
 
-P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
 JSON_NAME = "results.json"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `edge eval tasks`; all have defaults."""
-    from edge.cli.parsers import count
-
-    whole = parser.add_argument
-    whole("--tasks", type=Path, metavar="FILE", help="tasks from there (JSON lines) instead")
-    whole("--export", type=Path, metavar="FILE", help="write the tasks there and stop")
-    whole("--n", type=count, default=2000, help="tasks to generate (default: %(default)s)")
-    whole("--seed", type=_seed, default=0, help="of tasks and of luck (default: %(default)s)")
-    whole(
-        "--p-obs", type=_p_obs, default=P_OBS, metavar="P,P,…",
-        help="probabilities that an exploration finds its target (default: 0.1,0.2,…,1.0)",
-    )  # fmt: skip
-    whole("--planners", metavar="NAME,NAME,…", help="default: all that need no language model")
-    whole("--episodes", type=count, default=1, help="a task and p_obs (default: %(default)s)")
-    whole("--jobs", type=count, default=_cores(), help="processes (default: one a core)")
-    whole(
-        "--out", type=Path, default=Path("tasks-report"), metavar="DIR",
-        help="for the plots and results.json (default: ./%(default)s)",
-    )  # fmt: skip
-    whole("--llm", metavar="URL", help="compare a language model too: an OpenAI-compatible API")
-    whole("--model", default="default", help="its name on that server (default: %(default)s)")
-    whole(
-        "--llm-tasks", type=count, default=20, metavar="N",
-        help="how many of the tasks it gets (default: %(default)s)",
-    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -130,11 +100,11 @@ def _generate(n: int, seed: int) -> list[Task]:
 
 
 def _run_offline(tasks: list[Task], settings: Settings, jobs: int) -> Results:
-    from edge.eval.progress_bar import ProgressBar
     from edge.eval.task_runs import run_tasks
+    from edge.host.bars import Bar
 
-    with ProgressBar("tasks", len(tasks)) as bar:
-        return run_tasks(tasks, settings, jobs, bar.update)
+    with Bar("tasks", len(tasks)) as bar:
+        return run_tasks(tasks, settings, jobs, bar.reach)
 
 
 def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped-def]
@@ -142,13 +112,13 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
     import numpy as np
 
     from edge.eval.llm_planner import merged, run_llm
-    from edge.eval.progress_bar import ProgressBar
+    from edge.host.bars import Bar
 
     n = min(args.llm_tasks, len(tasks))
     rows = np.linspace(0, len(tasks) - 1, n).round().astype(int).tolist()
     total = n * len(settings.p_obs) * settings.episodes
-    with ProgressBar("runs of the language model", total) as bar:
-        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.update)
+    with Bar("runs of the language model", total) as bar:
+        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.reach)
     return merged(results, own), failure
 
 
@@ -177,26 +147,3 @@ def _planners(text: str | None) -> tuple[str, ...]:
         what = f"no planner {unknown[0]!r}" if unknown else "no planner named"
         raise UserError(f"--planners: {what}; there are: {', '.join(PLANNERS)}")
     return names
-
-
-def _p_obs(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(dict.fromkeys(round(float(part), 6) for part in text.split(",")))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected numbers such as 0.5,1, got {text!r}") from None
-    for value in values:
-        if not 0 < value <= 1:
-            raise argparse.ArgumentTypeError(f"must be above 0 and at most 1, got {value:g}")
-    return values
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 1 << 63:
-        raise argparse.ArgumentTypeError(f"must be between 0 and 2**63 - 1, got {text}")
-    return value
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

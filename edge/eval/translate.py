@@ -23,8 +23,8 @@ from typing import Any
 from edge.config import TranslatorGrammar, TranslatorLlm
 from edge.errors import FileError, UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
-from edge.eval.progress_bar import ProgressBar
 from edge.eval.task_templates import generate
+from edge.host.bars import counted
 from edge.host.files import open_regular
 from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
@@ -210,10 +210,8 @@ def _scored(
     """
     scores: list[Score] = []
     try:
-        with ProgressBar(f"of {title}", len(cases)) as bar:
-            for case in cases:
-                scores.append(score(case, translator))
-                bar.update(len(scores))
+        for case in counted(title, cases):
+            scores.append(score(case, translator))
     except UserError as error:
         done = f"{len(scores)} of {len(cases)}"
         return scores, UserError(f"{title}: stopped after {done}: {error}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.models.export import with_file
+from edge.models.make import with_file
 from edge.models.pull import cards_of
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import DetectCard, FileCard, ImageCard

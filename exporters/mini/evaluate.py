@@ -1,6 +1,6 @@
 """How good a small detector is on houses that training never saw.
 
-    python -m exporters.mini.evaluate MODEL.onnx [--text TEXT.onnx] [--sheet PICTURE.png]
+    python -m exporters.mini.evaluate MODEL.onnx [--text TEXT.onnx]
 
 Average precision at IoU 0.5 per category, over things of at least 12 px and half visible; whether
 an attribute phrase scores higher on the right one of two things of a kind in one view; latency.
@@ -13,20 +13,20 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-import onnxruntime
+from onnxruntime import InferenceSession
 
 from edge.config import Perception
 from edge.models.bench.boxes import overlaps
-from edge.text import one_line
 from exporters.files import ExportError
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
 from exporters.mini.views import Frames, make_frames, whole
+from exporters.onnx_format import cpu_session
 
 SEEDS = range(HELD_OUT, HELD_OUT + 100)
 PER_HOUSE = 6
@@ -37,6 +37,11 @@ DEPLOYED: float = Perception.model_fields["tau_det"].default
 """The score from which on the service, unless it is told otherwise, takes a detection."""
 TOLD_APART = ("color", "size")
 """Kinds of questions that a model is judged by; the size of what is cut off is a guess."""
+
+
+FLOORS = {"ap50": 0.7, "pairs_told_apart": 0.8}
+"""Least value of a card's figures on held-out houses."""
+MAX_BYTES = 2_900_000
 
 
 @dataclass(frozen=True)
@@ -102,20 +107,9 @@ def as_input(rgb: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255.0)
 
 
-def open_model(path: Path, threads: int = 2) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises many types of its own
-        raise ExportError(f"{path}: cannot be loaded: {one_line(error)}") from None
-
-
 def measure(model: Path, text: Path, frames: Frames) -> Report:
     """Run the whole test set."""
-    detector, encoder = open_model(model), open_model(text, 1)
+    detector, encoder = cpu_session(model, 2), cpu_session(text, 1)
     categories = np.zeros((len(looks.CATEGORIES), 3), np.int64)
     categories[:, 0] = np.arange(1, 1 + len(categories))
     found: dict[int, list[tuple[float, int]]] = defaultdict(list)
@@ -234,7 +228,7 @@ def _average_precision(found: list[tuple[float, int]], count: int) -> float:
 
 
 def _latency(
-    detector: onnxruntime.InferenceSession, frames: Frames, rows: np.ndarray, runs: int = 150
+    detector: InferenceSession, frames: Frames, rows: np.ndarray, runs: int = 150
 ) -> tuple[float, float]:
     times = []
     for index in range(runs):
@@ -245,29 +239,23 @@ def _latency(
     return float(np.median(times)), float(np.percentile(times, 95))
 
 
-def sheet(model: Path, text: Path, frames: Frames, count: int = 12) -> np.ndarray:
-    """A contact sheet (h, w, 3) uint8: what the model sees above the deployed threshold."""
-    detector, encoder = open_model(model), open_model(text, 1)
-    tokens = np.zeros((len(looks.CATEGORIES), 3), np.int64)
-    tokens[:, 0] = np.arange(1, 1 + len(tokens))
-    rows = encoder.run(None, {"tokens": tokens})[0][None]
-    tiles = []
-    for index in np.linspace(0, len(frames) - 1, count).astype(int):
-        feed = {"images": as_input(frames.rgb[index]), "txt_feats": rows}
-        boxes, scores = (out[0] for out in detector.run(None, feed))
-        tile = cv2.resize(frames.rgb[index], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        for c, word in enumerate(looks.CATEGORIES):
-            left = np.flatnonzero(scores[:, c] > DEPLOYED)
-            while len(left):
-                best = left[scores[left, c].argmax()]
-                x0, y0, x1, y1 = (int(v) for v in 2 * boxes[best])
-                cv2.rectangle(tile, (x0, y0), (x1, y1), (255, 40, 40), 1)
-                label = f"{word} {scores[best, c]:.2f}"
-                cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (0, 0, 0), 3)
-                cv2.putText(tile, label, (x0 + 2, y0 + 12), 0, 0.4, (255, 255, 0), 1)
-                left = left[overlaps(boxes[left], boxes[best : best + 1])[0][:, 0] <= IOU]
-        tiles.append(tile)
-    return np.vstack([np.hstack(tiles[i : i + 3]) for i in range(0, len(tiles) - 2, 3)])
+def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
+    """Raise ExportError that says all that keeps a model from the shipped one's place.
+
+    Args:
+        held_out: the card's figures on held-out houses.
+        step, steps: how many training steps are done, and how many its plan has.
+    """
+    faults = [] if step >= steps else [f"step {step} of {steps}"]
+    faults += [f"{key} {held_out[key]} < {floor}" for key, floor in FLOORS.items()
+               if not held_out[key] >= floor]  # fmt: skip
+    if held_out["bytes"] > MAX_BYTES:
+        faults.append(f"{held_out['bytes']} bytes > {MAX_BYTES}")
+    if faults:
+        raise ExportError(
+            f"{'; '.join(faults)}: not put in place; train on with exporters.train_mini, "
+            "or give --no-gate"
+        )
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -275,15 +263,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("model", type=Path)
     parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx beside the model")
     parser.add_argument("--data", type=Path, help="folder that keeps the rendered test set")
-    parser.add_argument("--sheet", type=Path, help="also write a contact sheet here")
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
     try:
         with tempfile.TemporaryDirectory() as scratch:
             frames = held_out_frames(args.data or Path(scratch))
             print(measure(args.model, text, frames).table())
-            if args.sheet:
-                cv2.imwrite(str(args.sheet), sheet(args.model, text, frames)[..., ::-1])
     except ExportError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -21,17 +20,17 @@ import numpy as np
 import onnx
 import torch
 import yaml
-from torch import Tensor, nn
+from torch import nn
 
 from exporters.calibration import Feed
-from exporters.files import OPSET, ExportError, check_format, replace_atomically, sha256_of
+from exporters.files import ExportError, replace_atomically, sha256_of
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import evaluate, looks
 from exporters.mini.batches import PAD
-from exporters.mini.gate import check_gate
 from exporters.mini.net import EMBED_DIM
 from exporters.mini.training import FULL_HW, Model
 from exporters.mini.views import Frames, make_frames
+from exporters.onnx_format import export_module
 from exporters.quantize import quantize
 from exporters.recipes import recipe_of
 from exporters.train_mini import CORES, HOUSES, PER_HOUSE, SEED
@@ -62,38 +61,20 @@ def export_detector(detector: nn.Module, out: Path) -> None:
     """FP32, with a static image size and a free number of phrases."""
     images = torch.zeros(1, 3, *FULL_HW)
     text = nn.functional.normalize(torch.ones(1, 3, EMBED_DIM), dim=-1)
-    _export(
-        detector, (images, text), out, ["images", "txt_feats"], ["boxes", "scores"],
-        {"txt_feats": {1: "prompts"}, "scores": {2: "prompts"}},
-    )  # fmt: skip
+    free = {"txt_feats": {1: "prompts"}, "scores": {2: "prompts"}}
+    export_module(detector, out, {"images": images, "txt_feats": text}, ("boxes", "scores"), free)
 
 
 def export_encoder(encoder: nn.Module, out: Path) -> None:
     """With the vocabulary in the file's metadata; see `edge.perception.attributes`."""
     tokens = torch.zeros(2, 3, dtype=torch.int64)
-    _export(
-        encoder, (tokens,), out, ["tokens"], ["embeddings"],
-        {"tokens": {0: "prompts"}, "embeddings": {0: "prompts"}},
-    )  # fmt: skip
+    free = {"tokens": {0: "prompts"}, "embeddings": {0: "prompts"}}
+    export_module(encoder, out, {"tokens": tokens}, ("embeddings",), free)
     model = onnx.load(out)
     entry = model.metadata_props.add()
     entry.key, entry.value = "vocabulary", looks.VOCABULARY.to_json()
     with replace_atomically(out) as temporary:
         onnx.save(model, temporary)
-
-
-def _export(
-    module: nn.Module, args: tuple[Tensor, ...], out: Path, inputs: list[str],
-    outputs: list[str], free: dict[str, dict[int, str]],
-) -> None:  # fmt: skip
-    with replace_atomically(out) as temporary, warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # dynamo's graphs do not quantize well
-        warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
-        torch.onnx.export(
-            module, args, temporary, input_names=inputs, output_names=outputs,
-            dynamic_axes=free, opset_version=OPSET, dynamo=False,
-        )  # fmt: skip
-        check_format(temporary)
 
 
 def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list[Feed]:
@@ -200,7 +181,9 @@ def main(argv: list[str] | None = None) -> int:
         model, kept = load_model(args.run / "checkpoint.pt")
         held_out = make_files(args.run, model)
         if not args.no_gate:
-            check_gate(held_out, kept["step"], sum(steps for steps, *_ in kept["plan"]["stages"]))
+            evaluate.check_gate(
+                held_out, kept["step"], sum(steps for steps, *_ in kept["plan"]["stages"])
+            )
         publish(
             args.run, args.out, {"training": training_figures(kept), "held-out houses": held_out}
         )

@@ -12,6 +12,7 @@ import textwrap
 
 import pytest
 
+from edge.cli.parsers import make_parser
 from edge.errors import UserError
 from edge.eval import tasks as command
 from edge.eval.task_file import read_tasks
@@ -20,9 +21,7 @@ from edge.eval.task_templates import generate
 
 
 def parsed(*argv: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="edge eval tasks")
-    command.add_arguments(parser)
-    return parser.parse_args(argv)
+    return make_parser("", {}).parse_args(["eval", "tasks", *argv])
 
 
 def test_defaults_are_the_papers_benchmark():
@@ -125,21 +124,17 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""
-        import argparse, signal, sys
+        import signal, sys
+        from edge.cli.parsers import make_parser
         from edge.eval import tasks
-        from edge.eval.progress_bar import ProgressBar
-        class Bar(ProgressBar):
-            def update(self, done):
-                print("working", flush=True)
+        from edge.host import bars
         if __name__ == "__main__":
-            import edge.eval.progress_bar
-            edge.eval.progress_bar.ProgressBar = Bar
+            bars.Bar.reach = lambda bar, done: print("working", flush=True)
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            parser = argparse.ArgumentParser()
-            tasks.add_arguments(parser)
+            args = make_parser("", {}).parse_args(["eval", "tasks", *sys.argv[1:]])
             try:
-                tasks.run(parser.parse_args())
+                tasks.run(args)
             except KeyboardInterrupt:
                 sys.exit(130)
         """)

@@ -22,8 +22,8 @@ from exporters.mini.evaluate import (
     _counts,
     _match,
     _questions,
+    check_gate,
 )
-from exporters.mini.gate import check_gate
 from exporters.mini.views import OBJECT, WIDTH_PX, Frames
 
 CHAIR = 1 + looks.CATEGORIES.index("chair")
@@ -140,7 +140,7 @@ def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
         (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),
     )
     frames = Frames(np.zeros((1, 256, WIDTH_PX, 3), np.uint8), pair, np.array([0, 2]))
-    monkeypatch.setattr(evaluate, "open_model", lambda path, threads=2: FakeModel(pair["box"]))
+    monkeypatch.setattr(evaluate, "cpu_session", lambda path, threads: FakeModel(pair["box"]))
     monkeypatch.setattr(evaluate, "_latency", lambda *args: (1.0, 1.0))
     measured = evaluate.measure(Path("detector.onnx"), Path("text.onnx"), frames)
     assert measured.pairs["color"][1] == measured.pairs["cut_off_size"][1] == 2

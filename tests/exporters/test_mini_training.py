@@ -21,6 +21,7 @@ from exporters.files import ExportError, sha256_of  # noqa: E402
 from exporters.mini import batches, checkpoint, evaluate, export, loss, training, views  # noqa: E402
 from exporters.mini.net import STRIDES, MiniDetector, anchor_points  # noqa: E402
 from exporters.mini.views import Frames, make_frames  # noqa: E402
+from exporters.onnx_format import cpu_session  # noqa: E402
 
 HW = (64, 96)
 
@@ -410,15 +411,13 @@ def test_the_onnx_files_agree_with_the_network(tmp_path):
     export.export_encoder(model.encoder, text)
     assert read_onnx(detector).ir <= 10
     tokens = np.array([[1, 0, 0], [2, 3, 0], [5, 1, 6], [35, 12, 1], [7, 0, 2]])
-    rows = evaluate.open_model(text).run(None, {"tokens": tokens})[0]
+    rows = cpu_session(text).run(None, {"tokens": tokens})[0]
     with torch.no_grad():
         expected = model.encoder(torch.from_numpy(tokens))
         np.testing.assert_allclose(rows, expected, atol=1e-5)
         images = torch.rand(1, 3, 256, 320)
         boxes, scores = model.detector(images, expected[None])
-    found = evaluate.open_model(detector).run(
-        None, {"images": images.numpy(), "txt_feats": rows[None]}
-    )
+    found = cpu_session(detector).run(None, {"images": images.numpy(), "txt_feats": rows[None]})
     np.testing.assert_allclose(found[0], boxes, atol=1e-2)
     np.testing.assert_allclose(found[1], scores, atol=1e-4)
 

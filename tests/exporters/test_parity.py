@@ -10,13 +10,7 @@ import pytest
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from exporters.files import ExportError
-from exporters.parity import (
-    Limits,
-    ParityReport,
-    check_limits,
-    compare,
-    select_boxes,
-)
+from exporters.parity import Limits, ParityReport, check_limits, compare, select_boxes
 
 pytestmark = pytest.mark.export
 

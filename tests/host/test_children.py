@@ -10,7 +10,7 @@ from edge.cli import commands
 from edge.errors import UserError
 from edge.host import children
 from edge.host.children import python_module
-from edge.models.bench import runs
+from edge.models.bench import compare
 from edge.perception.process import link
 
 
@@ -45,4 +45,4 @@ def test_every_child_is_started_so(monkeypatch):
         raise AssertionError
     assert tuple(started[0][:5]) == python_module("edge.cli")
     assert python_module("edge.perception.process.serve") == link.PROGRAM
-    assert python_module("edge.models.bench.worker") == runs.WORKER
+    assert python_module("edge.models.bench.worker") == compare.WORKER

@@ -17,9 +17,8 @@ from edge.eval.translate import lang2ltl_cases
 from edge.host.files import open_regular, read_regular
 from edge.mission.checkpoint import load as load_checkpoint
 from edge.models.bench.frames import from_folder
-from edge.models.export import keep_vocabulary
-from edge.models.index import find_wheels
 from edge.models.local import extract
+from edge.models.make import keep_vocabulary
 from edge.perception.cards import read_card
 from edge.perception.text import TextEmbeddings
 from edge.sim.house import load_house
@@ -90,10 +89,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "checkpoint": ("c.json", load_checkpoint),
     "pictures": ("p.png", lambda path: from_folder(path.parent, 1)),
     "wheel": ("a-1-py3-none-any.whl", lambda path: extract(path, "w.pt", None)),
-    "page of an index": (
-        "index.html",
-        lambda path: find_wheels(f"{path.parent.name}==1", str(path.parent.parent)),
-    ),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
 import sys
 
 import cv2
@@ -19,8 +20,19 @@ from edge.cli import main as cli
 from edge.errors import UserError
 from edge.geometry import invert
 from edge.host import resources
-from edge.models.bench import figures, frames, runs, table, variants, worker, writing
-from edge.models.bench.boxes import KIND, NAMED, NO, Found, Tally, Truth, agree, judge
+from edge.models.bench import compare, frames, report, variants, worker
+from edge.models.bench.boxes import (
+    KIND,
+    NAMED,
+    NO,
+    Found,
+    Tally,
+    Truth,
+    agree,
+    agreement,
+    judge,
+    overlaps,
+)
 from edge.perception.cards import card_path, load_detector_card
 from edge.perception.text import PromptError
 from edge.sim.sensors import CameraRig
@@ -56,10 +68,10 @@ def truth(*rows):
 
 def test_nothing_wanted_and_nothing_found():
     empty = Tally()
-    assert (empty.recall, empty.precision, empty.score_error) == (None, None, None)
+    assert empty.shares() == {"recall": None, "precision": None}
     assert judge(boxes(), truth(), np.array([NAMED])) == empty
     assert agree(found(), found()) == empty
-    assert figures.agreement([], []) == {
+    assert agreement([], []) == {
         "recall": None, "precision": None, "score_error": None, "boxes": 0,
     }  # fmt: skip
 
@@ -102,7 +114,7 @@ def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_h
 def test_boxes_against_those_of_another_model(reference, candidate, wanted_found_hits, error):
     tally = agree(found(*reference), found(*candidate))
     assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
-    assert tally.score_error == (error if error is None else pytest.approx(error))
+    assert agreement([found(*reference)], [found(*candidate)])["score_error"] == error
 
 
 @st.composite
@@ -128,6 +140,13 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
     assert 0 <= tally.hits <= min(tally.wanted, tally.found)
 
 
+def test_overlaps():
+    iou, share = overlaps(boxes(SOFA, CHAIR), boxes(SOFA, [4, 0, 44, 40], [5, 5, 5, 5]))
+    np.testing.assert_allclose(iou, [[1.0, 36 / 44, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(share, [[1.0, 0.9, 0.0], [0.0, 0.0, 0.0]])
+    assert overlaps(boxes(), boxes(SOFA))[0].shape == (0, 1)
+
+
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
 def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
@@ -145,7 +164,7 @@ def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
 
 def test_latencies_of_the_stages_and_of_all_together():
     ns = np.array([[1, 10, 2], [3, 30, 2], [2, 20, 2]]) * 1_000_000
-    times = figures.latency_ms(ns)
+    times = compare.latency_ms(ns)
     assert list(times) == ["pre", "session", "post", "all"]
     assert times["session"] == {"min": 10.0, "p50": 20.0, "p95": 29.0}
     assert times["all"]["p50"] == 24.0
@@ -236,7 +255,7 @@ from pathlib import Path
 from edge.host import resources
 resources.data_dir = lambda kind: Path({folder!r})
 from edge.models.bench import worker
-if '"model": "tiny-crash"' in Path(sys.argv[1]).read_text():
+if b"tiny-crash" in Path(sys.argv[1]).read_bytes():
     os.kill(os.getpid(), signal.SIGSEGV)
 sys.exit(worker.main(sys.argv[1:]))
 """
@@ -287,7 +306,7 @@ def place(tmp_path, monkeypatch):
     np.savez(tmp_path / "words.npz", names=np.array(WORDS), emb=np.eye(len(WORDS), 16))
     worker = tmp_path / "worker.py"
     worker.write_text(WORKER.format(folder=str(folder)))
-    monkeypatch.setattr(runs, "WORKER", (sys.executable, str(worker)))
+    monkeypatch.setattr(compare, "WORKER", (sys.executable, str(worker)))
     resources.models_dir().mkdir(parents=True)
 
     def put(name, content, precision="fp32", task="detect"):
@@ -342,20 +361,20 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     kept = tmp_path / "out" / "figures.json"
     options = ("--config", "demo", "--json", str(kept), "--update-cards", "--threads", "1")
     assert bench("tiny", *options, "--providers", "cpu") == 0
-    report = json.loads(kept.read_text())
-    fp32, crashed, int8, missing = report["rows"]
-    assert [row["state"] for row in report["rows"]] == ["ran", "failed", "ran", "missing"]
+    kept_report = json.loads(kept.read_text())
+    fp32, crashed, int8, missing = kept_report["rows"]
+    assert [row["state"] for row in kept_report["rows"]] == ["ran", "failed", "ran", "missing"]
     assert crashed["why"] == "failed: its process was ended by signal 11"
     assert missing["why"].startswith("not here: run `edge models export tiny-int8-trt`")
-    assert report["machine"]["cores"] >= 1
-    assert report["frames"]["count"] == 2
-    assert report["prompts"] == ["bed", "chair", "sofa", "television", "trash can"]
-    assert "wardrobe" in report["unknown_labels"]
-    assert report["again"]["name"] == "tiny-fp32"
+    assert kept_report["machine"]["cores"] >= 1
+    assert kept_report["frames"]["count"] == 2
+    assert kept_report["prompts"] == ["bed", "chair", "sofa", "television", "trash can"]
+    assert "wardrobe" in kept_report["unknown_labels"]
+    assert kept_report["again"]["name"] == "tiny-fp32"
     for row in (fp32, int8):
         assert row["latency_ms"]["session"]["min"] > 0.0
         assert row["latency_ms"]["all"]["p50"] >= row["latency_ms"]["session"]["min"]
-        assert row["truth"]["things"] == report["rows"][0]["truth"]["things"]
+        assert row["truth"]["things"] == kept_report["rows"][0]["truth"]["things"]
         assert row["truth"]["boxes"] <= 4  # two frames with a chair and a sofa each
     assert fp32["agreement"] is None
     assert int8["agreement"]["boxes"] == 4
@@ -368,7 +387,7 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     assert "crash" in out
     (own,) = (resources.cache_dir() / "bench").iterdir()
     assert own.name.startswith("tiny-20")
-    assert json.loads(own.read_text()) == report
+    assert json.loads(own.read_text()) == kept_report
     (measured,) = load_detector_card("tiny-int8-cpu").measured.items()
     assert measured[0].startswith("cpu of ")
     assert measured[1]["fp32_recall"] == 1.0
@@ -383,10 +402,10 @@ def test_a_folder_of_images_gives_no_truth(place, tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((64, 64, 3), np.uint8))
     kept = tmp_path / "figures.json"
     assert bench("tiny", "--images", str(tmp_path), "--json", str(kept)) == 0
-    report = json.loads(kept.read_text())
-    assert report["rows"][0]["truth"] is None
-    assert report["prompts"] == [w for w in frames.names.ALIASES if w in WORDS]
-    assert report["again"] is None
+    kept_report = json.loads(kept.read_text())
+    assert kept_report["rows"][0]["truth"] is None
+    assert kept_report["prompts"] == [w for w in frames.names.ALIASES if w in WORDS]
+    assert kept_report["again"] is None
     assert str(kept) in capsys.readouterr().out
 
 
@@ -394,7 +413,7 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     place("tiny-fp32", b"x")
     (tmp_path / "worker.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
-    made = runs.Bench(tmp_path, [], [], config.DetectorOnnx(), 0.3, limit_s=0.3)
+    made = compare.Bench(tmp_path, worker.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 
@@ -416,7 +435,7 @@ REPORT = {
 ROW = {
     "name": "tiny-fp32", "on": "cpu", "gpu": None, "state": "ran", "sha256": "0" * 64,
     "memory_mb": 1.0, "gpu_memory_mb": None, "others_cores": None, "agreement": None,
-    "truth": None, "latency_ms": figures.latency_ms(np.full((2, 3), 1_000_000)),
+    "truth": None, "latency_ms": compare.latency_ms(np.full((2, 3), 1_000_000)),
 }  # fmt: skip
 
 
@@ -432,8 +451,8 @@ def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_canno
     shipped = card_path("tiny-fp32")
     own = resources.models_dir() / "tiny-own.yaml"
     own.write_text(shipped.read_text().replace("tiny-fp32", "tiny-own"))
-    monkeypatch.setattr(writing, "write_atomically", refuse_the_package)
-    written = writing.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
+    monkeypatch.setattr(report, "write_atomically", refuse_the_package)
+    written = report.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
     assert next(written) == own
     with pytest.raises(UserError, match=r"^\S*fp32.yaml: cannot be written: Permission denied; "):
         next(written)
@@ -451,7 +470,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
         ("tensorrt", "L4", "tensorrt of L4, x, 2 cores", "tensorrt 10.3.0"),
     )
     for on, gpu, _, _ in ran:
-        list(writing.update_cards({**REPORT, "rows": [{**ROW, "on": on, "gpu": gpu}]}))
+        list(report.update_cards({**REPORT, "rows": [{**ROW, "on": on, "gpu": gpu}]}))
     measured = load_detector_card("tiny-fp32").measured
     kept = [(key, of.get("gpu"), of["runtime"]) for key, of in measured.items()]
     assert kept == [(key, gpu, runtime) for _, gpu, key, runtime in ran]
@@ -460,7 +479,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
 
 @pytest.mark.parametrize(
     ("on", "name"),
-    [("cpu", ""), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
+    [("cpu", None), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
 )
 def test_a_worker_tells_which_gpu_it_used(monkeypatch, on, name):
     monkeypatch.setattr(worker, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
@@ -472,14 +491,14 @@ def test_the_table_has_a_line_for_each_footnote():
     row = {
         "name": "tiny-fp32", "on": "cuda", "state": "ran", "memory_mb": 100.0,
         "gpu_memory_mb": 512.0, "others_cores": 1.5, "invalid_boxes": 3, "agreement": None,
-        "truth": None, "latency_ms": figures.latency_ms(np.full((2, 3), 1_000_000)),
+        "truth": None, "latency_ms": compare.latency_ms(np.full((2, 3), 1_000_000)),
     }  # fmt: skip
-    report = {
+    compared = {
         "family": "tiny", "frames": {"count": 2, "hw": [(64, 64)], "source": "x", "things": None},
         "prompts": ["a"], "unknown_labels": (), "tau_det": 0.3, "threads": 2, "rows": [row],
         "machine": {"cpu": "x", "cores": 2}, "again": None,
     }  # fmt: skip
-    text = table.as_text(report)
+    text = report.as_text(compared)
     assert "100+512" in text
     assert "up to 1.5 of 2 cores busy" in text
     assert "tiny-fp32 on cuda: 3 boxes not finite" in text
@@ -512,6 +531,6 @@ def test_a_worker_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, 
 
     monkeypatch.setattr(worker, "setup", lambda *_: None)
     monkeypatch.setattr(worker, "measure", fail)
-    (tmp_path / "job.json").write_text('{"out": "x"}')
-    assert worker.main([str(tmp_path / "job.json")]) == 1
+    (tmp_path / "job").write_bytes(pickle.dumps("x"))
+    assert worker.main([str(tmp_path / "job"), str(tmp_path / "out")]) == 1
     assert capsys.readouterr().out == "RuntimeError: two lines\n"

@@ -9,16 +9,14 @@ import resource
 
 import pytest
 
-from edge.models.download import download, read_page, shown
-from edge.models.meter import Meter
-from edge.models.pace import Limits
+from edge.models.download import Limits, download, read_small, shown
 from edge.models.part import FetchError, Part
 from edge.perception.model_file import ModelError
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
-LIMITS = Limits(read_s=5.0, tries=3, page_bytes=1000)
-HASTY = Limits(answer_s=0.2, read_s=0.2, tries=2)
+LIMITS = Limits(slow_s=5.0, tries=3, small_bytes=1000)
+HASTY = Limits(answer_s=0.2, slow_s=0.2, tries=2)
 
 
 def part(tmp_path, sha256=SHA256, size=None):
@@ -52,7 +50,7 @@ def test_a_broken_connection_is_taken_up_where_it_ended(server, tmp_path):
 
 def test_a_part_of_an_earlier_run_is_taken_up(server, tmp_path):
     how = server.put("/w.pt", CONTENT, cut=30_000)
-    with pytest.raises(FetchError, match=r"w\.pt: the connection ended after 90000 of 102400 by"):
+    with pytest.raises(FetchError, match=r"w\.pt: closed the connection before its answer was"):
         fetch(server, tmp_path)
     assert list(left(tmp_path).values()) == [90_000]
     how.cut = None
@@ -100,8 +98,8 @@ def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
         ({"content": CONTENT[1:]}, {"size": len(CONTENT)}, "offers 102399 bytes, the card says 10"),
         ({"content": CONTENT, "told": 1 << 40}, {}, "offers 1099511627776 bytes, more than any"),
         ({"content": b"", "status": 404}, {}, "HTTP 404 Not Found"),
-        ({"status": 302, "location": "file:///etc/passwd"}, {}, "HTTP 302"),
-        ({"status": 302, "location": "/w.pt"}, {}, "infinite loop"),
+        ({"status": 302, "location": "file:///etc/passwd"}, {}, "is no address to ask"),
+        ({"status": 302, "location": "/w.pt"}, {}, "more than 10 redirects"),
     ],
     ids=["hash", "long", "short", "huge", "missing", "file", "loop"],
 )  # fmt: skip
@@ -136,7 +134,7 @@ def test_a_file_that_outgrows_its_size_is_let_go(tmp_path):
 def test_a_server_that_stalls_is_given_up(server, tmp_path, cut):
     server.put("/w.pt", CONTENT, cut=cut, stall=True)
     # A busy machine may not even answer in that time.
-    with pytest.raises(FetchError, match=r"(nothing came for|no answer within) 0\.2 s"):
+    with pytest.raises(FetchError, match=r"(only 1?0+ bytes came in|no answer within) 0\.2 s"):
         fetch(server, tmp_path, limits=HASTY)
     assert sum(left(tmp_path).values()) in {0, cut, 2 * cut}
 
@@ -150,7 +148,7 @@ def test_a_server_that_trickles_is_given_up(server, tmp_path):
 def test_nobody_at_the_address(server, tmp_path):
     server.shutdown()
     server.server_close()
-    with pytest.raises(FetchError, match="refused"):
+    with pytest.raises(FetchError, match="nothing listens there"):
         fetch(server, tmp_path)
     assert left(tmp_path) == {}
 
@@ -217,35 +215,22 @@ def test_a_full_disk_is_one_line_and_what_fits_is_kept(tmp_path):
     assert left(tmp_path) == {"w.pt": len(CONTENT)}
 
 
-def test_a_page_is_small(server):
-    server.put("/page", b"x" * 1000, kind="text/html")
-    assert read_page(server.url("/page"), "*/*", LIMITS)[1:] == ("text/html", b"x" * 1000)
-    server.put("/page", b"x" * 1001)
+def test_a_small_file_is_small(server):
+    server.put("/said", b"x" * 1000)
+    assert read_small(server.url("/said"), LIMITS) == b"x" * 1000
+    server.put("/said", b"x" * 1001)
     with pytest.raises(FetchError, match="longer than 1000 bytes"):
-        read_page(server.url("/page"), "*/*", LIMITS)
+        read_small(server.url("/said"), LIMITS)
 
 
-class Screen:
-    def __init__(self, terminal):
-        self.text, self._terminal = "", terminal
-
-    def isatty(self):
-        return self._terminal
-
-    def write(self, text):
-        self.text += text
-
-    def flush(self):
-        pass
+def test_a_proxy_that_cannot_be_used_is_told(monkeypatch, server, tmp_path):
+    monkeypatch.setenv("all_proxy", "gopher://127.0.0.1:9")
+    with pytest.raises(FetchError, match="no proxy of the environment can be used"):
+        fetch(server, tmp_path)
 
 
-@pytest.mark.parametrize(("terminal", "lines"), [(False, 2), (True, 0)])
-def test_progress_is_a_line_now_and_then_or_one_rewritten(terminal, lines):
-    now_s, screen = [0.0], Screen(terminal)
-    with Meter("w.pt", 0, screen, lambda: now_s[0]) as meter:
-        for second in range(12):
-            now_s[0] = float(second)
-            meter.update(second * 1_000_000, 20_000_000)
-    assert screen.text.count("\n") == lines
-    assert "w.pt: 5.0 of 20.0 MB (25 %), 1.0 MB/s, 15 s left" in screen.text
-    assert screen.text.endswith("\r\x1b[2K") == terminal
+def test_a_log_is_told_how_far_it_is(server, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
+    server.put("/w.pt", CONTENT)
+    fetch(server, tmp_path)
+    assert "w.pt: 100%|##########| 102k/102k [" in capsys.readouterr().err

@@ -11,9 +11,9 @@ import yaml
 from edge.cli.main import main
 from edge.host import resources
 from edge.host.children import python_module
-from edge.models import export
-from edge.models.export import need_modules
-from edge.models.places import weights_path
+from edge.models import make
+from edge.models.local import weights_path
+from edge.models.make import need_modules
 from edge.perception.cards import load_card
 
 ORIGINAL = {
@@ -38,9 +38,8 @@ def started(store, monkeypatch):
     class Done:
         returncode = 0
 
-    monkeypatch.setattr(export, "need_modules", lambda *_: None)
-    monkeypatch.setattr("edge.models.quantize.need_modules", lambda *_: None)
-    monkeypatch.setattr(export.subprocess, "run", lambda line, **_: lines.append(line) or Done)
+    monkeypatch.setattr(make, "need_modules", lambda *_: None)
+    monkeypatch.setattr(make.subprocess, "run", lambda line, **_: lines.append(line) or Done)
     return lines
 
 
@@ -68,7 +67,7 @@ def test_weights_that_were_pulled_are_exported(started):
 
 
 def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monkeypatch):
-    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
+    monkeypatch.setattr(make, "verify_model", lambda card: None)
     words = ["--calibration", "pictures", "--vocabulary", "words.npz"]
     assert main(["models", "quantize", "small", *words]) == 0
     (line,) = started
@@ -78,8 +77,8 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
 @pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
 @pytest.mark.parametrize("gate", [[], ["--no-gate"]])
 def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
-    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
-    monkeypatch.setattr("edge.models.quantize.find_vocabulary", lambda _: None)
+    monkeypatch.setattr(make, "verify_model", lambda card: None)
+    monkeypatch.setattr(make, "find_vocabulary", lambda _: None)
     action, *options = words
     assert main(["models", action, "small", "--calibration", "p", *options, *gate]) == 0
     assert ("--no-gate" in started[0]) == bool(gate)
@@ -147,11 +146,10 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
     ],
 )  # fmt: skip
 def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
-    for module in ("export", "quantize"):
-        monkeypatch.setattr(f"edge.models.{module}.need_modules", need_modules)
-    monkeypatch.setattr("edge.models.quantize.verify_model", lambda card: None)
+    monkeypatch.setattr(make, "need_modules", need_modules)
+    monkeypatch.setattr(make, "verify_model", lambda card: None)
     find = lambda name: None if name == lacking else name  # noqa: E731
-    monkeypatch.setattr(export.importlib.util, "find_spec", find)
+    monkeypatch.setattr(make.importlib.util, "find_spec", find)
     action, *options = words
     code = main(["models", action, "small", *options, "--calibration", "p", "--vocabulary", "v"])
     error = capsys.readouterr().err

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from edge.models.export import keep_vocabulary
+from edge.models.make import keep_vocabulary
 from edge.perception.encoders import make_text_encoder
 from edge.perception.text import (
     PromptError,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -60,27 +63,18 @@ class Tally:
     error: float = 0.0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(
-            self.wanted + other.wanted,
-            self.found + other.found,
-            self.hits + other.hits,
-            self.error + other.error,
-        )
+        return Tally(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
-    @property
-    def recall(self) -> float | None:
-        """None where nothing is wanted."""
-        return self.hits / self.wanted if self.wanted else None
+    def shares(self) -> dict[str, float | None]:
+        """`recall` of what is wanted, `precision` of what was found; None where nothing is."""
+        return {
+            "recall": _ratio(self.hits, self.wanted),
+            "precision": _ratio(self.hits, self.found),
+        }
 
-    @property
-    def precision(self) -> float | None:
-        """None where nothing was found."""
-        return self.hits / self.found if self.found else None
 
-    @property
-    def score_error(self) -> float | None:
-        """Mean relative difference of the hits' scores; None without a hit."""
-        return self.error / self.hits if self.hits else None
+def _ratio(part: float, whole: int) -> float | None:
+    return round(part / whole, 4) if whole else None
 
 
 def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,3 +134,43 @@ def agree(reference: Found, candidate: Found) -> Tally:
             hits += 1
             error += abs(float(candidate.score[i]) / float(reference.score[j]) - 1.0)
     return Tally(len(reference.score), len(candidate.score), hits, error)
+
+
+def agreement(reference: list[Found], candidate: list[Found]) -> dict[str, Any]:
+    """How a variant's boxes compare with those of its FP32 model, frame by frame.
+
+    `score_error` is the mean relative difference of the hits' scores, `boxes` the reference's.
+    """
+    tally = sum(itertools.starmap(agree, zip(reference, candidate, strict=True)), Tally())
+    return {
+        **tally.shares(),
+        "score_error": _ratio(tally.error, tally.hits),
+        "boxes": tally.wanted,
+    }
+
+
+def against_truth(
+    found: list[Found], truth: list[Truth], answers: np.ndarray, prompts: Sequence[str]
+) -> dict[str, Any]:
+    """Recall and precision against what is there; `by_prompt` has hits, things and boxes.
+
+    Args:
+        answers: (labels, prompts); see `frames.answers_of`.
+    """
+    by_prompt = {
+        prompt: sum(
+            (
+                judge(boxes.xyxy_px[boxes.class_id == k], real, answers[:, k])
+                for boxes, real in zip(found, truth, strict=True)
+            ),
+            Tally(),
+        )
+        for k, prompt in enumerate(prompts)
+    }
+    total = sum(by_prompt.values(), Tally())
+    return {
+        **total.shares(),
+        "things": total.wanted,
+        "boxes": total.found,
+        "by_prompt": {p: [t.hits, t.wanted, t.found] for p, t in by_prompt.items()},
+    }

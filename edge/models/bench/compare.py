@@ -1,39 +1,132 @@
-"""All variants over the same frames, and what comes out of it."""
+"""All variants over the same frames, each in a process of its own, and what comes out of it."""
 
 from __future__ import annotations
 
+import argparse
 import logging
+import pickle
+import subprocess
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any, Union
 
 import numpy as np
 
-from edge.config import Config, DetectorOnnx
+from edge.config import Config, DetectorOnnx, load
 from edge.errors import UserError
 from edge.host import machine
+from edge.host.children import python_module
 from edge.host.private_folder import private_folder
-from edge.models.bench import figures, frames
-from edge.models.bench.figures import Measured
+from edge.models.bench import boxes, frames, report
 from edge.models.bench.frames import Frames
-from edge.models.bench.runs import Bench
-from edge.models.bench.variants import Variant
+from edge.models.bench.report import Report
+from edge.models.bench.variants import PROVIDERS, Variant, families, providers_here, variants
+from edge.models.bench.worker import Job, Measured
+from edge.perception.cards import how_to_get, load_detector_card
 from edge.perception.encoders import make_text_encoder
 from edge.perception.model_file import remembered_sha256
 
 log = logging.getLogger("edge.eval.bench")
 
-Report = dict[str, Any]
 Results = list[tuple[Variant, Union[Measured, str]]]
+WORKER = python_module("edge.models.bench.worker")
 VERSION = 1
+STAGES = ("pre", "session", "post")
 _FRAME_S = 2.0
 """What one frame may take at most, on average."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge models bench`: compare, print, keep; 1 when nothing could run.
+
+    Raises:
+        UserError: an option, the configuration or the world cannot be used.
+    """
+    config = load(args.config)
+    todo = variants(_family(args.family, config), providers_here(args.providers))
+    if args.images is not None:
+        pictures = frames.from_folder(args.images, args.frames)
+    else:
+        sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
+        pictures = frames.from_world(config, args.frames, sizes)
+    found = compare(config, todo, pictures, _settings(config, args.threads))
+    print(report.as_text(found))
+    print(f"kept in {report.keep(found, args.json)}")
+    if args.update_cards:
+        for path in report.update_cards(found):
+            print(f"written to {path}")
+    return 0 if any(row["state"] == "ran" for row in found["rows"]) else 1
+
+
+def _family(asked: str | None, config: Config) -> str:
+    """The family that was asked for, else that of the configured model."""
+    if asked is not None:
+        return asked
+    detector = config.perception.detector
+    if isinstance(detector, DetectorOnnx):
+        return load_detector_card(detector.model).family
+    raise UserError(
+        f"{config.path}: perception.detector.kind is {detector.kind}: name a family "
+        f"(choices: {', '.join(families()) or 'none'})"
+    )
+
+
+def _settings(config: Config, threads: int | None) -> DetectorOnnx:
+    """The configured detector's settings, which all variants share."""
+    detector = config.perception.detector
+    settings = detector if isinstance(detector, DetectorOnnx) else DetectorOnnx()
+    return settings if threads is None else settings.model_copy(update={"threads": threads})
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Runs variants over the same frames.
+
+    Attributes:
+        folder: for files that pass between the processes.
+        job: but for the model and its providers.
+        limit_s: a worker that takes longer is ended.
+    """
+
+    folder: Path
+    job: Job
+    limit_s: float
+
+    def run(self, variant: Variant) -> Measured | str:
+        """What was measured, or in one line why nothing was."""
+        if not variant.card.is_here():
+            return f"not here: {how_to_get(variant.card)}"
+        job_file, out = self.folder / "job", self.folder / "out"
+        asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
+        detector = self.job.detector.model_copy(update=asked)
+        job_file.write_bytes(pickle.dumps(replace(self.job, detector=detector)))
+        try:
+            done = subprocess.run(
+                [*WORKER, str(job_file), str(out)], stdout=subprocess.PIPE, text=True,
+                errors="replace", check=False, timeout=self.limit_s,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            limit = "perception.swap.load_timeout_s and a bit for each frame"
+            return f"failed: not done after {self.limit_s:g} s ({limit})"
+        if done.returncode:
+            return f"failed: {_reason(done)}"
+        return pickle.loads(out.read_bytes())
+
+
+def _reason(done: subprocess.CompletedProcess[str]) -> str:
+    """Why a worker ended: its signal, or its last line on stdout."""
+    if done.returncode < 0:
+        return f"its process was ended by signal {-done.returncode}"
+    lines = done.stdout.split("\n")
+    return next(filter(str.strip, reversed(lines)), f"exit code {done.returncode}")
 
 
 def compare(
     config: Config, todo: Sequence[Variant], pictures: Frames, settings: DetectorOnnx
 ) -> Report:
-    """Run all variants, each in a process of its own, and work out the figures.
+    """Run all variants and work out the figures.
 
     A variant's boxes are held against those of its FP32 model of the same input size and, where
     it is known, against what is there.
@@ -52,10 +145,9 @@ def compare(
     limit_s = perception.swap.load_timeout_s + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
     with private_folder("edge-bench-") as folder:
-        bench = Bench(folder, pictures.rgb, prompts, settings, tau_det, limit_s)
+        bench = Bench(folder, Job(settings, prompts, pictures.rgb, tau_det), limit_s)
         results = _run_all(bench, todo)
         again = _again(bench, results)
-    answers = frames.answers_of(pictures.labels, prompts)
     return {
         "version": VERSION,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -73,7 +165,7 @@ def compare(
         "unknown_labels": unknown if pictures.truth is not None else (),
         "tau_det": tau_det,
         "threads": settings.threads,
-        "rows": [_row(*pair, results, pictures, prompts, answers) for pair in results],
+        "rows": [_row(*pair, results, pictures, prompts) for pair in results],
         "again": again,
     }
 
@@ -92,7 +184,6 @@ def _row(
     results: Results,
     pictures: Frames,
     prompts: tuple[str, ...],
-    answers: np.ndarray,
 ) -> dict[str, Any]:
     row = {"name": variant.card.name, "on": variant.on}
     if isinstance(result, str):
@@ -100,25 +191,39 @@ def _row(
         return {**row, "state": state, "why": result}
     truth = None
     if pictures.truth is not None:
-        truth = figures.against_truth(result.found, pictures.truth, answers, prompts)
+        answers = frames.answers_of(pictures.labels, prompts)
+        truth = boxes.against_truth(result.found, pictures.truth, answers, prompts)
     return {
         **row,
         "state": "ran",
-        "gpu": result.gpu or None,
+        "gpu": result.gpu,
         "sha256": remembered_sha256(variant.card.path),
-        "latency_ms": figures.latency_ms(result.stages_ns),
+        "latency_ms": latency_ms(result.stages_ns),
         "load_s": round(result.load_s, 2),
         "memory_mb": round(result.memory_mb, 1),
-        "gpu_memory_mb": _known(result.gpu_memory_mb),
-        "others_cores": _known(result.others_cores),
+        "gpu_memory_mb": _rounded(result.gpu_memory_mb),
+        "others_cores": _rounded(result.others_cores),
         "invalid_boxes": result.invalid_boxes,
         "agreement": _agreement(variant, result, results),
         "truth": truth,
     }
 
 
-def _known(value: float) -> float | None:
-    return None if np.isnan(value) else round(value, 2)
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
+    """min, p50 and p95 of each of `STAGES`, (n, 3), and of `all` of them together."""
+    columns = np.column_stack([stages_ns, stages_ns.sum(axis=1)]) / 1e6
+    return {
+        name: {
+            "min": round(float(ms.min()), 3),
+            "p50": round(float(np.percentile(ms, 50)), 3),
+            "p95": round(float(np.percentile(ms, 95)), 3),
+        }
+        for name, ms in zip((*STAGES, "all"), columns.T, strict=True)
+    }
 
 
 def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str, Any] | None:
@@ -127,7 +232,7 @@ def _agreement(variant: Variant, result: Measured, results: Results) -> dict[str
         alike = other.card.precision == "fp32" and other.card.input == variant.card.input
         if alike and isinstance(reference, Measured):
             itself = reference is result
-            return None if itself else figures.agreement(reference.found, result.found)
+            return None if itself else boxes.agreement(reference.found, result.found)
     return None
 
 
@@ -141,7 +246,7 @@ def _again(bench: Bench, results: Results) -> dict[str, Any] | None:
     second = bench.run(variant)
     if isinstance(second, str):
         return None
-    before, after = (figures.latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))
+    before, after = (latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))
     return {
         "name": variant.card.name,
         "on": variant.on,

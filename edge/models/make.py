@@ -1,4 +1,4 @@
-"""`edge models export`: make a model file from weights, in a process of its own."""
+"""`edge models export` and `quantize`: make a model file, in a process of its own."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from pathlib import Path
 from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
-from edge.models.places import pulled_weights
-from edge.perception.cards import FileCard, ModelError, card_path, load_card
-from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE
+from edge.models.local import pulled_weights
+from edge.perception.cards import FileCard, ModelError, card_path, load_card, verify_model
+from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
-_TRAINED = {
+TRAINED = {
     "mini-house": "python -m exporters.train_mini --out RUN && python -m exporters.mini.export RUN",
 }
 """Families that are not made from weights, and the commands that train them."""
-_NEEDS = ("torch", "torchvision", "ultralytics", "onnx", "onnxruntime", "onnxslim")
+_QUANTIZE_NEEDS = ("onnx", "onnxruntime")
+_EXPORT_NEEDS = ("torch", "torchvision", "ultralytics", "onnxslim", *_QUANTIZE_NEEDS)
 _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
 """Packages that no extra brings, since theirs collide with ours; see `pyproject.toml`."""
 
 
-def run(args: argparse.Namespace) -> int:
+def export(args: argparse.Namespace) -> int:
     """Handle `edge models export`; the exit code is the exporter's.
 
     A vocabulary that was given is kept beside the models, where `edge run` looks for it.
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
             vocabulary cannot be kept.
     """
     card = with_file(args.name)
-    if card.family in _TRAINED:
+    if card.family in TRAINED:
         raise ModelError(f"models export: {card.name} is trained: {how_to_make(card)}")
     weights = args.weights or pulled_weights(card)
     if weights is None:
@@ -41,12 +42,29 @@ def run(args: argparse.Namespace) -> int:
         raise ModelError(
             f"models export: no weights of {card.name} here; {pull}name them with --weights FILE.pt"
         )
-    need_modules("export", _NEEDS)
-    options = {"--calibration": args.calibration, "--vocabulary": args.vocabulary}
-    code = exporter("exporters", card.name, {"--weights": weights, **options}, args.no_gate)
+    need_modules("export", _EXPORT_NEEDS)
+    code = _run_exporters(card, args, args.vocabulary, weights)
     if code == 0 and args.vocabulary is not None:
         keep_vocabulary(args.vocabulary)
     return code
+
+
+def quantize(args: argparse.Namespace) -> int:
+    """Handle `edge models quantize`, which needs no torch; the exit code is the exporter's.
+
+    Raises:
+        ModelError: the card is not derived from another, whose file is here and sound, or what
+            this needs is not installed.
+        PromptError: no vocabulary of text embeddings.
+    """
+    card = with_file(args.name)
+    if card.derived_from is None:
+        raise ModelError(
+            f"models quantize: {card.name} is not derived from another model; {how_to_make(card)}"
+        )
+    verify_model(load_card(card.derived_from))
+    need_modules("quantize", _QUANTIZE_NEEDS)
+    return _run_exporters(card, args, args.vocabulary or find_vocabulary(None))
 
 
 def with_file(name: str) -> FileCard:
@@ -60,7 +78,7 @@ def with_file(name: str) -> FileCard:
 
 def how_to_make(card: FileCard) -> str:
     """The command that makes a model's file, as a part of a sentence."""
-    return f"`{_TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
+    return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
 def need_modules(action: str, modules: tuple[str, ...]) -> None:
@@ -80,15 +98,20 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
         )
 
 
-def exporter(module: str, name: str, options: dict[str, Path | None], no_gate: bool) -> int:
-    """Run `python -m MODULE NAME --option …`, which writes to the models' cache; its exit code.
-
-    Args:
-        no_gate: keep a model though its parity misses the limits.
-    """
-    options = {**options, "--cache": resources.models_dir(), "--cards": card_path(name).parent}
+def _run_exporters(
+    card: FileCard, args: argparse.Namespace, vocabulary: Path | None, weights: Path | None = None
+) -> int:
+    """Run `python -m exporters`, which writes to the models' cache; its exit code."""
+    options = {
+        "--weights": weights,
+        "--calibration": args.calibration,
+        "--vocabulary": vocabulary,
+        "--cache": resources.models_dir(),
+        "--cards": card_path(card.name).parent,
+    }
     given = [part for key, path in options.items() if path is not None for part in (key, str(path))]
-    command = [*python_module(module), name, *given, *(["--no-gate"] if no_gate else [])]
+    gate = ["--no-gate"] if args.no_gate else []
+    command = [*python_module("exporters"), card.name, *given, *gate]
     return subprocess.run(command, check=False).returncode
 
 

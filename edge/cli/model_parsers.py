@@ -1,24 +1,24 @@
-"""What `edge models …` takes, and which function does it. Light to import."""
+"""What `edge models …` takes, and which function does it."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from edge.cli.parsers import count, lazy, positive
+from edge.cli.options import CONFIG, count, lazy, positive
 
 _CARD = "a card's name, as `edge models list` shows it"
-_CONFIG = "YAML file, or the name of a ready configuration"
 _NO_GATE = "keep a model that misses its parity's limits"
 
 
-def add_arguments(models: argparse.ArgumentParser) -> None:
-    """A subcommand for everything that can be done with models."""
+def add(commands) -> None:  # type: ignore[no-untyped-def]
+    """`edge models`, with a subcommand for everything that can be done with models."""
+    models = commands.add_parser("models", help="list, fetch, make, check and change models")
     actions = models.add_subparsers(required=True, metavar="ACTION", title="actions")
-    for name, (text, add, module) in _ACTIONS.items():
+    for name, (text, add_to, module, function) in _ACTIONS.items():
         action = actions.add_parser(name, help=text, description=text)
-        add(action)
-        action.set_defaults(handler=lazy(module, "run"))
+        add_to(action)
+        action.set_defaults(handler=lazy(f"edge.models.{module}", function))
 
 
 def _list(action: argparse.ArgumentParser) -> None:
@@ -58,7 +58,7 @@ def _check(action: argparse.ArgumentParser) -> None:
 def _bench(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
     option("family", nargs="?", help="a family of cards; default: the configured detector's")
-    option("--config", default="cpu", help=f"{_CONFIG} (default: %(default)s)")
+    option("--config", default="cpu", help=f"{CONFIG} (default: %(default)s)")
     option("--images", type=Path, metavar="DIR", help="pictures; default: frames of a house")
     option("--frames", type=count, default=50, metavar="N", help="default: %(default)s")
     option("--providers", metavar="LIST", help="comma-separated; default: all that are here")
@@ -69,7 +69,7 @@ def _bench(action: argparse.ArgumentParser) -> None:
 
 def _use(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
-    action.add_argument("config", nargs="?", default="cpu", help=f"{_CONFIG} (default: cpu)")
+    action.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
     action.add_argument("--force", action="store_true", help="though it misses budget or parity")
     action.add_argument(
         "--timeout", type=positive, default=600.0, metavar="S",
@@ -78,11 +78,11 @@ def _use(action: argparse.ArgumentParser) -> None:
 
 
 _ACTIONS = {
-    "list": ("every model card, and whether its file is there", _list, "edge.models.listing"),
-    "pull": ("fetch a model, or the weights it is made from", _pull, "edge.models.pull"),
-    "export": ("make a model file from weights (extra `export`)", _export, "edge.models.export"),
-    "quantize": ("make a variant from the FP32 file", _quantize, "edge.models.quantize"),
-    "check": ("hash, interface and one inference", _check, "edge.models.check"),
-    "bench": ("compare the variants of a family on this machine", _bench, "edge.models.bench"),
-    "use": ("change the model of a running service", _use, "edge.models.use"),
+    "list": ("every model card, and whether its file is there", _list, "listing", "run"),
+    "pull": ("fetch a model, or the weights it is made from", _pull, "pull", "run"),
+    "export": ("make a model file from weights (extra `export`)", _export, "make", "export"),
+    "quantize": ("make a variant from the FP32 file", _quantize, "make", "quantize"),
+    "check": ("hash, interface and one inference", _check, "check", "run"),
+    "bench": ("compare the variants of a family on this machine", _bench, "bench.compare", "run"),
+    "use": ("change the model of a running service", _use, "use", "run"),
 }

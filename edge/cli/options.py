@@ -1,0 +1,58 @@
+"""Types of options, and handlers that import their module when they are called."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from importlib import import_module
+
+Handler = Callable[[argparse.Namespace], int]
+
+CONFIG = "YAML file, or the name of a ready configuration"
+
+
+def lazy(module: str, function: str) -> Handler:
+    """A handler that imports its module when it is called."""
+    return lambda args: getattr(import_module(module), function)(args)
+
+
+def positive(text: str) -> float:
+    """An option's positive number."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """An option's whole number, at least 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
+    return value
+
+
+def shares(text: str) -> tuple[float, ...]:
+    """An option's probabilities above 0, each once."""
+    try:
+        values = tuple(dict.fromkeys(round(float(part), 6) for part in text.split(",")))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected numbers such as 0.5,1, got {text!r}") from None
+    for value in values:
+        if not 0 < value <= 1:
+            raise argparse.ArgumentTypeError(f"must be above 0 and at most 1, got {value:g}")
+    return values
+
+
+def seed(text: str) -> int:
+    """An option's seed of random numbers."""
+    value = int(text)
+    if not 0 <= value < 1 << 63:
+        raise argparse.ArgumentTypeError(f"must be between 0 and 2**63 - 1, got {text}")
+    return value
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

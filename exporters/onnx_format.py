@@ -1,0 +1,69 @@
+"""ONNX files: the versions that all of ours keep to, made from PyTorch, run on the CPU."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import onnxruntime
+
+from edge.perception import onnx_file
+from edge.perception.model_file import ModelError
+from edge.text import one_line
+from exporters.files import ExportError, replace_atomically
+
+if TYPE_CHECKING:
+    from torch import nn
+
+OPSET = 19
+"""Opset of the exports: the newest the TorchScript exporter writes without warnings."""
+
+
+def check_format(path: Path) -> None:
+    """Raise ExportError unless every target can load the ONNX file (its IR, its opset, …)."""
+    try:
+        onnx_file.check_format(path, onnx_file.read_onnx(path))
+    except (ModelError, onnx_file.NotOnnx) as error:
+        raise ExportError(str(error)) from None
+
+
+def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceSession:
+    """A session on the CPU, of a file or of its content; raises ExportError if it is no model.
+
+    Args:
+        threads: 0: one a core.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.log_severity_level = threads, 3
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        content = model if isinstance(model, bytes) else str(model)
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises many types of its own
+        what = "the model" if isinstance(model, bytes) else model
+        raise ExportError(f"{what}: cannot be loaded: {one_line(error)}") from None
+
+
+def export_module(
+    module: nn.Module, out: Path, inputs: dict[str, Any], outputs: tuple[str, ...],
+    free: dict[str, dict[int, str]],
+) -> None:  # fmt: skip
+    """Write a PyTorch module as ONNX.
+
+    Args:
+        inputs: tensors to trace it with, by name.
+        free: names of the axes that any size may have, by input or output and axis.
+    """
+    import torch
+
+    with replace_atomically(out) as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # dynamo=False is deprecated, see below
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
+        torch.onnx.export(
+            module, tuple(inputs.values()), str(temporary),
+            dynamo=False,  # the only exporter that keeps the module path in node names
+            opset_version=OPSET, input_names=list(inputs), output_names=list(outputs),
+            dynamic_axes=free,
+        )  # fmt: skip
+        check_format(temporary)
