@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,7 @@ def detector(model, isolation):
     detector.close()
 
 
+@pytest.mark.benchmark(timer=time.perf_counter)
 @pytest.mark.parametrize("isolation", ["thread", "process"])
 def test_detect(benchmark, detector, isolation, model):
     """A 320 x 256 image in, boxes out, on two threads."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import faulthandler
 import logging
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -28,12 +30,39 @@ SHARED = HERE.parents[1] / "shared"
 LIVE = ("integration", "attacks")
 LIVE_LIMIT_S = 900
 
+# pytest-timeout ends a test by an exception in its main thread: it does nothing for a kernel or a
+# library that never returns to Python, nor once more for a fixture that then hangs as well. After
+# this much longer the whole process ends, with a look at its threads; xdist starts another.
+HARD_EXTRA_S = 60
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     folders = {HERE / name for name in LIVE}
     for item in items:
         if folders & set(item.path.parents) and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(LIVE_LIMIT_S))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    marker = item.get_closest_marker("timeout")
+    limit_s = marker.args[0] if marker is not None else float(item.config.getini("timeout"))
+    _end_after(limit_s + HARD_EXTRA_S)
+    try:
+        return (yield)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Before, pytest has called off what was to end the process; a tear-down is still to come."""
+    if isinstance(node, pytest.Item):
+        _end_after(HARD_EXTRA_S)
+
+
+def _end_after(seconds: float) -> None:
+    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 
 from edge.config import Config, load
 from edge.errors import UserError
-from edge.host import machine, resources
+from edge.host import calibration, machine, resources
 from edge.text import one_line, without_secrets
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
@@ -117,6 +117,15 @@ def check_cores(config: Config) -> Iterator[Finding]:
     else:
         todo = f"budgets are for {MIN_CORES}: expect missed deadlines with a detector on the CPU"
         yield Finding("warn", f"{cores} CPU core", todo)
+
+
+def check_speed(config: Config) -> Iterator[Finding]:
+    kept = calibration.load()
+    if kept is not None:
+        yield Finding("ok", f"{kept.machine}: {kept}")
+    else:
+        todo = f"stages are held to the reference computer's budgets; {calibration.HINT}"
+        yield Finding("warn", "how fast this computer is was never measured", todo)
 
 
 def check_packages(config: Config) -> Iterator[Finding]:
@@ -448,6 +457,7 @@ CHECKS: tuple[Check, ...] = (
     check_packages,
     check_opencv,
     check_cores,
+    check_speed,
     check_jetson,
     check_shared_memory,
     check_cache,

@@ -144,6 +144,10 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     bench.add_argument(
         "--enforce", action="store_true", help="exit with 1 when a figure is over its budget"
     )
+    bench.add_argument(
+        "--calibrate", action="store_true", help="only measure this computer, once, so that it is "
+        "held to budgets of its own"
+    )  # fmt: skip
     bench.add_argument("--json", metavar="FILE", help="write the figures there too")
     bench.add_argument(
         "--recording", metavar="FILE", help="an MCAP file of your own; default: one that the "

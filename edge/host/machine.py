@@ -100,6 +100,13 @@ def short_name(machine: Description, gpu: str | None = None) -> str:
     return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
 
 
+def identity(root: Path = _ROOT) -> str:
+    """What a measured speed belongs to: `short_name` of the whole computer, whichever of its cores
+    this process may use."""
+    cpu = cpu_name(_text(root / "proc/cpuinfo")) or platform.machine()
+    return short_name({"cpu": cpu, "cores": os.cpu_count(), "jetson": _jetson(root)})
+
+
 def cpu_name(cpuinfo: str) -> str | None:
     """The processor's name from the text of /proc/cpuinfo.
 

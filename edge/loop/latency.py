@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from edge.host.calibration import HINT, Calibration
 from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
 
 TICK = "tick"
@@ -63,11 +64,24 @@ class StageLatency:
 
 @dataclass(frozen=True, slots=True)
 class LatencyReport:
-    """Every stage in the order of the stage table, and the tick as a whole."""
+    """Every stage in the order of the stage table, and the tick as a whole.
+
+    Attributes:
+        calibration: of the computer that it was taken on, which budgets were scaled by; None where
+            it was never calibrated, so that they are the reference computer's.
+    """
 
     stages: tuple[StageLatency, ...]
     tick: StageLatency
     deadline_ms: float = TICK_DEADLINE_MS
+    calibration: Calibration | None = None
+
+    @property
+    def computer(self) -> str:
+        """How fast the computer is, and so whose budgets these are."""
+        if self.calibration is None:
+            return f"budgets are the reference computer's: {HINT}"
+        return f"this computer is {self.calibration}, and its budgets are scaled by that"
 
     def stage(self, name: str) -> StageLatency:
         """The row of one stage.
@@ -94,6 +108,7 @@ class LatencyReport:
         return {
             "tick": brief(self.tick),
             "deadline_ms": self.deadline_ms,
+            "slowdown": None if self.calibration is None else _rounded(self.calibration.slowdown),
             "stages": {row.name: brief(row) for row in self.stages},
         }
 
@@ -107,6 +122,7 @@ class LatencyReport:
             f"times in ms; tick deadline {self.deadline_ms:g} ms missed "
             f"{self.tick.overruns} of {self.tick.count}; * runs beside the tick"
         )
+        lines.append(self.computer)
         return "\n".join(lines)
 
 
@@ -126,7 +142,7 @@ def _cells(row: StageLatency) -> tuple[str, ...]:
     texts = [f"{value:.3f}" if row.n else "-" for value in times]
     name = row.name if row.in_tick else f"{row.name}*"
     counts = (f"{row.overruns}", f"{row.drops}")
-    return (name, f"{row.count}", *texts, f"{row.budget_ms:g}", *counts, _bar(row))
+    return (name, f"{row.count}", *texts, f"{row.budget_ms:.3g}", *counts, _bar(row))
 
 
 def _bar(row: StageLatency, width: int = 10) -> str:
@@ -145,12 +161,22 @@ class LatencyRing:
     Args:
         capacity: ticks kept.
         stages: the stage table; indices are positions in it.
+        calibration: of this computer, where there is one; budgets are scaled by it.
     """
 
-    def __init__(self, capacity: int = 4096, stages: tuple[Stage, ...] = STAGES) -> None:
+    def __init__(
+        self,
+        capacity: int = 4096,
+        stages: tuple[Stage, ...] = STAGES,
+        calibration: Calibration | None = None,
+    ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: must be positive, got {capacity}")
         self._stages = stages
+        self._calibration = calibration
+        slowdown = 1.0 if calibration is None else calibration.slowdown
+        self._budget_ms = [stage.budget_on(slowdown) for stage in stages]
+        self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
         self._capacity = capacity
         n = len(stages)
         # Column n is the tick itself. Stages in the tick share a head, others have their own.
@@ -161,7 +187,7 @@ class LatencyRing:
         self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
         self._in_tick = tuple(stage.in_tick for stage in stages)
         self._in_tick_columns = np.array([*self._in_tick, True])
-        limits_ms = [*(stage.budget_ms for stage in stages), TICK_DEADLINE_MS]
+        limits_ms = [*self._budget_ms, TICK_DEADLINE_MS]
         self._limit_ns = np.array([round(limit / _MS) for limit in limits_ms], dtype=np.int64)
         self._over = np.zeros(n + 1, dtype=bool)
         self._ran = np.zeros(n + 1, dtype=bool)
@@ -240,14 +266,14 @@ class LatencyRing:
             count, overruns = self._count.tolist(), self._overruns.tolist()
             drops = tuple(map(sum, zip(self._drops, self._abandoned, strict=True)))
         rows = tuple(
-            StageLatency(s.name, s.budget_ms, *_summary(window), *counted, in_tick=s.in_tick)
-            for s, window, *counted in zip(
-                self._stages, windows, count, overruns, drops, strict=False
+            StageLatency(s.name, budget_ms, *_summary(window), *counted, in_tick=s.in_tick)
+            for s, budget_ms, window, *counted in zip(
+                self._stages, self._budget_ms, windows, count, overruns, drops, strict=False
             )
         )
-        summary = _summary(windows[-1])
-        tick = StageLatency(TICK, TICK_BUDGET_MS, *summary, count[-1], overruns[-1], sum(drops))
-        return LatencyReport(rows, tick)
+        whole = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
+        tick = StageLatency(TICK, self._tick_budget_ms, *whole)
+        return LatencyReport(rows, tick, calibration=self._calibration)
 
     def _newest(self, written: int, last: int | None) -> np.ndarray:
         """Rows of the newest `last` spans, where `written` were written so far."""

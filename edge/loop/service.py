@@ -15,6 +15,7 @@ import numpy as np
 
 from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
+from edge.host import calibration
 from edge.loop import stages
 from edge.loop.advice import Advice, Advisers
 from edge.loop.candidates import CandidatePool
@@ -87,7 +88,7 @@ class Service:
             len(brief.targets),
         )
         self.advice: Advice | None = None if advisers is None else advisers.advice
-        self.latency = LatencyRing()
+        self.latency = LatencyRing(calibration=calibration.load())
         self.pursuit = Pursuit(
             config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
         )

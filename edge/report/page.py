@@ -147,7 +147,8 @@ def _latency(report: LatencyReport) -> str:
         f'<section><h2>Latency, ms</h2><div class="scroll"><table><tr>{head}</tr>{rows}</table>'
         '</div><p class="note">Bars: p50 dark, p95 light, thin line = max, dashed line = the '
         f"budget that p95 is held to. The tick's deadline of {report.deadline_ms:g} ms was missed "
-        f"{tick.overruns} of {tick.count} times. * runs beside the tick.</p></section>"
+        f"{tick.overruns} of {tick.count} times. * runs beside the tick. "
+        f"{escape(report.computer[:1].upper() + report.computer[1:])}.</p></section>"
     )
 
 
@@ -158,7 +159,7 @@ def _latency_row(row: StageLatency) -> str:
     texts[1] = f'<span class="{verdict}">{texts[1]}</span>'
     cells = (
         escape(row.name if row.in_tick else f"{row.name}*"), f"{row.count}", *texts,
-        f"{row.budget_ms:g}", f"{row.overruns}", f"{row.drops}",
+        f"{row.budget_ms:.3g}", f"{row.overruns}", f"{row.drops}",
     )  # fmt: skip
     kind = "" if row.name != "tick" else ' class="tick"'
     tds = "".join(f"<td>{cell}</td>" for cell in cells)

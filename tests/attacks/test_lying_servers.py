@@ -241,7 +241,7 @@ def test_a_pull_goes_on_with_the_next_source(tmp_path, monkeypatch, capsys):
             "preprocess": {"color": "rgb", "scale": 1.0, "mean": [0, 0, 0], "std": [1, 1, 1]},
         }  # fmt: skip
         (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(card))
-        pull(load_card("tiny"), Where(limits=Limits(answer_s=5.0, tries=1)))
+        pull(load_card("tiny"), Where(limits=Limits(answer_s=2.0, tries=1)))
     (note,) = capsys.readouterr().err.splitlines()
     assert note.startswith(f"tiny: note: http://{dripping}/w.pt: no answer within")
     assert [p.read_bytes() for p in (tmp_path / "cache" / "weights").iterdir()] == [CONTENT]

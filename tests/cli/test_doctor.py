@@ -15,7 +15,7 @@ from edge import config
 from edge.bus.session import open_session
 from edge.cli import doctor
 from edge.cli.parsers import make_parser
-from edge.host import resources
+from edge.host import calibration, machine, resources
 from edge.host.ports import free_port
 
 SIM = simulated()
@@ -76,6 +76,17 @@ def test_a_check_that_breaks_is_a_finding(monkeypatch):
 def test_python(monkeypatch, version, level):
     monkeypatch.setattr(doctor.sys, "version_info", version)
     assert levels(doctor.check_python) == [level]
+
+
+def test_how_fast_this_computer_is(cache):
+    (unknown,) = doctor.check_speed(SIM)
+    assert (unknown.level, "edge bench --calibrate" in unknown.todo) == ("warn", True)
+    cache.mkdir()
+    calibration.save(calibration.Calibration(machine.identity(), 1.8, {}))
+    (known,) = doctor.check_speed(SIM)
+    assert known == doctor.Finding(
+        "ok", f"{machine.identity()}: 1.8 times slower than the reference computer"
+    )
 
 
 def test_a_package_that_cannot_be_loaded(monkeypatch):

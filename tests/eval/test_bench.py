@@ -49,7 +49,7 @@ def test_the_recording_is_made_once_and_is_the_same_again(cache, tmp_path, monke
 
 def test_the_service_is_measured_on_a_recording():
     path = bench.ensure_recording(CONFIG, 3.0)
-    figures = bench.run_bench(CONFIG, path, 4.0, threading.Event(), 1.0)
+    figures = bench.run_bench(CONFIG, path, 1.5, threading.Event(), 1.0)
     assert figures["latency"]["tick"]["count"] > 1
     assert figures["counters"]["observations"] > 1
     verdicts = figures["verdicts"]

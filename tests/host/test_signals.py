@@ -14,6 +14,8 @@ from edge.host.signals import SHOW, STOP
 # With `held`, the first comes when the main thread is just about to wait for it.
 PROGRAM = """
 import signal, sys, threading
+# The tests themselves may run under `nohup`.
+signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
 from edge.host.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
 break_off_on_signals()
 show_stacks_on_signals()
@@ -36,12 +38,10 @@ def start():
     """Starts the program, with words of its own, once it is ready for signals."""
     started = []
 
-    def _start(*words: str, hang_up: signal.Handlers = signal.SIG_DFL) -> subprocess.Popen:
+    def _start(*words: str) -> subprocess.Popen:
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, *words], text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            # The tests themselves may run under `nohup`.
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, hang_up),
         )  # fmt: skip
         started.append(process)
         assert process.stdout.readline() == "ready\n"
@@ -85,7 +85,7 @@ def test_a_look_at_the_threads_changes_nothing(number, start):
 
 
 def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
-    process = start("stop", hang_up=signal.SIG_IGN)
+    process = start("stop", "nohup")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "stopped\n"

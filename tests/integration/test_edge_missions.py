@@ -14,6 +14,7 @@ from edge.cli.main import main
 
 WORDS = "Clean either the chair or the sofa, then turn on the tv; don't go to the bed before that."
 
+LOCKED = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
 THREE = (
     "Clean either the chair or the sofa, then turn on the tv, then go to the bed; "
     "don't go to the toilet before that."
@@ -36,8 +37,7 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     # The way to the last target is long: the mission must not end before it is cut off.
     words = "Clean either the chair or the sofa, then turn on the tv, then go to the trash can."
     mission = {"instruction": words, "checkpoint": str(kept), "search_limit_s": 100}
-    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
-    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission, **lockstep)
+    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission, **LOCKED)
     edge("sim", config)
     first = edge("run", config).says("reached: sofa").says("target: television")
     first.until(lambda: b'"reached":["sofa"' in kept.read_bytes(), "it was never kept")
@@ -61,12 +61,17 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, end
     assert (tmp_path / "mission.json.damaged-1").read_text().startswith('{"format"')
 
 
-def test_orders_by_command(edge, endpoint, tmp_path):
-    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"})
+def test_orders_by_command(edge, endpoint, tmp_path, capsys, monkeypatch):
+    # The commands run in this process, whose signal handlers they must leave alone.
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    config = write_config(
+        tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"}, **LOCKED
+    )
 
     def order(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:
-        command = edge("mission", *arguments, "--timeout", timeout_s)
-        return command.wait(), command.output
+        code = main(["mission", *map(str, arguments), "--timeout", str(timeout_s)])
+        said = capsys.readouterr()
+        return code, said.out or said.err
 
     code, said = order("status", config, timeout_s=1)
     assert code == os.EX_UNAVAILABLE
@@ -126,7 +131,7 @@ def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_pa
     assert "contradiction" in run.lines[-1]
 
 
-@pytest.mark.parametrize("answers", [False, True])
+@pytest.mark.parametrize("answers", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_language_model_that_is_down_or_silent_costs_only_its_mission(
     edge, endpoint, tmp_path, answers
 ):

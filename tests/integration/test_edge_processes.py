@@ -105,6 +105,7 @@ def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, tmp_pa
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_mission_outlives_simulator_and_controller(edge, config, endpoint):
     """Killed, back again, and a controller that comes only after the goal was sent."""
     service = edge("run", config, "--once").says("ready:")
@@ -139,6 +140,7 @@ def odometer(endpoint: str) -> Iterator[list[float]]:
         yield driven_m
 
 
+@pytest.mark.slow
 def test_the_mission_outlives_nonsense_on_every_key(edge, config, endpoint):
     service = edge("run", config, "--once").says("ready:")
     edge("sim", config)

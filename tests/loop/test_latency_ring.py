@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edge.host.calibration import Calibration
 from edge.loop.latency import LatencyRing, StageLatency
 from edge.loop.stages import STAGES, TICK_DEADLINE_MS
 
@@ -52,6 +53,27 @@ def test_percentiles_are_numpys_over_the_newest(durations, capacity, last):
             [row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms], expected, rtol=1e-12, atol=1e-12
         )
         assert (row.n, row.count) == (len(window), len(durations))
+
+
+@pytest.mark.parametrize(
+    ("slowdown", "map_ms", "tick_ms", "says"),
+    [
+        (None, 1.5, 3.0, "measure this computer with"),
+        (2.0, 3.0, 6.0, "2.0 times slower than the reference computer"),
+        (20.0, 30.0, TICK_DEADLINE_MS, "20.0 times slower"),
+    ],
+)
+def test_budgets_grow_with_a_slower_computer_and_deadlines_do_not(slowdown, map_ms, tick_ms, says):
+    ring = LatencyRing(calibration=slowdown and Calibration("m", slowdown, {}))
+    tick(ring, {MAP: round(1.6 * MS)}, 2 * MS)
+    report = ring.report()
+    found = report.stage("map")
+    assert (found.budget_ms, report.tick.budget_ms) == (map_ms, tick_ms)
+    assert (found.verdict, found.overruns) == (("over", 1) if slowdown is None else ("ok", 0))
+    assert report.stage("detect").budget_ms == STAGES[DETECT].budget_ms
+    assert report.deadline_ms == TICK_DEADLINE_MS
+    assert says in report.table().splitlines()[-1]
+    assert report.as_dict()["slowdown"] == slowdown
 
 
 def test_an_abandoned_tick_is_a_drop_and_nothing_else():
@@ -128,7 +150,7 @@ def test_table_is_aligned_and_marks_what_is_over():
     ring = LatencyRing()
     tick(ring, {INGEST: 100, MAP: 2 * MS, LIFT: 123_456_789}, 200 * MS)
     lines = ring.report().table().splitlines()
-    header, rows = lines[0], [line for line in lines[1:-1] if not line.startswith("-")]
+    header, rows = lines[0], [line for line in lines[1:-2] if not line.startswith("-")]
     end = header.index("p99") + 3
     assert all(line[end] == " " and line[end - 1] in "0123456789-" for line in rows)
     verdicts = {line.split()[0]: line.split()[-1] for line in rows}

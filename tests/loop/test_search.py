@@ -35,7 +35,7 @@ def room(folder: Path, formula: str, **sections: dict) -> Config:
     detector = {"kind": "sim", "max_range_m": 2.5, "false_positive_rate": 0.0}
     base = {
         "loop": {"lockstep": True},
-        "sim": {"lockstep": True, "world": {"kind": "house", "house": str(file)}},
+        "sim": {"lockstep": True, "step_s": 0.2, "world": {"kind": "house", "house": str(file)}},
         "sensors": {"camera": {"width_px": 160, "height_px": 128}},
         "mission": {"instruction": formula, "translator": {"kind": "ltl"}},
         "perception": {"detector": detector, "confirm_range_m": 2.0},
@@ -126,7 +126,11 @@ def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
 def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passing(formula):
     """The ablation "w/o IBTP" of VL-Nav: what may be the target does not attract."""
     mission = {"instruction": formula, "translator": {"kind": "ltl"}}
-    config = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": mission}
+    config = {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": mission,
+    }
     loop = ClosedLoop(simulated({**config, "policy": {"kind": "hvl", "instances": False}}))
     tracker = loop.service.tracker
     while not loop.service.status.done:

@@ -24,7 +24,7 @@ TICK_NS = 100_000_000
 
 
 def config(**sections: dict) -> Config:
-    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "mission": {}}
+    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}, "mission": {}}
     return simulated({**base, **sections})
 
 

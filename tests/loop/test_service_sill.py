@@ -45,7 +45,7 @@ def closed_loop(
         simulated(
             {
                 "loop": {"lockstep": True},
-                "sim": {"lockstep": True, "world": world},
+                "sim": {"lockstep": True, "step_s": 0.2, "world": world},
                 "policy": {"kind": policy},
                 "mapping": {"reach_cells_per_tick": reach_cells_per_tick},
                 "mission": {"target": "bed"},

@@ -206,7 +206,7 @@ def test_near_formulas_give_a_formula_or_a_column(text):
         assert 1 <= column <= len(text) + 1
 
 
-DEEP = 5_000
+DEEP = 2_000
 
 
 @pytest.mark.parametrize(
@@ -218,8 +218,8 @@ DEEP = 5_000
         "a U " * DEEP + "a",
         "a -> " * DEEP + "a",
         "a & " * DEEP + "a",
-        "(a & " * 2000 + "a" + ")" * 2000,
-        "(a | (a & " * 2000 + "a" + "))" * 2000,
+        "(a & " * DEEP + "a" + ")" * DEEP,
+        "(a | (a & " * 1000 + "a" + "))" * 1000,
     ],
     ids=["parentheses", "not", "F", "U", "->", "&", "& in parentheses", "& | in turns"],
 )

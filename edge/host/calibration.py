@@ -1,0 +1,170 @@
+"""How fast this computer is, against the reference computer that all budgets were measured on.
+
+`edge bench --calibrate` times four small pieces of work once, each on one core, and keeps the
+result in the cache. What shows or holds a budget asks `load()`, and stays with the reference
+computer's budgets where nothing was kept, or where it was kept on another machine.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from edge.errors import FileError, UserError
+from edge.host import machine, resources
+from edge.host.files import read_regular, write_atomically
+
+REFERENCE = "AMD EPYC (Zen 5), 2 virtual cores"
+REFERENCE_MS = {"kernels": 3.45, "arrays": 0.45, "memory": 1.85, "python": 2.55}
+HINT = "measure this computer with `edge bench --calibrate`"
+ROUNDS = 40
+AS_FAST = 1.05  # no one notices less
+_MAX_SLOWDOWN = 1000.0
+_MAX_BYTES = 1 << 16
+_SIDE = 512
+_BYTES = 48 << 20
+
+
+class CalibrationError(FileError):
+    """A calibration that cannot be kept; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """One computer's speed.
+
+    Attributes:
+        machine: its name, as `edge.host.machine.identity` gives it.
+        slowdown: geometric mean of `parts`; 2.0 takes twice the reference computer's time.
+        parts: the same of each piece of work.
+    """
+
+    machine: str
+    slowdown: float
+    parts: dict[str, float]
+
+    def __str__(self) -> str:
+        """
+        >>> print(Calibration("Cortex-A78AE, 8 cores", 1.8, {}))
+        1.8 times slower than the reference computer
+        """
+        if 1 / AS_FAST < self.slowdown < AS_FAST:
+            return "as fast as the reference computer"
+        if self.slowdown > 1.0:
+            return f"{self.slowdown:.1f} times slower than the reference computer"
+        return f"{1 / self.slowdown:.1f} times faster than the reference computer"
+
+
+@njit(nogil=True, cache=True)
+def flood(free, seen, queue):
+    """Mark all cells that are joined to the middle one by their edges; returns how many.
+
+    Args:
+        free: (n, n) bool.
+        seen: (n, n) bool, written whole.
+        queue: (n * n,) int32, scratch.
+    """
+    n = free.shape[0]
+    seen[:] = False
+    head, tail = 0, 1
+    queue[0] = n // 2 * n + n // 2
+    seen[n // 2, n // 2] = True
+    while head < tail:
+        y, x = queue[head] // n, queue[head] % n
+        head += 1
+        for dy, dx in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            v, u = y + dy, x + dx
+            if 0 <= v < n and 0 <= u < n and free[v, u] and not seen[v, u]:
+                seen[v, u] = True
+                queue[tail] = v * n + u
+                tail += 1
+    return tail
+
+
+def workloads() -> dict[str, Callable[[], object]]:
+    """What is timed: a compiled kernel, NumPy's arithmetic and indexing, a copy in memory that no
+    cache holds, and the interpreter with its tuples, sets and dictionaries."""
+    rng = np.random.default_rng(0)
+    free = rng.random((_SIDE, _SIDE)) < 0.8
+    seen, queue = np.zeros_like(free), np.zeros(_SIDE * _SIDE, np.int32)
+    values, order = rng.random(1 << 17, np.float32), rng.permutation(1 << 17)
+    source, target = np.ones(_BYTES, np.uint8), np.zeros(_BYTES, np.uint8)
+
+    def arrays() -> object:
+        # No sorting, no matrices: their speed is that of the widest vectors a processor has.
+        return np.floor(np.hypot(values, values[order]) * np.float32(20.0)).astype(np.int32)
+
+    def python() -> object:
+        found: dict[tuple[int, int], frozenset[int]] = {}
+        for k in range(12_000):
+            found[k % 97, k % 89] = frozenset((k, k % 7))
+        return sum(len(members) for members in found.values())
+
+    return {
+        "kernels": lambda: flood(free, seen, queue),
+        "arrays": arrays,
+        "memory": lambda: np.copyto(target, source),
+        "python": python,
+    }
+
+
+def time_ms(work: Callable[[], object]) -> float:
+    """Processor time of the quickest round; other processes and a first compilation cost none."""
+    work()
+    best_ns = math.inf
+    for _ in range(ROUNDS):
+        began_ns = time.thread_time_ns()
+        work()
+        best_ns = min(best_ns, time.thread_time_ns() - began_ns)
+    return best_ns * 1e-6
+
+
+def measure() -> Calibration:
+    """Time this computer; takes about a second when the kernel is compiled."""
+    parts = {name: time_ms(work) / REFERENCE_MS[name] for name, work in workloads().items()}
+    slowdown = math.exp(sum(map(math.log, parts.values())) / len(parts))
+    return Calibration(machine.identity(), slowdown, parts)
+
+
+def path() -> Path:
+    """Where the calibration is kept.
+
+    Raises:
+        ConfigError: there is no folder for a cache.
+    """
+    return resources.cache_dir() / "calibration.json"
+
+
+def save(calibration: Calibration) -> Path:
+    """Keep it; a reader finds the old or the new one.
+
+    Raises:
+        CalibrationError: the file cannot be written.
+    """
+    file = path()
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, json.dumps(asdict(calibration), indent=1).encode())
+    except OSError as error:
+        why = error.strerror or error
+        raise CalibrationError(
+            f"{file}: cannot be written: {why} (name another folder with EDGE_CACHE_DIR)"
+        ) from None
+    return file
+
+
+def load() -> Calibration | None:
+    """What was kept of this computer; None when nothing sound was, or of another one."""
+    try:
+        kept = Calibration(**json.loads(read_regular(path(), _MAX_BYTES)))
+        sound = 1 / _MAX_SLOWDOWN < kept.slowdown < _MAX_SLOWDOWN
+    except (OSError, ValueError, TypeError, RecursionError, UserError):
+        return None
+    return kept if sound and kept.machine == machine.identity() else None

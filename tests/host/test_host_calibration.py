@@ -1,0 +1,98 @@
+"""A computer's speed: measured once, kept whole, and never taken for another computer's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.cli.main import main
+from edge.host import calibration, machine
+from edge.host.calibration import Calibration
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_nothing_was_kept():
+    assert calibration.load() is None
+
+
+def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
+    monkeypatch.setattr(calibration, "ROUNDS", 1)
+    assert main(["bench", "--calibrate"]) == 0
+    kept = calibration.load()
+    assert kept.machine == machine.identity()
+    assert kept.slowdown == pytest.approx(np.prod(list(kept.parts.values())) ** 0.25)
+    assert f"{kept.machine}: {kept}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("slowdown", "words"),
+    [
+        (1.8, "1.8 times slower than the reference computer"),
+        (1.04, "as fast as the reference computer"),
+        (0.96, "as fast as the reference computer"),
+        (0.5, "2.0 times faster than the reference computer"),
+    ],
+)
+def test_it_is_said_in_words(slowdown, words):
+    assert str(Calibration("m", slowdown, {})) == words
+
+
+GOOD = {"machine": "", "slowdown": 1.8, "parts": {}}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"[" * 50_000,
+        b"\xff",
+        json.dumps(GOOD).encode(),  # of another machine
+        *(
+            json.dumps({**GOOD, "machine": machine.identity(), **bad}).encode()
+            for bad in (
+                {"slowdown": 0.0}, {"slowdown": float("nan")}, {"slowdown": "fast"}, {"more": 1},
+                {"slowdown": 1e9}, {"parts": "x" * (1 << 17)},
+            )
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_not_sound_is_as_if_it_was_not_there(content):
+    calibration.path().write_bytes(content)
+    assert calibration.load() is None
+
+
+def test_it_comes_back_as_it_was():
+    kept = Calibration(machine.identity(), 1.25, {"kernels": 1.25})
+    assert json.loads(calibration.save(kept).read_bytes()) == asdict(kept)
+    assert calibration.load() == kept
+
+
+def test_where_it_cannot_be_kept(cache, monkeypatch):
+    (cache / "file").touch()
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache / "file"))
+    assert calibration.load() is None
+    with pytest.raises(calibration.CalibrationError, match=r"calibration\.json: cannot be written"):
+        calibration.save(Calibration("m", 1.0, {}))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 1.0])
+def test_the_flood_goes_where_edges_lead(share):
+    free = np.random.default_rng(1).random((65, 65)) < share
+    free[32, 32] = True
+    seen, queue = np.zeros_like(free), np.zeros(free.size, np.int32)
+    n = calibration.flood(free, seen, queue)
+    _, parts = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    expected = parts == parts[32, 32]
+    np.testing.assert_array_equal(seen, expected)
+    assert n == expected.sum()
