@@ -87,11 +87,8 @@ def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
     return canvas
 
 
-def load_text_embeddings(path: Path, words: list[str] | None = None) -> TextEmbeddings:
-    """Embeddings of `words` (default `PROMPTS`) from a vocabulary .npz with `names` and `emb`.
-
-    Words that are asked for by name must be there; of the default list, those that are.
-    """
+def load_text_embeddings(path: Path) -> TextEmbeddings:
+    """Embeddings of those of `PROMPTS` that a vocabulary .npz with `names` and `emb` has."""
     try:
         with open_regular(path) as content, np.load(content) as archive:
             names, emb = archive["names"].tolist(), archive["emb"].astype(np.float32)
@@ -100,11 +97,8 @@ def load_text_embeddings(path: Path, words: list[str] | None = None) -> TextEmbe
             f"{path}: not a vocabulary file ({error}); needs arrays names (n,) and emb (n, 512)"
         ) from None
     index = {name: row for row, name in enumerate(names)}
-    missing = [word for word in words or () if word not in index]
-    if missing:
-        raise ExportError(f"{path}: no embedding for {', '.join(missing)}; choose words it has")
-    chosen = [word for word in words or PROMPTS.split(",") if word in index]
+    chosen = [word for word in PROMPTS.split(",") if word in index]
     if not chosen:
-        raise ExportError(f"{path}: has none of the default prompts; name some with --prompts")
+        raise ExportError(f"{path}: has none of the words that robots are sent for, such as chair")
     rows = emb[[index[word] for word in chosen]]
     return TextEmbeddings(tuple(chosen), rows / np.linalg.norm(rows, axis=1, keepdims=True))

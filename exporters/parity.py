@@ -1,15 +1,11 @@
 """How well one detector repeats another: the check at the end of each export step.
 
-    python -m exporters.parity REFERENCE CANDIDATE --images DIR --txt-feats VOCABULARY.npz
-
 Either model may be an .onnx file or YOLO-World's .pt checkpoint.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,7 +15,7 @@ import numpy as np
 from edge.eval.progress_bar import counted
 from edge.models.bench.boxes import Found, Tally, agree, overlaps
 from exporters.files import ExportError, check_format
-from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
+from exporters.images import TextEmbeddings, load_input
 
 SCORE_THRESHOLD = 0.3
 NMS_IOU = 0.5
@@ -214,30 +210,3 @@ def measure(
             )
     inputs = (load_input(path, hw) for path in counted("pictures: compared", images))
     return compare(run_reference, run_candidate, inputs, text.emb[None])
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m exporters.parity")
-    parser.add_argument("reference", type=Path)
-    parser.add_argument("candidate", type=Path)
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
-    parser.add_argument("--prompts", help="comma-separated words; default: a household list")
-    parser.add_argument("--no-gate", action="store_true", help="report only")
-    args = parser.parse_args(argv)
-    try:
-        words = args.prompts.split(",") if args.prompts else None
-        text = load_text_embeddings(args.txt_feats, words)
-        report = measure(args.reference, args.candidate, list_images(args.images), text)
-        print(report.to_json())
-        print(report.table(), file=sys.stderr)
-        if not args.no_gate:
-            check_limits(report, INT8_LIMITS, str(args.candidate))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Static QDQ INT8 of an FP32 detector, for onnxruntime on a CPU or for TensorRT.
 
-    python -m exporters.quantize FP32.onnx --calibration DIR --txt-feats VOCABULARY.npz --out FILE
-
 Weights are int8 per output channel. Three things keep the scores: ranges that lose least where
 the value is used (`calibration`), weights rounded against their inputs (`rounding`), and the few
 nodes of the family's recipe that stay in float.
@@ -15,9 +13,7 @@ since a strongly typed TensorRT network takes the file at its word.
 
 from __future__ import annotations
 
-import argparse
 import logging
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +29,8 @@ from exporters.calibration import (
 )
 from exporters.files import ExportError, check_format, replace_atomically
 from exporters.fp16 import kept_nodes, to_fp16
-from exporters.images import TextEmbeddings, list_images, load_input, load_text_embeddings
-from exporters.recipes import RECIPES, Recipe, nodes_like, recipe_of
+from exporters.images import TextEmbeddings, list_images, load_input
+from exporters.recipes import Recipe, nodes_like
 from exporters.rounding import round_weights
 
 PRECISIONS = ("int8-cpu", "int8-trt")
@@ -190,36 +186,6 @@ def _write_qdq(
         root.setLevel(level)
 
 
-def main(argv: list[str] | None = None) -> int:
-    from exporters.parity import INT8_LIMITS, check_limits, measure
-
-    parser = argparse.ArgumentParser(prog="python -m exporters.quantize")
-    parser.add_argument("fp32", type=Path)
-    parser.add_argument("--precision", choices=PRECISIONS, default="int8-cpu")
-    parser.add_argument("--calibration", type=Path, required=True, help="folder of images")
-    parser.add_argument("--validation", type=Path, help="folder of other images for the parity")
-    parser.add_argument("--txt-feats", type=Path, required=True, help="vocabulary .npz")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
-    parser.add_argument("--family", choices=sorted(RECIPES), default="yolo-world-s")
-    args = parser.parse_args(argv)
-    try:
-        text = load_text_embeddings(args.txt_feats)
-        calibration, validation = split_images(args.calibration, args.validation)
-        with replace_atomically(args.out) as made:
-            feeds = calibration_feeds(calibration, text, input_hw(onnx.load(args.fp32)))
-            quantize(args.fp32, made, feeds, recipe_of(args.family), args.precision)
-            report = measure(args.fp32, made, validation, text)
-            print(report.to_json())
-            print(report.table(), file=sys.stderr)
-            if not args.no_gate:
-                check_limits(report, INT8_LIMITS, str(args.out))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
 def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
     """Images to calibrate on and to measure on: two folders, or every fourth of one held out."""
     images = list_images(calibration)
@@ -232,7 +198,3 @@ def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path]
             f"give at least {HELD_OUT_EVERY}, or a folder with --validation"
         )
     return [path for path in images if path not in set(held_out)], held_out
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,15 +1,11 @@
 """YOLO-World v2 from its PyTorch checkpoint to one ONNX file that takes the prompt as an input.
 
-    python -m exporters.yolo_world --weights yolov8s-worldv2.pt --size 256x320 --out FILE.onnx
-
 Every detector ONNX of this project has the same contract, see `INPUTS` and `OUTPUTS`.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -25,8 +21,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from exporters.files import OPSET, ExportError, check_format, check_sha256, replace_atomically
-from exporters.images import TextEmbeddings, list_images
+from exporters.files import OPSET, check_format, check_sha256, replace_atomically
+from exporters.images import TextEmbeddings
 
 INPUTS = ("images", "txt_feats")
 """`images` (1, 3, H, W) float32 RGB 0..1, letterboxed; `txt_feats` (1, n, 512), unit rows."""
@@ -165,47 +161,3 @@ def _slimmed(model: onnx.ModelProto, height_px: int, width_px: int) -> onnx.Mode
             setattr(dim, "dim_param" if isinstance(size, str) else "dim_value", size)
     onnx.checker.check_model(slim)
     return slim
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """'256x320' → (256, 320): height and width in pixels, multiples of the coarsest stride."""
-    try:
-        height, width = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise ExportError(f"--size: {text!r} is not HEIGHTxWIDTH, for example 256x320") from None
-    if height <= 0 or width <= 0 or height % 32 or width % 32:
-        raise ExportError(f"--size: {text!r}: height and width must be positive multiples of 32")
-    return height, width
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m exporters.yolo_world", description=__doc__)
-    parser.add_argument("--weights", type=Path, required=True)
-    parser.add_argument("--size", required=True, help="HEIGHTxWIDTH in pixels, such as 256x320")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--validation", type=Path, help="images to compare with torch on")
-    parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
-    parser.add_argument("--family", choices=sorted(SHA256), default="yolo-world-s")
-    args = parser.parse_args(argv)
-    from exporters.parity import FP32_LIMITS, check_limits, measure
-
-    try:
-        height, width = parse_size(args.size)
-        sha256 = SHA256[args.family]
-        with replace_atomically(args.out) as made:
-            export_onnx(load_detector(args.weights, sha256), height, width, made)
-            if args.validation is not None:
-                text = coco_prompts(args.weights, sha256)
-                report = measure(args.weights, made, list_images(args.validation), text)
-                print(f"{report.to_json()}\n{report.table()}", file=sys.stderr)
-                if not args.no_gate:
-                    check_limits(report, FP32_LIMITS, str(args.out))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(args.out)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,12 +8,13 @@ import pytest
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
 from edge import config
+from edge.models.bench.boxes import overlaps
 from edge.perception.attributes import AttributeEncoder
 from edge.perception.cards import load_card, load_detector_card, verify_model
 from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
 from exporters.mini import looks, views
-from exporters.mini.evaluate import _counts, _iou
+from exporters.mini.evaluate import _counts
 from exporters.mini.gate import FLOORS, MAX_BYTES
 from exporters.mini.houses import HELD_OUT
 
@@ -74,7 +75,7 @@ def test_it_finds_most_of_what_is_plain_to_see(held_out):
         plain = objects[_counts(objects) & (objects["pixels"] > 400)]
         for thing in plain:
             mine = detections.xyxy_px[detections.class_id == thing["category"] - 1]
-            seen += bool(len(mine) and _iou(mine, thing["box"][None]).max() > 0.5)
+            seen += bool(len(mine) and overlaps(mine, thing["box"][None])[0].max() > 0.5)
             total += 1
     detector.close()
     assert total >= 8
