@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from edge.host.files import open_regular, read_regular
+from edge.host.files import read_regular
+from edge.perception.text import PromptError, load_vocabulary
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
@@ -24,12 +23,6 @@ PROMPTS = (
     "box,bottle,book,person,car,bicycle,tree,traffic light,fan,clock"
 )
 """What robots are sent to find, in the words of the CLIP vocabulary file."""
-_NOT_AN_ARCHIVE = (
-    OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error,
-    AttributeError, TypeError,
-)  # fmt: skip
-"""What NumPy raises over a file that is no .npz or a damaged one; the last two (by Python version)
-where it holds a single array, which is no context manager."""
 
 
 @dataclass(frozen=True)
@@ -88,17 +81,13 @@ def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
 
 
 def load_text_embeddings(path: Path) -> TextEmbeddings:
-    """Those of `PROMPTS` that a vocabulary .npz with `names` and `emb` has."""
+    """Embeddings of those of `PROMPTS` that a vocabulary .npz with `names` and `emb` has."""
     try:
-        with open_regular(path) as content, np.load(content) as archive:
-            names, emb = archive["names"].tolist(), archive["emb"].astype(np.float32)
-    except _NOT_AN_ARCHIVE as error:
-        raise ExportError(
-            f"{path}: not a vocabulary file ({error}); needs arrays names (n,) and emb (n, 512)"
-        ) from None
-    index = {name: row for row, name in enumerate(names)}
-    chosen = tuple(word for word in PROMPTS.split(",") if word in index)
+        words, rows = load_vocabulary(path)
+    except PromptError as error:
+        raise ExportError(str(error)) from None
+    index = {word: row for row, word in enumerate(words)}
+    chosen = [word for word in PROMPTS.split(",") if word in index]
     if not chosen:
-        raise ExportError(f"{path}: has none of the words that models are measured with: {PROMPTS}")
-    rows = emb[[index[word] for word in chosen]]
-    return TextEmbeddings(chosen, rows / np.linalg.norm(rows, axis=1, keepdims=True))
+        raise ExportError(f"{path}: has none of the words that robots are sent for, such as chair")
+    return TextEmbeddings(tuple(chosen), rows[[index[word] for word in chosen]])

@@ -65,12 +65,14 @@ class Lifter:
         self.config = perception
         self.unliftable = 0
         side = kernels.SIDE
-        self._samples = np.empty((side * side, 3), np.float32)
-        self._beside = np.empty((4, side * side, 3), np.float32)
-        self._n_beside = np.empty(4, np.int32)
-        self._found = np.empty((kernels.BINS, 3), np.float32)
-        self._scratch = np.empty((3, side * side), np.float32)
-        self._histogram = np.empty(kernels.BINS, np.int32)
+        self._scratch = (
+            np.empty((side * side, 3), np.float32),
+            np.empty((4, side * side, 3), np.float32),
+            np.empty(4, np.int32),
+            np.empty(kernels.BINS, np.int32),
+            np.empty((kernels.BINS, 3), np.float32),
+            np.empty((3, side * side), np.float32),
+        )
         self._raster = _NO_RASTER
         self._cloud_points = _NO_POINTS
 
@@ -100,14 +102,15 @@ class Lifter:
             return out
         camera, by_cloud = seen.camera, self.config.lift == "cloud"
         cell_px = self._project(seen, camera) if by_cloud else 0
-        kernels.lift_boxes(
-            by_cloud, _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
+        view = (
+            _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
             float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
-            detections.xyxy_px, seen.T_map_base @ seen.T_base_camera,
+        )  # fmt: skip
+        kernels.lift_boxes(
+            view, detections.xyxy_px, seen.T_map_base @ seen.T_base_camera,
             float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
-            self.config.lift_min_points, self._samples, self._beside, self._n_beside,
-            self._histogram, self._found, self._scratch,
-            out.center_m, out.points_m, out.n_points, out.n_samples, out.valid,
+            self.config.lift_min_points, self._scratch,
+            (out.center_m, out.points_m, out.n_points, out.n_samples, out.valid),
         )  # fmt: skip
         return out
 

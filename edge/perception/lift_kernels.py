@@ -191,20 +191,16 @@ def place(samples, n, low, high, T, points, scratch):
 
 
 @njit(nogil=True, cache=True)
-def sample(
-    use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy, x0, y0, x1, y1, max_range,
-    samples,
-):  # fmt: skip
-    """`sample_raster` or `sample_depth`."""
-    if use_cloud:
-        return sample_raster(raster, raster_points, cell_px, x0, y0, x1, y1, max_range, samples)
+def sample(view, x0, y0, x1, y1, max_range, samples):
+    """`sample_raster` or `sample_depth`, of a view as in `lift_boxes`."""
+    depth, raster, points, cell_px, fx, fy, cx, cy = view
+    if cell_px > 0:
+        return sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples)
     return sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples)
 
 
 @njit(nogil=True, cache=True)
-def sample_beside(
-    use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy, box, max_range, beside, n
-):
+def sample_beside(view, box, max_range, beside, n):
     """Sample a strip on each side of a box.
 
     Args:
@@ -224,11 +220,8 @@ def sample_beside(
         ]
     )
     for side in range(4):
-        n[side] = sample(
-            use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy,
-            strips[side, 0], strips[side, 1], strips[side, 2], strips[side, 3],
-            max_range, beside[side],
-        )  # fmt: skip
+        u0, v0, u1, v1 = strips[side]
+        n[side] = sample(view, u0, v0, u1, v1, max_range, beside[side])
 
 
 @njit(nogil=True, cache=True)
@@ -255,11 +248,7 @@ def going_on(beside, n, low, high, T, floor_z):
 
 
 @njit(nogil=True, cache=True)
-def lift_boxes(
-    use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy, boxes, T_map_camera,
-    floor_z, max_range, min_points, samples, beside, n_beside, histogram, found, scratch,
-    center, points, n_points, n_samples, valid,
-):  # fmt: skip
+def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratch, out):
     """Lift every box; see `lift.Lifter`.
 
     Of several surfaces in a box, the thing's is the one that fills much of it, goes on little
@@ -269,13 +258,15 @@ def lift_boxes(
     in 76 %; the exponent and `FARTHER` were chosen on them.)
 
     Args:
-        use_cloud: sample `raster` and `raster_points`, else `depth`.
+        view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
         boxes: (n, 4) float32.
-        samples: (SIDE*SIDE, 3), beside: (4, SIDE*SIDE, 3), found: (BINS, 3), scratch:
-            (3, SIDE*SIDE) float32, and n_beside: (4,), histogram: (BINS,) int32: scratch.
-        center: (n, 3), points: (n, k, 3) float32 out, in `map`.
-        n_points, n_samples: (n,) int32 out; valid: (n,) bool out.
+        scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
+            histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 where not said.
+        out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
+            valid (n,) bool.
     """
+    samples, beside, n_beside, histogram, found, in_map = scratch
+    center, points, n_points, n_samples, valid = out
     shrink = 0.5 * (1.0 - INNER)
     T = T_map_camera
     for i in range(len(boxes)):
@@ -285,20 +276,14 @@ def lift_boxes(
         if not np.isfinite(x0 + y0 + x1 + y1):
             continue
         dx, dy = shrink * (x1 - x0), shrink * (y1 - y0)
-        n = sample(
-            use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy,
-            x0 + dx, y0 + dy, x1 - dx, y1 - dy, max_range, samples,
-        )  # fmt: skip
+        n = sample(view, x0 + dx, y0 + dy, x1 - dx, y1 - dy, max_range, samples)
         n = drop_floor(samples, n, T, floor_z)
         low, high = 0.0, max_range  # every depth of its own: all of it is one surface
         k = surfaces(samples, n, max_range, histogram, found)
         if k > 0:
             chosen = np.argmax(found[:k, 2])
             if found[chosen, 2] < (1.0 - LEAST_SHARE) * n:
-                sample_beside(
-                    use_cloud, depth, raster, raster_points, cell_px, fx, fy, cx, cy, boxes[i],
-                    max_range, beside, n_beside,
-                )  # fmt: skip
+                sample_beside(view, boxes[i], max_range, beside, n_beside)
                 best, before = 0.0, 1.0
                 for j in range(k):
                     if found[j, 2] < LEAST_SHARE * n:
@@ -309,7 +294,7 @@ def lift_boxes(
                     if fits > best:
                         chosen, best = j, fits
             low, high = found[chosen, 0], found[chosen, 1]
-        x, y, z, m, used = place(samples, n, low, high, T, points[i], scratch)
+        x, y, z, m, used = place(samples, n, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
         n_samples[i], n_points[i] = m, used
         valid[i] = m >= min_points

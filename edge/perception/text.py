@@ -26,6 +26,7 @@ from edge.host import resources
 from edge.host.files import open_regular
 from edge.perception.backends.runtime import failing_as
 from edge.perception.model_file import ModelError
+from edge.text import one_line
 
 log = logging.getLogger(__name__)
 
@@ -143,6 +144,35 @@ def find_vocabulary(configured: str | None) -> Path:
     )
 
 
+def load_vocabulary(path: Path) -> tuple[list[str], np.ndarray]:
+    """Words in lower case and their embeddings, (n, d) float32 unit rows.
+
+    Raises:
+        PromptError: the file is no vocabulary.
+    """
+    try:
+        with (
+            open_regular(path, MAX_VOCABULARY_BYTES) as content,
+            np.load(content, allow_pickle=False) as file,
+        ):
+            words = [str(word).lower() for word in file["names"]]
+            rows = file["emb"].astype(np.float32)
+    except _UNREADABLE as error:
+        raise PromptError(
+            f"{path}: not a vocabulary (needs arrays `names` and `emb`): {one_line(error)}"
+        ) from None
+    if rows.ndim != 2 or len(rows) != len(words) or not words:
+        raise PromptError(f"{path}: {len(words)} names but embeddings of shape {rows.shape}")
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    usable = np.isfinite(norms) & (norms > 0.0)
+    if not usable.all():
+        raise PromptError(
+            f"{path}: the embedding of {words[int(np.argmin(usable))]!r} is zero or not "
+            "finite: make the vocabulary anew, or leave the word out"
+        )
+    return words, rows / norms
+
+
 class TextEmbeddings:
     """Embeddings of a fixed vocabulary, looked up through the alias table."""
 
@@ -155,29 +185,7 @@ class TextEmbeddings:
             PromptError: the file is missing or is no vocabulary.
         """
         self.path = find_vocabulary(vocabulary)
-        try:
-            with (
-                open_regular(self.path, MAX_VOCABULARY_BYTES) as content,
-                np.load(content, allow_pickle=False) as file,
-            ):
-                words = [str(word).lower() for word in file["names"]]
-                self._rows = file["emb"].astype(np.float32)
-        except _UNREADABLE as error:
-            raise PromptError(
-                f"{self.path}: not a vocabulary (needs arrays `names` and `emb`): {error}"
-            ) from None
-        if self._rows.ndim != 2 or len(self._rows) != len(words) or not words:
-            raise PromptError(
-                f"{self.path}: {len(words)} names but embeddings of shape {self._rows.shape}"
-            )
-        norms = np.linalg.norm(self._rows, axis=1, keepdims=True)
-        usable = np.isfinite(norms) & (norms > 0.0)
-        if not usable.all():
-            raise PromptError(
-                f"{self.path}: the embedding of {words[int(np.argmin(usable))]!r} is zero or not "
-                "finite: make the vocabulary anew, or leave the word out"
-            )
-        self._rows /= norms
+        words, self._rows = load_vocabulary(self.path)
         self._row_of: dict[str, int] = {}
         for row, word in enumerate(words):
             self._row_of.setdefault(word, row)

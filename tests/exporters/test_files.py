@@ -108,7 +108,7 @@ def damaged(path: Path, kind: str) -> Path:
 @pytest.mark.parametrize("kind", ["empty", "text", "truncated", "garbled", "array"])
 def test_a_file_that_is_no_vocabulary_is_named_in_one_line(tmp_path: Path, kind):
     path = damaged(tmp_path / "words.npz", kind)
-    with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary file") as caught:
+    with pytest.raises(ExportError, match=r"words\.npz: not a vocabulary") as caught:
         load_text_embeddings(path)
     assert "\n" not in str(caught.value)
 

@@ -143,15 +143,15 @@ class Swapper:
         limit_s = self._perception.swap.load_timeout_s
         if self._clock() <= self._until_s:
             return ""
-        what = "not loaded" if attempt.detector is None else attempt.progress
+        what = attempt.progress or ("not loaded" if attempt.detector is None else "not ready")
         return f"{what} after {limit_s:g} s (perception.swap.load_timeout_s)"
 
     def _end(self, attempt: _Attempt, state: str, detail: str, now_ns: int) -> None:
-        self._let_go(attempt)
         self._over = {
             "state": state, "model": attempt.model, "previous": attempt.previous.name,
             "detail": detail,
         }  # fmt: skip
+        self._let_go(attempt)
         self._tell(f"model {attempt.model}: {state}: {detail}", now_ns)
 
     def _let_go(self, attempt: _Attempt) -> None:
@@ -288,6 +288,8 @@ class _Attempt:
         self.trying = False
         self.over.wait()
         loser = self.previous if self._won else self.detector
+        self.previous = self.detector = None
+        self._samples.clear()
         if loser is None:
             return
         while self._worker.uses(loser):
