@@ -21,8 +21,8 @@ from edge.bus import topics
 from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
+from edge.host.mailbox import Mailbox
 from edge.sinks import SinkBase
-from edge.sinks.mailbox import Mailbox
 from edge.types import Goal, GoalStatus, MissionStatus, Observation
 
 if TYPE_CHECKING:
