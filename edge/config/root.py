@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from edge.config.explain import explain
-from edge.config.loop import Loop, Report, Source, Zenoh
+from edge.config.loop import Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
 from edge.config.perception import Perception
@@ -40,6 +40,7 @@ class Config(Section):
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
+    sinks: Sinks = (Sink(kind="zenoh"),)
 
 
 def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:

@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import TextIO, TypeVar
 
-from edge.cli.progress import LOG_PERIOD_S, TERMINAL_PERIOD_S
 from edge.logs import CLEAR_LINE
 
+TERMINAL_PERIOD_S = 0.2
+LOG_PERIOD_S = 5.0
 WIDTH = 24
 
 T = TypeVar("T")

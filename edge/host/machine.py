@@ -55,7 +55,7 @@ def describe(root: Path = _ROOT) -> Description:
     """
     cpuinfo = _text(root / "proc/cpuinfo")
     found: Description = {
-        "cpu": cpu_name(cpuinfo) or platform.machine(),
+        "cpu": this_cpu(root),
         "architecture": platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "memory_gb": _memory_gb(root),
@@ -98,6 +98,11 @@ def short_name(machine: Description, gpu: str | None = None) -> str:
     parts += [machine["cpu"], f"{machine['cores']} cores"]
     name = jetson.get("model") or ", ".join(parts)
     return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
+
+
+def this_cpu(root: Path = _ROOT) -> str:
+    """This machine's processor: its name, or at least its architecture."""
+    return cpu_name(_text(root / "proc/cpuinfo")) or platform.machine()
 
 
 def cpu_name(cpuinfo: str) -> str | None:

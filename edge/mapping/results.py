@@ -49,10 +49,16 @@ class OccupancySnapshot:
     """A copy of the explored part of the map.
 
     Attributes:
-        cells: (h, w) int8, row = y, -1 unknown, 0 free, 100 occupied (inflated).
+        cells: (h, w) int8, row = y, -1 unknown, 0 free, 100 occupied (inflated); where it was
+            asked for, another value for cells that are closed only by inflation.
         origin_xy_m: lower-left corner of cell (0, 0) in `map`.
     """
 
     cells: np.ndarray
     origin_xy_m: tuple[float, float]
     resolution_m: float
+
+    @property
+    def known_m2(self) -> float:
+        """Area of the cells that are known."""
+        return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.mapping.results import OccupancySnapshot
 from edge.report import palette
-from edge.report.record import MapSnapshot
 
 MAX_SIDE_PX = 1600
 Box = tuple[float, float, float, float]
@@ -30,7 +30,7 @@ def thin(cells: np.ndarray, max_side: int = MAX_SIDE_PX) -> tuple[np.ndarray, in
     return blocks.max(axis=(1, 3)), k
 
 
-def crop(snapshot: MapSnapshot) -> MapSnapshot | None:
+def crop(snapshot: OccupancySnapshot) -> OccupancySnapshot | None:
     """The smallest part of the map that holds every known cell; None when nothing is known."""
     known = snapshot.cells >= 0
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
@@ -39,10 +39,12 @@ def crop(snapshot: MapSnapshot) -> MapSnapshot | None:
     y, x, resolution_m = int(rows[0]), int(columns[0]), snapshot.resolution_m
     origin_x_m, origin_y_m = snapshot.origin_xy_m
     origin = (origin_x_m + x * resolution_m, origin_y_m + y * resolution_m)
-    return MapSnapshot(snapshot.cells[y : rows[-1] + 1, x : columns[-1] + 1], origin, resolution_m)
+    return OccupancySnapshot(
+        snapshot.cells[y : rows[-1] + 1, x : columns[-1] + 1], origin, resolution_m
+    )
 
 
-def box_of(snapshot: MapSnapshot) -> Box:
+def box_of(snapshot: OccupancySnapshot) -> Box:
     """(x_min, x_max, y_min, y_max) in m, as matplotlib's `extent`."""
     (h, w), (x_m, y_m) = snapshot.cells.shape, snapshot.origin_xy_m
     return (x_m, x_m + w * snapshot.resolution_m, y_m, y_m + h * snapshot.resolution_m)

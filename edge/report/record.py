@@ -10,29 +10,11 @@ import numpy as np
 
 from edge import names
 from edge.loop.latency import LatencyReport
+from edge.mapping.results import OccupancySnapshot
 from edge.mission.automaton import Automaton
 from edge.types import Goal, Instance, MissionStatus, Step
 
 _NS = 1e-9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapSnapshot:
-    """The occupancy map at one moment.
-
-    Attributes:
-        cells: (h, w) int8, row = y, column = x; -1 unknown, 0 free, 100 occupied; 1 to 99 for
-            cells that are closed only by inflation, where the map tells them apart.
-        origin_xy_m: the corner of cell (0, 0) in `map`.
-    """
-
-    cells: np.ndarray
-    origin_xy_m: tuple[float, float]
-    resolution_m: float
-
-    @property
-    def known_m2(self) -> float:
-        return float(np.count_nonzero(self.cells >= 0)) * self.resolution_m**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +108,7 @@ class RunRecord:
     mission: MissionStatus
     latency: LatencyReport
     start_ns: int = 0
-    map: MapSnapshot | None = None
+    map: OccupancySnapshot | None = None
     trajectory: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     trajectory_t_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
     frontiers_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))

@@ -179,5 +179,6 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
         service.grid._write(*service.grid._cell(person.x_m, person.y_m + across_m), ly.OCCUPIED)
     service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
     assert service.grid.bumps_m == []
-    (said,) = held_up(loop)
+    (said,) = [event.text for event in service.result().events]
+    assert said.startswith("held up")
     assert said.endswith("by what the map shows")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from edge.geometry import SE2
+from edge.mapping.results import OccupancySnapshot
 from edge.report import marks, palette, picture, raster
-from edge.report.record import MapSnapshot
 from edge.types import Goal
 
 
@@ -27,13 +27,13 @@ def count(image: np.ndarray, hex_colour: str) -> int:
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 3), (5, 4)])
 def test_crop_of_nothing_known(shape):
-    assert raster.crop(MapSnapshot(np.full(shape, -1, np.int8), (0.0, 0.0), 0.1)) is None
+    assert raster.crop(OccupancySnapshot(np.full(shape, -1, np.int8), (0.0, 0.0), 0.1)) is None
 
 
 def test_crop_keeps_every_known_cell_where_it_was():
     cells = np.full((40, 50), -1, np.int8)
     cells[10, 7], cells[22, 31] = 0, 100
-    known = raster.crop(MapSnapshot(cells, (-2.0, 1.0), 0.1))
+    known = raster.crop(OccupancySnapshot(cells, (-2.0, 1.0), 0.1))
     np.testing.assert_array_equal(known.cells, cells[10:23, 7:32])
     assert raster.box_of(known) == pytest.approx((-1.3, 1.2, 2.0, 3.3))
 
@@ -76,7 +76,7 @@ def test_everything_of_a_run_is_drawn(run):
 def test_a_huge_map_is_thinned_and_its_walls_stay(run):
     cells = np.zeros((4000, 4000), np.int8)
     cells[2000, :] = 100  # one cell wide: every third row would miss it
-    huge = replace(run, map=MapSnapshot(cells, (-100.0, -100.0), 0.05), instances=())
+    huge = replace(run, map=OccupancySnapshot(cells, (-100.0, -100.0), 0.05), instances=())
     image = pixels(picture.png(huge))
     assert max(image.shape) < 2500
     assert raster.thin(cells)[0].max(axis=0).min() == 100
@@ -85,7 +85,7 @@ def test_a_huge_map_is_thinned_and_its_walls_stay(run):
 @pytest.mark.parametrize("size_m", [(40.0, 4.0), (3.0, 40.0)])
 def test_long_maps_keep_the_picture_readable(run, size_m):
     cells = np.zeros((round(size_m[1] / 0.1), round(size_m[0] / 0.1)), np.int8)
-    image = pixels(picture.png(replace(run, map=MapSnapshot(cells, (-1.0, -1.0), 0.1))))
+    image = pixels(picture.png(replace(run, map=OccupancySnapshot(cells, (-1.0, -1.0), 0.1))))
     assert 600 < image.shape[0] < 1200
     assert 800 < image.shape[1] < 1500
 
