@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from edge.config.section import ConfigError
+from edge.errors import ConfigError
 from edge.text import one_line
 
 
