@@ -431,7 +431,12 @@ class Service:
         return self.mission.status(self.pursuit.phase)
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
-        """How all stands, and what has happened since the sinks were told."""
+        """How all stands, and what has happened since the sinks were told.
+
+        Args:
+            now_ns: the loop's time, where the loop asks.
+            observation: what was dealt with, if anything.
+        """
         orders, grid, news = self.pursuit.orders, self.grid, self._news
         return TickResult(
             now_ns=now_ns,
