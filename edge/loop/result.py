@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -16,8 +15,6 @@ from edge.mission.brief import Brief
 from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
-
-_KEPT = 256  # of what happened between two results, the newest
 
 
 class Event(NamedTuple):
@@ -113,30 +110,3 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """No more will come."""
-
-
-@dataclass(slots=True)
-class News:
-    """What has happened since the last result; however long ago that is, it stays bounded."""
-
-    goals: deque[Goal] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    answers: deque[GoalStatus] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    events: deque[Event] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    detections: Detections | None = None
-
-    def show(self, detections: Detections) -> None:
-        """Something was seen; its frame is held until `let_go`."""
-        self.let_go()
-        detections.observation.hold()
-        self.detections = detections
-
-    def let_go(self) -> None:
-        """The frame of what was seen may be used again."""
-        if self.detections is not None:
-            self.detections.observation.release()
-            self.detections = None
-
-    def told(self) -> None:
-        """All of it was put into a result."""
-        for queue in (self.goals, self.answers, self.events):
-            queue.clear()

@@ -23,9 +23,10 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
+from edge.loop.publish import Publisher
 from edge.loop.pursuit import Pursuit
-from edge.loop.result import Event, News, Sink, TickResult, facts_of
-from edge.loop.status import detector_health, health_of
+from edge.loop.result import Event, Sink, TickResult, facts_of
+from edge.loop.status import HealthWatch
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import Brief
 from edge.mission.planning.surveyor import Surveyor
@@ -91,7 +92,7 @@ class Service:
         )
         self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing()
-        self._news = News()
+        self._publisher = Publisher(sinks)
         self.pursuit = Pursuit(
             config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
         )
@@ -101,15 +102,15 @@ class Service:
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self.faults = Faults(self.event)
-        self._overruns = overruns
         self.stage = INGEST
         self._worker = worker
         self._advisers = advisers
         self.swapper = Swapper(config.perception, worker, self.event)
-        self._sinks = sinks
+        self._health = HealthWatch(
+            worker, self.swapper, advisers, keeper, self.faults, overruns, self.event
+        )
         self._lifter = Lifter(config.perception)
         self._seen: Detections | None = None
-        self._detector_degraded = False  # known to be, and told
         self.pose: SE2 | None = None
         self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation was dealt with
@@ -203,7 +204,7 @@ class Service:
             detections.observation, perception.confirm_range_m, perception.confirm_hits
         )
         self._seen = _unrivalled(detections)
-        self._news.show(self._seen)
+        self._publisher.saw(self._seen)
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
@@ -285,17 +286,13 @@ class Service:
         self._report(observation, now_ns)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
-        """Hand the result to every sink; one that fails costs the others nothing."""
+        """Write the checkpoint, and tell the sinks."""
         try:
-            self._look_after_detector(now_ns)
+            self._health.look(now_ns)
             self._keep(now_ns)
-            result = self.result(now_ns, observation)
-            self._news.told()
-            for sink in self._sinks:
-                with self.faults.outlived(f"{type(sink).__name__}.tick", now_ns):
-                    sink.tick(result)
+            self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
-            self._news.let_go()
+            self._publisher.let_go()
 
     def _keep(self, now_ns: int) -> None:
         """Have the checkpoint written, where there is to be one."""
@@ -306,18 +303,8 @@ class Service:
                     self.mission, self.status, seen, pose, self.stamp_ns, self.epoch, now_ns
                 )
 
-    def _look_after_detector(self, now_ns: int) -> None:
-        """Tell once that it has become degraded, and once that it is well again."""
-        health, name = detector_health(self._worker), self._worker.detector.name
-        if health.state == "degraded" and not self._detector_degraded:
-            self._detector_degraded = True
-            self.event(f"detector {name}: degraded: {health.detail}", now_ns)
-        elif health.state == "ok" and self._detector_degraded:
-            self._detector_degraded = False
-            self.event(f"detector {name}: goes well again", now_ns)
-
     def _tell(self, goal: Goal) -> None:
-        self._news.goals.append(goal)
+        self._publisher.goals.append(goal)
 
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
         """Where no sensor shows what is there only driving can tell: the map closes."""
@@ -355,7 +342,7 @@ class Service:
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
-        self._news.answers.append(answer)
+        self._publisher.answers.append(answer)
         self.pursuit.orders.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
@@ -408,7 +395,7 @@ class Service:
     def event(self, text: str, now_ns: int) -> None:
         """Tell log and sinks of something that a person would want to know."""
         log.info(text)
-        self._news.events.append(Event(now_ns, text))
+        self._publisher.events.append(Event(now_ns, text))
 
     def close(self) -> None:
         """No tick comes any more."""
@@ -437,7 +424,7 @@ class Service:
             now_ns: the loop's time, where the loop asks.
             observation: what was dealt with, if anything.
         """
-        orders, grid, news = self.pursuit.orders, self.grid, self._news
+        orders, grid, news = self.pursuit.orders, self.grid, self._publisher
         return TickResult(
             now_ns=now_ns,
             observation=observation,
@@ -457,21 +444,12 @@ class Service:
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
             latency=self.latency.report,
-            health=self._health,
+            health=self._health.status,
         )
 
     def _worth_driving_to(self) -> list[Instance]:
         targets = self.mission.brief.targets
         return [copy(found) for label in targets for found in self.tracker.of(label)]
-
-    def _health(self) -> dict[str, object]:
-        return {
-            "loop": {**self.faults.status(), "overruns": self._overruns()},
-            "checkpoint": None if self.keeper is None else self.keeper.status(),
-            "detector": health_of(self._worker),
-            "swap": self.swapper.status(),
-            "scorers": {} if self._advisers is None else self._advisers.status(),
-        }
 
 
 def _held_up_at(places_m: list[tuple[float, float]]) -> str:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
+from typing import Any
 
-from edge.loop.faults import DEGRADED_AFTER
+from edge.loop.advice import Advisers
+from edge.loop.faults import DEGRADED_AFTER, Faults
+from edge.loop.keeper import Keeper
 from edge.loop.result import MissionFacts, TickResult
 from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
+from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import MissionStatus
@@ -57,14 +62,55 @@ def status_of(result: TickResult) -> dict[str, object]:
     }
 
 
-def health_of(worker: DetectorWorker | InlineWorker) -> dict[str, object]:
-    """Which model detects, how it is, and what its worker counted."""
-    return {
-        "model": worker.detector.name,
-        **detector_health(worker)._asdict(),
-        "invalid_boxes": worker.detector.invalid_boxes,
-        **asdict(worker.stats),
-    }
+class HealthWatch:
+    """How all is that works for the loop.
+
+    Args:
+        overruns: by what is listened to, how often more came than could be taken.
+        event: tells of something that a person would want to know.
+    """
+
+    def __init__(
+        self,
+        worker: DetectorWorker | InlineWorker,
+        swapper: Swapper,
+        advisers: Advisers | None,
+        keeper: Keeper | None,
+        faults: Faults,
+        overruns: Callable[[], dict[str, int]],
+        event: Callable[[str, int], None],
+    ) -> None:
+        self._worker, self._swapper, self._advisers = worker, swapper, advisers
+        self._keeper, self._faults, self._overruns = keeper, faults, overruns
+        self._event = event
+        self._degraded = False  # the detector is known to be, and that was told
+
+    def look(self, now_ns: int) -> None:
+        """Tell once that the detector has become degraded, and once that it is well again."""
+        state, detail = detector_health(self._worker)
+        name = self._worker.detector.name
+        if state == "degraded" and not self._degraded:
+            self._degraded = True
+            self._event(f"detector {name}: degraded: {detail}", now_ns)
+        elif state == "ok" and self._degraded:
+            self._degraded = False
+            self._event(f"detector {name}: goes well again", now_ns)
+
+    def status(self) -> dict[str, Any]:
+        """For the status message, by part."""
+        worker = self._worker
+        return {
+            "loop": {**self._faults.status(), "overruns": self._overruns()},
+            "checkpoint": None if self._keeper is None else self._keeper.status(),
+            "detector": {
+                "model": worker.detector.name,
+                **detector_health(worker)._asdict(),
+                "invalid_boxes": worker.detector.invalid_boxes,
+                **asdict(worker.stats),
+            },
+            "swap": self._swapper.status(),
+            "scorers": {} if self._advisers is None else self._advisers.status(),
+        }
 
 
 def detector_health(worker: DetectorWorker | InlineWorker) -> Health:

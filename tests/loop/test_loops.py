@@ -86,7 +86,7 @@ def running_of(
     desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
-        service._worker = worker
+        service._worker = service._health._worker = worker
     return Running(closed.config, service, service._worker, source, inbox, desk, models)
 
 
