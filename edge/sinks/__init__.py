@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
-import zenoh
+from zenoh import Session
 
 from edge.config import Config
 from edge.config.named import check_call, find_class
 from edge.loop.result import Sink
-from edge.sinks.zenoh import ZenohSink
 
-REGISTRY: dict[str, Any] = {"zenoh": ZenohSink}
+REGISTRY = {"zenoh": "edge.sinks.zenoh:ZenohSink"}
+"""Imported only where they are named: a sink may need packages of its own."""
 
 
-def find_sinks(config: Config) -> list[Callable[[zenoh.Session], Sink]]:
+def find_sinks(config: Config) -> list[Callable[[Session], Sink]]:
     """What makes each sink that the configuration names, as `make(session)`.
 
     Raises:
@@ -29,7 +28,7 @@ def find_sinks(config: Config) -> list[Callable[[zenoh.Session], Sink]]:
     found = []
     for i, named in enumerate(config.sinks):
         where = f"{config.path}: sinks.{i}"
-        make = find_class(named.kind, REGISTRY, f"{where}.kind")
+        make = find_class(REGISTRY.get(named.kind, named.kind), REGISTRY, f"{where}.kind")
         check_call(make, 2, named.options, f"{where}.options")
         found.append(partial(make, config, **named.options))
     return found
