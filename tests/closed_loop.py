@@ -9,6 +9,7 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.advice import make_advisers
+from edge.loop.result import Sink, TickResult
 from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
@@ -18,13 +19,12 @@ from edge.sim.base import World
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig
 from edge.sim.worlds import load_world
-from edge.sinks import Sink, SinkBase
 from edge.types import Goal, GoalStatus, Observation
 
 START_NS = 1_000_000_000
 
 
-class Notes(SinkBase):
+class Notes:
     """Everything a run said."""
 
     def __init__(self) -> None:
@@ -32,14 +32,12 @@ class Notes(SinkBase):
         self.events: list[str] = []
         self.answers: list[GoalStatus] = []
 
-    def goal(self, goal: Goal) -> None:
-        self.goals.append(goal)
+    def tick(self, result: TickResult) -> None:
+        self.goals += result.goals
+        self.answers += result.answers
+        self.events += (event.text for event in result.events)
 
-    def event(self, text: str, now_ns: int) -> None:
-        self.events.append(text)
-
-    def answered(self, answer: GoalStatus) -> None:
-        self.answers.append(answer)
+    def close(self) -> None: ...
 
 
 @dataclass

@@ -20,6 +20,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.wire import DecodeError, messages
 from edge.geometry import Grid, se2_of
+from edge.loop.status import status_of
 from edge.motion.controller import Controller
 from edge.sources.assembler import PATIENCE_NS, Assembler
 
@@ -45,7 +46,7 @@ def test_no_number_breaks_decoding_or_a_tick(mode):
             service.tick(observation, observation.stamp_ns)
             observation.release()
             service.idle(observation.stamp_ns + 2 * 10**9, source.odometry.newest_pose)
-            assert service.status_dict()["loop"]["failed"] == 0
+            assert status_of(service.result())["loop"]["failed"] == 0
     assert ticks > 100
 
 

@@ -1,126 +1,93 @@
-"""The live progress line and the run's record, as sinks of the loop."""
+"""One line that says how the run stands: rewritten on a terminal, printed now and then in a log."""
 
 from __future__ import annotations
 
+import os
+import sys
 import time
+from typing import TextIO
 
-import numpy as np
-
-from edge.cli.progress import Progress, ProgressWriter
-from edge.config import Config
-from edge.loop.service import Service
-from edge.mission.run import MissionRun
-from edge.report.record import RunRecord, Story
-from edge.report.recorder import Recorder
-from edge.sinks import SinkBase
+from edge import names
+from edge.logs import CLEAR_LINE
+from edge.loop.result import TickResult
 from edge.text import shorten
-from edge.types import Detections, Goal, Instance, Observation
 
-# Reports draw it apart from what is occupied itself.
-_TOO_CLOSE = 50
+TERMINAL_PERIOD_S = 0.2
+LOG_PERIOD_S = 5.0
+_RECENT = 150  # ticks that the times are of
+_THEN_CHARS = 60
 
 
-class ConsoleSink(SinkBase):
-    """Keeps one line on the terminal up to date."""
+class ConsoleSink:
+    """Writes the line to `stream` (stderr): at most 5 Hz on a terminal, else every 5 s.
 
-    def __init__(self) -> None:
-        self._writer = ProgressWriter()
+    That beat is the wall clock's: simulated time may run faster or slower.
+    """
 
-    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
-        # The line's own beat is the wall clock's: simulated time may run faster or slower.
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._period_ns = round(1e9 * (TERMINAL_PERIOD_S if self._terminal else LOG_PERIOD_S))
+        self._last_ns: int | None = None
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
         wall_ns = time.monotonic_ns()
-        if self._writer.due(wall_ns):
-            self._writer.update(progress_of(service), wall_ns)
+        if self._last_ns is not None and wall_ns - self._last_ns < self._period_ns:
+            return
+        self._last_ns = wall_ns
+        line = line_of(result)
+        if self._terminal:
+            self._stream.write(CLEAR_LINE + line[: self._columns() - 1])
+        else:
+            self._stream.write(line + "\n")
+        self._stream.flush()
 
     def close(self) -> None:
-        self._writer.close()
+        """End the rewritten line, so that what follows starts on a line of its own."""
+        if self._terminal and self._last_ns is not None:
+            self._stream.write("\n")
+            self._stream.flush()
+        self._last_ns = None
+
+    def _columns(self) -> int:
+        try:
+            return os.get_terminal_size(self._stream.fileno()).columns or 80
+        except (OSError, ValueError):
+            return 80
 
 
-def progress_of(service: Service) -> Progress:
-    """How the service stands, for one line."""
-    status, goal, pose = service.status, service.goal, service.pose
-    report = service.latency.report(last=150)
-    detect = report.stage("detect")
-    return Progress(
-        phase=status.phase if pose is not None else "waiting for sensors, looking for",
-        target=_ahead(service.mission),
-        elapsed_s=status.elapsed_s,
-        goal_kind=None if goal is None else goal.kind,
-        goal_distance_m=0.0
-        if goal is None or pose is None
-        else pose.distance_to(*goal.candidate_xy_m),
-        instances=len(service.tracker.of(status.target)),
-        map_m2=service.grid.known_m2,
-        tick_p95_ms=report.tick.p95_ms if report.tick.n else None,
-        detector_ms=detect.p50_ms if detect.n else None,
-    )
+def line_of(result: TickResult) -> str:
+    """How the service stands, without control characters, such as
+
+    `12.3s searching chair | frontier 2.5 m | 1 seen | map 40 m2 | tick p95 1.9 ms | detector 9 ms`
+    """
+    status, goal, pose = result.status, result.goal, result.pose
+    seen = sum(names.same(found.label, status.target) for found in result.instances())
+    latency = result.latency(last=_RECENT)
+    tick, detect = latency.tick, latency.stage("detect")
+    phase = status.phase if pose is not None else "waiting for sensors, looking for"
+    away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
+    parts = [
+        f"{status.elapsed_s:.1f}s {phase} {_ahead(result)}",
+        "no goal" if goal is None else f"{goal.kind} {away_m:.1f} m",
+        f"{seen} seen",
+        f"map {result.known_m2():.0f} m2",
+    ]
+    if tick.n:
+        parts.append(f"tick p95 {tick.p95_ms:.1f} ms")
+    if detect.n:
+        parts.append(f"detector {detect.p50_ms:.0f} ms")
+    return "".join(c for c in " | ".join(parts) if c.isprintable())
 
 
-def _ahead(mission: MissionRun) -> str:
+def _ahead(result: TickResult) -> str:
     """What is pursued, and what the plan holds after it.
 
     Why it was chosen is in the log: each step of a mission is an event.
     """
-    then = ", ".join(letter or "nothing" for letter in mission.plan.steps[1:])
-    return (
-        f"{mission.target} (then {shorten(then, 60)})"
-        if then and not mission.done
-        else mission.target
-    )
-
-
-class RecorderSink(SinkBase):
-    """Feeds a `Recorder` from the loop."""
-
-    def __init__(self, config: Config) -> None:
-        self._recorder = Recorder(config)
-
-    def goal(self, goal: Goal) -> None:
-        self._recorder.goal(goal)
-
-    def detections(self, detections: Detections) -> None:
-        self._recorder.targets = detections.prompts  # the detector is asked for nothing else
-        self._recorder.frame(detections)
-
-    def event(self, text: str, now_ns: int) -> None:
-        self._recorder.event(now_ns, text)
-
-    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
-        if observation is not None:
-            self._recorder.pose(observation.stamp_ns, observation.pose)
-
-    def record(self, service: Service, counters: dict[str, int]) -> RunRecord:
-        """The run so far, with the map as it stands now."""
-        grid = service.grid
-        self._recorder.targets = service.mission.brief.targets
-        return self._recorder.finish(
-            service.status,
-            service.latency.report(),
-            grid.snapshot(inflated=_TOO_CLOSE),
-            np.array(grid.frontiers.xy_m[: grid.frontiers.n]),
-            _instances(service),
-            counters,
-            story_of(service.mission),
-        )
-
-
-def _instances(service: Service) -> list[Instance]:
-    """Those of all targets; one that answers to two of them stands once."""
-    found = [i for label in service.mission.brief.targets for i in service.tracker.of(label)]
-    return list({instance.id: instance for instance in found}.values())
-
-
-def story_of(mission: MissionRun) -> Story:
-    """A mission as its report tells it."""
-    translation, automaton = mission.brief.translation, mission.brief.automaton
-    return Story(
-        instruction=translation.instruction,
-        english=translation.english,
-        formula=str(automaton.formula),
-        backend=translation.backend,
-        automaton=automaton,
-        state=mission.state,
-        word=mission.word,
-        plan=() if automaton.accepting[mission.state] else mission.plan.steps,
-        steps=mission.steps,
-    )
+    status, steps = result.status, result.mission().plan.steps
+    then = ", ".join(letter or "nothing" for letter in steps[1:])
+    if then and not status.done:
+        return f"{status.target} (then {shorten(then, _THEN_CHARS)})"
+    return status.target

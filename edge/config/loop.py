@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from edge.config.section import Positive, Section
 
@@ -45,3 +45,20 @@ class Report(Section):
     frames: Annotated[int, Field(ge=0, le=100)] = 8
     status_hz: Positive = 1.0
     map_hz: Positive = 2.0
+
+
+class Sink(Section):
+    """Where results go: a short name (`edge/sinks/__init__.py`), or `module:Class` of one's own.
+
+    `options` are given to the class; a name alone needs none."""
+
+    kind: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+Sinks = tuple[
+    Annotated[
+        Sink, BeforeValidator(lambda given: {"kind": given} if isinstance(given, str) else given)
+    ],
+    ...,
+]

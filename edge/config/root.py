@@ -8,15 +8,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from edge.config.explain import explain
-from edge.config.loop import Loop, Report, Source, Zenoh
+from edge.config.loop import Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
 from edge.config.perception import Perception
 from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
-from edge.config.section import ConfigError, Section
+from edge.config.section import Section
 from edge.config.sim import Sim
 from edge.config.yaml_text import parse_yaml
+from edge.errors import ConfigError
 from edge.host import resources
 from edge.host.files import read_regular
 from edge.text import without_secrets
@@ -40,6 +41,7 @@ class Config(Section):
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
+    sinks: Sinks = (Sink(kind="zenoh"),)
 
 
 def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from edge import names
-from edge.errors import UserError
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -21,12 +19,6 @@ def _named(text: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_named)]
-
-
-class ConfigError(UserError):
-    """A configuration that cannot be used; the message names file, key and choices."""
-
-    exit_code = os.EX_CONFIG
 
 
 class Section(BaseModel):

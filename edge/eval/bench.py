@@ -90,14 +90,12 @@ def run_bench(
     """
     began = time.perf_counter() - started_s  # imports are part of getting ready
     from edge.eval import swap_bench
-    from edge.host.ports import free_port
-    from edge.loop.runner import loop, open_service
+    from edge.launch import on_a_free_port, open_service
+    from edge.loop.runner import loop
     from edge.sources.recording import player
 
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = config.model_copy(
+    config = on_a_free_port(config).model_copy(
         update={
-            "zenoh": config.zenoh.model_copy(update={"endpoint": endpoint}),
             # The mission must outlast the recording.
             "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
         }

@@ -123,23 +123,20 @@ def run_episode(
     Raises:
         Stopped: `stop` was set before the service was ready.
     """
-    from edge.cli.commands import children
-    from edge.cli.console import RecorderSink
-    from edge.host.ports import free_port
-    from edge.loop.runner import loop, open_service
+    from edge.launch import children, on_a_free_port, open_service
+    from edge.loop.runner import loop
+    from edge.report.recorder import Recorder
     from edge.sim.worlds import load_world
 
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = config.model_copy(
+    config = on_a_free_port(config).model_copy(
         update={
-            "zenoh": config.zenoh.model_copy(update={"endpoint": endpoint}),
             "loop": config.loop.model_copy(update={"lockstep": True}),
             "mission": config.mission.model_copy(update={"target": episode.target}),
             "sim": config.sim.model_copy(update={"lockstep": True, "start": episode.start}),
         }
     )
     stop = stop or threading.Event()
-    recorder = RecorderSink(config)
+    recorder = Recorder(config)
     with open_service(config, [recorder], stop=stop) as running:
         truth = Truth(running.session, config.zenoh.prefix)
         with children(config, stop, ("sim", "--no-motion"), ("motion",)):
@@ -149,7 +146,7 @@ def run_episode(
             status = loop(running, stop, once=True, each=truth.update)
             watchdog.cancel()
             truth.settle()
-        record = recorder.record(running.service, running.source.counters)
+        record = recorder.record(running.service.result(), running.source.counters)
     if report is not None:
         from edge.report.page import write_report
 

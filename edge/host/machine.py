@@ -55,7 +55,7 @@ def describe(root: Path = _ROOT) -> Description:
     """
     cpuinfo = _text(root / "proc/cpuinfo")
     found: Description = {
-        "cpu": cpu_name(cpuinfo) or platform.machine(),
+        "cpu": this_cpu(root),
         "architecture": platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "memory_gb": _memory_gb(root),
@@ -103,8 +103,12 @@ def short_name(machine: Description, gpu: str | None = None) -> str:
 def identity(root: Path = _ROOT) -> str:
     """What a measured speed belongs to: `short_name` of the whole computer, whichever of its cores
     this process may use."""
-    cpu = cpu_name(_text(root / "proc/cpuinfo")) or platform.machine()
-    return short_name({"cpu": cpu, "cores": os.cpu_count(), "jetson": _jetson(root)})
+    return short_name({"cpu": this_cpu(root), "cores": os.cpu_count(), "jetson": _jetson(root)})
+
+
+def this_cpu(root: Path = _ROOT) -> str:
+    """This machine's processor: its name, or at least its architecture."""
+    return cpu_name(_text(root / "proc/cpuinfo")) or platform.machine()
 
 
 def cpu_name(cpuinfo: str) -> str | None:

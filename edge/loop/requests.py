@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from edge.bus.desk import Request
 from edge.errors import UserError
+from edge.loop.result import facts_of
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
 
@@ -37,4 +38,4 @@ def handle(service: Service, request: Request, now_ns: int) -> None:
         mission.pause(request.do == "pause")
         service.event(f"mission: {request.do}d", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
-    request.answer({**answer_of(service), **overtaken})
+    request.answer({**answer_of(service.status, facts_of(service.mission)), **overtaken})

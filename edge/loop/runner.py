@@ -1,52 +1,27 @@
-"""Puts a service together from a configuration and runs it until it is told to stop."""
+"""The loop's beat: in real time or in lockstep, until it is told to stop."""
 
 from __future__ import annotations
 
-import gc
-import logging
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
 
-import zenoh
-
 from edge.bus.desk import Desk, Request
-from edge.bus.session import zenoh_session
 from edge.config import Config
-from edge.host import resources
-from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.priority import real_time
 from edge.loop import models_desk, requests
-from edge.loop.advice import make_advisers
 from edge.loop.faults import IDLE, TICK
-from edge.loop.mission_desk import MissionDesk
-from edge.loop.models_desk import ModelsDesk
 from edge.loop.service import DETECT, INGEST, Service
+from edge.loop.source import Answers, Source
 from edge.loop.stages import STAGES
-from edge.loop.warmup import warm_up
-from edge.mission.brief import prepare
-from edge.mission.keeper import Keeper
-from edge.perception.cards import ModelError
-from edge.perception.detector import Detector
-from edge.perception.factory import make_detector
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
-from edge.sinks import Sink
-from edge.sinks.zenoh import ZenohSink
-from edge.sources.base import Source
-from edge.sources.goal_status import GoalStatusInbox
-from edge.sources.zenoh import ZenohSource
 from edge.text import one_line
 from edge.types import MissionStatus, Observation
 
-log = logging.getLogger("edge.loop.runner")
-
-_SWITCH_S = 2e-4
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
 _ORDERS = 12  # more than wait in a desk's first lane
@@ -55,110 +30,16 @@ _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks
 
 @dataclass
 class Running:
-    """A service with its ears and hands."""
+    """A service, what it listens to, and what is asked of it."""
 
     config: Config
-    session: zenoh.Session
     service: Service
     worker: DetectorWorker | InlineWorker
     source: Source
-    inbox: GoalStatusInbox
+    inbox: Answers
     desk: Desk
     models: Desk
-    sinks: list[Sink] = field(default_factory=list)
-    epoch: int = 0
-
-
-@contextmanager
-def open_service(
-    config: Config,
-    sinks: list[Sink],
-    asked: str | None = None,
-    formula: str | None = None,
-    stop: threading.Event | None = None,
-) -> Iterator[Running]:
-    """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
-
-    Zenoh comes before what takes long: where another service has the endpoint, that is known at
-    once. Who connects early finds nobody to take orders until all is ready.
-
-    Args:
-        sinks: take the results besides the Zenoh sink.
-        asked: the configuration's mission, where the command line named it.
-        formula: the mission, in place of the configuration's. With neither, a checkpoint's
-            unfinished mission goes on, whatever the configuration says.
-        stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
-            (`edge.host.interruptible`).
-
-    Raises:
-        Stopped: `stop` was set before the service was ready.
-        UserError: the mission is not understood or cannot be done.
-        CheckpointError: `mission.checkpoint` cannot be read or written.
-        ModelError: the detector's or a scorer's model is missing or unusable.
-        ChatError: the URL of a scorer's server cannot be used.
-        BusError: the endpoint cannot be listened on.
-    """
-    stop = stop or threading.Event()
-    with ExitStack() as stack:
-        mission, keeper, brief = config.mission, None, None
-        if mission.checkpoint is not None:
-            named = asked if formula is None else formula
-            keeper = Keeper(config, resources.expand(mission.checkpoint), named)
-            stack.callback(keeper.close)
-            brief = keeper.brief()
-        if brief is None:
-            brief = prepare(mission, formula=formula)
-        raise_if_stopped(stop)
-        session = stack.enter_context(
-            zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
-        )
-        detector = _load(config, brief.targets, stop)
-        worker = (
-            InlineWorker(detector, config.loop.detect_every)
-            if config.loop.lockstep
-            else DetectorWorker(detector)
-        )
-        stack.callback(worker.close)
-        advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
-        if advisers is not None:
-            stack.callback(advisers.close)
-        unless_stopped(partial(warm_up, config), stop)
-        raise_if_stopped(stop)
-        source = ZenohSource(session, config)
-        stack.callback(source.close)
-        every: list[Sink] = [ZenohSink(session, config), *sinks]
-        for sink in every:
-            stack.callback(sink.close)
-        service = Service(config, brief, worker, every, keeper, advisers)
-        stack.callback(service.close)
-        # What start-up made stays for good; the collector need not walk it again in the loop.
-        gc.collect()
-        gc.freeze()
-        stack.callback(gc.unfreeze)
-        # Kernels give the interpreter lock away; by default the loop then waits up to 5 ms for the
-        # detector's or the sink's thread to give it back, more than a whole tick's budget.
-        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
-        sys.setswitchinterval(_SWITCH_S)
-        inbox = GoalStatusInbox(session, config.zenoh.prefix)
-        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
-        stack.callback(desk.close)
-        models = ModelsDesk(session, config.zenoh.prefix)
-        stack.callback(models.close)
-        running = Running(config, session, service, worker, source, inbox, desk, models, every)
-        service.overruns = partial(_overruns, running)
-        yield running
-
-
-def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
-    """See `make_detector`; raises Stopped once `stop` is set."""
-    make = partial(make_detector, config.perception, targets, cancelled=stop)
-    if config.perception.isolation == "thread":
-        return unless_stopped(make, stop)
-    try:
-        return make()
-    except ModelError:
-        raise_if_stopped(stop)
-        raise
+    epoch: int = field(default=0, init=False)
 
 
 def loop(
@@ -190,16 +71,6 @@ def _count_drops(running: Running) -> None:
     taken = counters["received"] + counters["observations"] + counters["overrun"]
     latency.set_drops(INGEST, sum(counters.values()) - taken)
     latency.set_drops(DETECT, running.worker.stats.replaced)
-
-
-def _overruns(running: Running) -> dict[str, int]:
-    """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
-    return {
-        "sensors": running.source.counters["overrun"],
-        "goal_status": running.inbox.overruns,
-        "mission/request": running.desk.overruns,
-        "models/request": running.models.overruns,
-    }
 
 
 def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:

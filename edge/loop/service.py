@@ -7,8 +7,10 @@ clock but to time itself: the same observations give the same goals.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
+from functools import partial
 from time import perf_counter_ns
 
 import numpy as np
@@ -20,12 +22,14 @@ from edge.loop import stages
 from edge.loop.advice import Advice, Advisers
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
+from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
+from edge.loop.publish import Publisher
 from edge.loop.pursuit import Pursuit
-from edge.loop.status import detector_health, status_of
+from edge.loop.result import Event, Sink, TickResult, facts_of
+from edge.loop.status import HealthWatch
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import Brief
-from edge.mission.keeper import Keeper
 from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
 from edge.mission.sight import newest_ids, places
@@ -35,7 +39,6 @@ from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
-from edge.sinks import Sink
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.loop.service")
@@ -50,9 +53,10 @@ class Service:
     Args:
         brief: the mission to begin with; the worker's detector looks for its targets.
         worker: detects on the side; `submit` and `poll` never wait for the model.
-        sinks: take goals, maps, status; their methods never block.
+        sinks: take the results; their methods never block.
         keeper: has the mission's state written, and what it read taken up again.
         advisers: scorers that are asked beside the loop, where any are configured.
+        overruns: by what is listened to, how often more came than could be taken.
 
     Attributes:
         mission: the one under way, or the last one.
@@ -60,7 +64,6 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
-        overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and orders raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
@@ -72,9 +75,10 @@ class Service:
         config: Config,
         brief: Brief,
         worker: DetectorWorker | InlineWorker,
-        sinks: list[Sink],
+        sinks: Sequence[Sink],
         keeper: Keeper | None = None,
         advisers: Advisers | None = None,
+        overruns: Callable[[], dict[str, int]] = dict,
     ) -> None:
         self.config = config
         self.keeper = keeper
@@ -89,6 +93,7 @@ class Service:
         )
         self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing(calibration=calibration.load())
+        self._publisher = Publisher(sinks)
         self.pursuit = Pursuit(
             config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
         )
@@ -98,22 +103,22 @@ class Service:
         by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
         self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
         self.faults = Faults(self.event)
-        self.overruns: Callable[[], dict[str, int]] = dict
         self.stage = INGEST
         self._worker = worker
         self._advisers = advisers
         self.swapper = Swapper(config.perception, worker, self.event)
-        self._sinks = sinks
+        self._health = HealthWatch(
+            worker, self.swapper, advisers, keeper, self.faults, overruns, self.event
+        )
         self._lifter = Lifter(config.perception)
         self._seen: Detections | None = None
-        self._detector_degraded = False  # known to be, and told
         self.pose: SE2 | None = None
         self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation was dealt with
         self._blind_ns = _blind_ns(config)
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
-            keeper.resume(self)
+            keeper.resume(self.mission)
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -199,8 +204,8 @@ class Service:
         self.grid.coverage.look(
             detections.observation, perception.confirm_range_m, perception.confirm_hits
         )
-        seen = self._seen = _unrivalled(detections)
-        self._each_sink("detections", now_ns, lambda sink: sink.detections(seen))
+        self._seen = _unrivalled(detections)
+        self._publisher.saw(self._seen)
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
@@ -228,7 +233,7 @@ class Service:
         if not mission.started:
             mission.start(now_ns)
         if self.keeper is not None:
-            self.keeper.restore_places(self, observation)
+            self.keeper.restore_places(mission, self.tracker, observation)
         mission.observe(pose, now_ns)
         sure = not self.policy.uses_instances
         mission.see(newest_ids(self.tracker, mission.brief.targets, sure), now_ns)
@@ -282,30 +287,25 @@ class Service:
         self._report(observation, now_ns)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
-        self._look_after_detector(now_ns)
-        if self.keeper is not None:
-            with self.faults.outlived("checkpoint", now_ns):
-                self.keeper.note(self, now_ns)
-        self._each_sink("tick", now_ns, lambda sink: sink.tick(self, observation, now_ns))
+        """Write the checkpoint, and tell the sinks."""
+        try:
+            self._health.look(now_ns)
+            self._keep(now_ns)
+            self._publisher.publish(self.result(now_ns, observation), self.faults)
+        finally:
+            self._publisher.let_go()
 
-    def _look_after_detector(self, now_ns: int) -> None:
-        """Tell once that it has become degraded, and once that it is well again."""
-        health, name = detector_health(self._worker), self._worker.detector.name
-        if health.state == "degraded" and not self._detector_degraded:
-            self._detector_degraded = True
-            self.event(f"detector {name}: degraded: {health.detail}", now_ns)
-        elif health.state == "ok" and self._detector_degraded:
-            self._detector_degraded = False
-            self.event(f"detector {name}: goes well again", now_ns)
+    def _keep(self, now_ns: int) -> None:
+        """Have the checkpoint written, where there is to be one."""
+        if self.keeper is not None:
+            seen, pose = self.tracker.all, self.pose
+            with self.faults.outlived("checkpoint", now_ns):
+                self.keeper.note(
+                    self.mission, self.status, seen, pose, self.stamp_ns, self.epoch, now_ns
+                )
 
     def _tell(self, goal: Goal) -> None:
-        self._each_sink("goal", goal.stamp_ns, lambda sink: sink.goal(goal))
-
-    def _each_sink(self, what: str, now_ns: int, tell: Callable[[Sink], None]) -> None:
-        """Tell every sink of something; one that fails costs the others nothing."""
-        for sink in self._sinks:
-            with self.faults.outlived(f"{type(sink).__name__}.{what}", now_ns):
-                tell(sink)
+        self._publisher.goals.append(goal)
 
     def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
         """Where no sensor shows what is there only driving can tell: the map closes."""
@@ -343,7 +343,7 @@ class Service:
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
-        self._each_sink("answered", self._looked_ns, lambda sink: sink.answered(answer))
+        self._publisher.answers.append(answer)
         self.pursuit.orders.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
@@ -396,7 +396,7 @@ class Service:
     def event(self, text: str, now_ns: int) -> None:
         """Tell log and sinks of something that a person would want to know."""
         log.info(text)
-        self._each_sink("event", now_ns, lambda sink: sink.event(text, now_ns))
+        self._publisher.events.append(Event(now_ns, text))
 
     def close(self) -> None:
         """No tick comes any more."""
@@ -418,9 +418,39 @@ class Service:
     def status(self) -> MissionStatus:
         return self.mission.status(self.pursuit.phase)
 
-    def status_dict(self) -> dict[str, object]:
-        """The status message; see `edge.loop.status`."""
-        return status_of(self, self._worker, self._advisers)
+    def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
+        """How all stands, and what has happened since the sinks were told.
+
+        Args:
+            now_ns: the loop's time, where the loop asks.
+            observation: what was dealt with, if anything.
+        """
+        orders, grid, news = self.pursuit.orders, self.grid, self._publisher
+        return TickResult(
+            now_ns=now_ns,
+            observation=observation,
+            pose=self.pose,
+            status=self.status,
+            goal=self.goal,
+            answer=orders.answer,
+            controlled=orders.heard,
+            targets=self.mission.brief.targets,
+            goals=tuple(news.goals),
+            answers=tuple(news.answers),
+            events=tuple(news.events),
+            detections=news.detections,
+            mission=partial(facts_of, self.mission),
+            instances=self._worth_driving_to,
+            frontiers=lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy(),
+            known_m2=lambda: grid.known_m2,
+            snapshot=grid.snapshot,
+            latency=self.latency.report,
+            health=self._health.status,
+        )
+
+    def _worth_driving_to(self) -> list[Instance]:
+        targets = self.mission.brief.targets
+        return [copy(found) for label in targets for found in self.tracker.of(label)]
 
 
 def _held_up_at(places_m: list[tuple[float, float]]) -> str:

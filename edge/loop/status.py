@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import Any
 
-from edge.loop.faults import DEGRADED_AFTER
+from edge.loop.advice import Advisers
+from edge.loop.faults import DEGRADED_AFTER, Faults
+from edge.loop.keeper import Keeper
+from edge.loop.result import MissionFacts, TickResult
 from edge.perception.detector import Health
 from edge.perception.inline import InlineWorker
+from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
-
-if TYPE_CHECKING:
-    from edge.loop.advice import Advisers
-    from edge.loop.service import Service
-    from edge.mission.run import MissionRun
+from edge.types import MissionStatus
 
 
-def status_of(
-    service: Service, worker: DetectorWorker | InlineWorker, advisers: Advisers | None
-) -> dict[str, object]:
+def status_of(result: TickResult) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
-    pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
-    orders = service.pursuit.orders
+    pose, goal, s, health = result.pose, result.goal, result.status, result.health()
     return {
         "instruction": s.instruction,
         "target": s.target,
@@ -30,7 +28,7 @@ def status_of(
         "reason": s.reason,
         "elapsed_s": round(s.elapsed_s, 2),
         "path_m": round(s.path_m, 2),
-        "mission": mission_of(mission),
+        "mission": mission_of(result.mission()),
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "goal": None
         if goal is None
@@ -41,11 +39,11 @@ def status_of(
             "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
             "candidate_xy_m": list(goal.candidate_xy_m),
             "score": goal.score,
-            "answer": "" if orders.answer is None else orders.answer.state,
+            "answer": "" if result.answer is None else result.answer.state,
         },
-        "controller": "answers" if orders.heard else "silent",
-        "loop": {**service.faults.status(), "overruns": service.overruns()},
-        "frontiers": service.grid.frontiers.n,
+        "controller": "answers" if result.controlled else "silent",
+        "loop": health["loop"],
+        "frontiers": len(result.frontiers()),
         "instances": [
             {
                 "id": i.id,
@@ -55,19 +53,64 @@ def status_of(
                 "hits": i.hits,
                 "state": i.state,
             }
-            for label in mission.brief.targets
-            for i in service.tracker.of(label)
+            for i in result.instances()
         ],
-        "checkpoint": None if service.keeper is None else service.keeper.status(),
-        "detector": {
-            "model": worker.detector.name,
-            **detector_health(worker)._asdict(),
-            "invalid_boxes": worker.detector.invalid_boxes,
-            **asdict(worker.stats),
-        },
-        "swap": service.swapper.status(),
-        "scorers": {} if advisers is None else advisers.status(),
+        "checkpoint": health["checkpoint"],
+        "detector": health["detector"],
+        "swap": health["swap"],
+        "scorers": health["scorers"],
     }
+
+
+class HealthWatch:
+    """How all is that works for the loop.
+
+    Args:
+        overruns: by what is listened to, how often more came than could be taken.
+        event: tells of something that a person would want to know.
+    """
+
+    def __init__(
+        self,
+        worker: DetectorWorker | InlineWorker,
+        swapper: Swapper,
+        advisers: Advisers | None,
+        keeper: Keeper | None,
+        faults: Faults,
+        overruns: Callable[[], dict[str, int]],
+        event: Callable[[str, int], None],
+    ) -> None:
+        self._worker, self._swapper, self._advisers = worker, swapper, advisers
+        self._keeper, self._faults, self._overruns = keeper, faults, overruns
+        self._event = event
+        self._degraded = False  # the detector is known to be, and that was told
+
+    def look(self, now_ns: int) -> None:
+        """Tell once that the detector has become degraded, and once that it is well again."""
+        state, detail = detector_health(self._worker)
+        name = self._worker.detector.name
+        if state == "degraded" and not self._degraded:
+            self._degraded = True
+            self._event(f"detector {name}: degraded: {detail}", now_ns)
+        elif state == "ok" and self._degraded:
+            self._degraded = False
+            self._event(f"detector {name}: goes well again", now_ns)
+
+    def status(self) -> dict[str, Any]:
+        """For the status message, by part."""
+        worker = self._worker
+        return {
+            "loop": {**self._faults.status(), "overruns": self._overruns()},
+            "checkpoint": None if self._keeper is None else self._keeper.status(),
+            "detector": {
+                "model": worker.detector.name,
+                **detector_health(worker)._asdict(),
+                "invalid_boxes": worker.detector.invalid_boxes,
+                **asdict(worker.stats),
+            },
+            "swap": self._swapper.status(),
+            "scorers": {} if self._advisers is None else self._advisers.status(),
+        }
 
 
 def detector_health(worker: DetectorWorker | InlineWorker) -> Health:
@@ -78,7 +121,7 @@ def detector_health(worker: DetectorWorker | InlineWorker) -> Health:
     return own
 
 
-def mission_of(mission: MissionRun) -> dict[str, object]:
+def mission_of(mission: MissionFacts) -> dict[str, object]:
     """Formula, automaton state, plan and sets of a mission (ViTL IV-A2), and why this target."""
     translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
     return {
@@ -99,9 +142,8 @@ def mission_of(mission: MissionRun) -> dict[str, object]:
     }
 
 
-def answer_of(service: Service) -> dict[str, object]:
+def answer_of(s: MissionStatus, mission: MissionFacts) -> dict[str, object]:
     """How the mission stands, for whoever gave it an order."""
-    s, mission = service.status, service.mission
     return {
         "instruction": s.instruction,
         "phase": s.phase,

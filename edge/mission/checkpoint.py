@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.errors import FileError
+from edge.host.mailbox import Mailbox
 from edge.mission.saved import MAX_BYTES, Saved, decode, encode
-from edge.sinks.mailbox import Mailbox
 
 log = logging.getLogger("edge.mission.checkpoint")
 

@@ -5,22 +5,24 @@ from __future__ import annotations
 import os
 import platform
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2, Grid
-from edge.loop.latency import LatencyReport
+from edge.geometry import SE2
+from edge.host.machine import this_cpu
+from edge.loop.result import Event, MissionFacts, TickResult
 from edge.report.album import Album
 from edge.report.record import RunRecord, Story
 from edge.text import shorten, without_secrets
-from edge.types import Detections, Goal, Instance, MissionStatus
+from edge.types import Goal, MissionStatus
 
 STEP_M = 0.05
 STEP_NS = 100_000_000
 MAX_TITLE = 160
+_TOO_CLOSE = 50  # the map's value of cells near what is occupied, which reports draw apart
 _NS = 1e-9
 
 T = TypeVar("T")
@@ -88,95 +90,96 @@ class Trail:
 
 
 class Recorder:
-    """What the loop tells about a run; every call is cheap.
+    """A sink that keeps what the report of a run needs; every call is cheap."""
 
-    Args:
-        config: the run's configuration.
-        targets: what is looked for, by any of its names; the configuration's by default.
-
-    Attributes:
-        targets: may change when the mission does.
-    """
-
-    def __init__(self, config: Config, targets: Sequence[str] | None = None) -> None:
-        self.targets = (config.mission.target,) if targets is None else tuple(targets)
+    def __init__(self, config: Config) -> None:
         self._config = config
         self._trail = Trail()
         self._album = Album(config.report.frames)
         self._goals: Ends[Goal] = Ends()
-        self._events: Ends[tuple[int, str]] = Ends()
-        self._goal_ns: int | None = None
+        self._events: Ends[Event] = Ends()
         self._start_ns: int | None = None
 
-    def pose(self, stamp_ns: int, pose: SE2) -> None:
-        self._began(stamp_ns)
-        self._trail.append(stamp_ns, pose)
-
-    def goal(self, goal: Goal) -> None:
-        """A goal was published; sending it again changes nothing."""
-        self._began(goal.stamp_ns)
-        if goal.stamp_ns != self._goal_ns:
-            self._goal_ns = goal.stamp_ns
-            self._goals.append(goal)
-
-    def frame(self, detections: Detections) -> None:
-        """Boxes came back; their observation must still be held."""
-        self._began(detections.observation.stamp_ns)
-        self._album.offer(detections, self.targets)
-
-    def event(self, stamp_ns: int, text: str) -> None:
-        """Something that belongs in the timeline happened."""
-        self._began(stamp_ns)
-        self._events.append((stamp_ns, text))
-
-    def _began(self, stamp_ns: int) -> None:
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        seen, observation = result.detections, result.observation
         if self._start_ns is None:
-            self._start_ns = stamp_ns
+            self._start_ns = _first_ns(result)
+        if seen is not None:
+            self._album.offer(seen, result.targets)
+        for event in result.events:
+            self._events.append(event)
+        for goal in result.goals:
+            self._goals.append(goal)
+        if observation is not None:
+            self._trail.append(observation.stamp_ns, observation.pose)
 
-    def finish(
-        self,
-        mission: MissionStatus,
-        latency: LatencyReport,
-        map_snapshot: Grid | None = None,
-        frontiers_m: np.ndarray | None = None,
-        instances: Iterable[Instance] = (),
-        counters: Mapping[str, float] | None = None,
-        story: Story | None = None,
-    ) -> RunRecord:
-        """Everything that was recorded, with how the run ended; the arrays given are kept."""
+    def close(self) -> None:
+        """See `edge.loop.result.Sink`."""
+
+    def record(self, end: TickResult, counters: Mapping[str, float]) -> RunRecord:
+        """The run so far, and how it ended.
+
+        Args:
+            counters: of the source.
+        """
+        self.tick(end)
         start_ns = self._start_ns or 0
         poses, stamps_ns = self._trail.arrays()
         events = [((stamp - start_ns) * _NS, text) for stamp, text in self._events.items()]
         more = {"goals": self._goals.count}
         if self._events.left_out:
             more["events not shown"] = self._events.left_out
-        frontiers = np.zeros((0, 2), np.float32) if frontiers_m is None else frontiers_m
+        story = story_of(end.mission())
         return RunRecord(
-            title=_title(story, mission),
+            title=_title(story, end.status),
             config_path=self._config.path,
             robot=self._config.robot.name,
             detector=detector_name(self._config),
-            targets=self.targets,
-            mission=mission,
-            latency=latency,
+            targets=end.targets,
+            mission=end.status,
+            latency=end.latency(),
             start_ns=start_ns,
-            map=map_snapshot,
+            map=end.snapshot(inflated=_TOO_CLOSE),
             trajectory=poses,
             trajectory_t_s=(stamps_ns - start_ns) * _NS,
-            frontiers_m=np.asarray(frontiers, dtype=np.float32).reshape(-1, 2),
+            frontiers_m=end.frontiers(),
             goals=self._goals.items(),
-            instances=tuple(instances),
+            instances=tuple(end.instances()),
             frames=self._album.frames(),
             events=tuple(sorted(events, key=lambda event: event[0])),
-            counters={**more, **(counters or {})},
+            counters={**more, **counters},
             config=without_secrets(self._config.model_dump(mode="json")),
             machine=machine(),
             story=story,
         )
 
 
-def _title(story: Story | None, mission: MissionStatus) -> str:
-    if story is None or story.backend == "target":
+def _first_ns(result: TickResult) -> int | None:
+    """The stamp of the first thing that is told of a run, where this result tells of one."""
+    if result.observation is not None:
+        return result.observation.stamp_ns
+    return result.events[0].now_ns if result.events else None
+
+
+def story_of(mission: MissionFacts) -> Story:
+    """A mission as its report tells it."""
+    translation, automaton = mission.brief.translation, mission.brief.automaton
+    return Story(
+        instruction=translation.instruction,
+        english=translation.english,
+        formula=str(automaton.formula),
+        backend=translation.backend,
+        automaton=automaton,
+        state=mission.state,
+        word=mission.word,
+        plan=() if automaton.accepting[mission.state] else mission.plan.steps,
+        steps=mission.steps,
+    )
+
+
+def _title(story: Story, mission: MissionStatus) -> str:
+    if story.backend == "target":
         return f"Find the {mission.target}"
     return shorten(story.instruction, MAX_TITLE)
 
@@ -191,15 +194,8 @@ def detector_name(config: Config) -> str:
 
 def machine() -> str:
     """This machine in a few words: processor, cores that may be used, system, Python."""
-    cores = len(os.sched_getaffinity(0))
-    processor = platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            names = [
-                line.split(":", 1)[1].strip() for line in file if line.startswith("model name")
-            ]
-        processor = f"{names[0]} ({processor})" if names else processor
-    except OSError:
-        pass
-    system = f"{platform.system()} {platform.release()}"
-    return f"{processor}, {cores} cores, {system}, Python {platform.python_version()}"
+    cores, system = len(os.sched_getaffinity(0)), f"{platform.system()} {platform.release()}"
+    return (
+        f"{this_cpu()} ({platform.machine()}), {cores} cores, {system}, "
+        f"Python {platform.python_version()}"
+    )

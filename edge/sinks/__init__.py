@@ -1,48 +1,34 @@
-"""Things that take results. A sink's methods never block and never raise into the loop."""
+"""Where results go: every sink takes `edge.loop.result.TickResult`, by its name in `sinks:`.
+
+A new sink is a file with a class and a line in `REGISTRY`; one's own needs neither, only
+`module:Class` in the configuration (docs/sinks.md).
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable
+from functools import partial
 
-from edge.types import Detections, Goal, GoalStatus, Observation
+from zenoh import Session
 
-if TYPE_CHECKING:
-    from edge.loop.service import Service
+from edge.config import Config
+from edge.config.named import check_call, find_class
+from edge.loop.result import Sink
 
-
-class Sink(Protocol):
-    """What the loop tells; a sink ignores what it has no use for (see `SinkBase`)."""
-
-    def goal(self, goal: Goal) -> None: ...
-
-    def answered(self, answer: GoalStatus) -> None: ...
-
-    def detections(self, detections: Detections) -> None: ...
-
-    def event(self, text: str, now_ns: int) -> None: ...
-
-    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None: ...
-
-    def close(self) -> None: ...
+REGISTRY = {"zenoh": "edge.sinks.zenoh:ZenohSink"}
+"""Imported only where they are named: a sink may need packages of its own."""
 
 
-class SinkBase:
-    """Ignores everything."""
+def find_sinks(config: Config) -> list[Callable[[Session], Sink]]:
+    """What makes each sink that the configuration names, as `make(session)`.
 
-    def goal(self, goal: Goal) -> None:
-        """A new goal was chosen."""
-
-    def answered(self, answer: GoalStatus) -> None:
-        """The controller answered a goal."""
-
-    def detections(self, detections: Detections) -> None:
-        """Boxes came in; the arrays are valid during the call only."""
-
-    def event(self, text: str, now_ns: int) -> None:
-        """Something happened that a person would want to know."""
-
-    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
-        """A tick ended; `observation` is None when there was nothing to see."""
-
-    def close(self) -> None:
-        """No more will come."""
+    Raises:
+        ConfigError: there is none of a name, or it does not take these options.
+    """
+    found = []
+    for i, named in enumerate(config.sinks):
+        where = f"{config.path}: sinks.{i}"
+        make = find_class(REGISTRY.get(named.kind, named.kind), REGISTRY, f"{where}.kind")
+        check_call(make, 2, named.options, f"{where}.options")
+        found.append(partial(make, config, **named.options))
+    return found

@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import zenoh
 
@@ -21,12 +21,9 @@ from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import Grid
-from edge.sinks import SinkBase
-from edge.sinks.mailbox import Mailbox
-from edge.types import Goal, GoalStatus, MissionStatus, Observation
-
-if TYPE_CHECKING:
-    from edge.loop.service import Service
+from edge.host.mailbox import Mailbox
+from edge.loop.result import TickResult
+from edge.loop.status import status_of
 
 UNANSWERED_S = 0.5
 UNSETTLED_S = 1.0
@@ -47,14 +44,14 @@ class _Repeated:
     stamp_ns: int = 0
 
 
-class ZenohSink(SinkBase):
+class ZenohSink:
     """Publishes what the service writes; no method blocks.
 
     In lockstep everything leaves in order and nothing is dropped, so that whoever sees a tick has
     the goal and the map that came with it.
     """
 
-    def __init__(self, session: zenoh.Session, config: Config) -> None:
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
         prefix, lockstep = config.zenoh.prefix, config.loop.lockstep
         self._lockstep = lockstep
         self._publishers = {
@@ -79,27 +76,34 @@ class ZenohSink(SinkBase):
         self._mission: tuple[str, str, str] | None = None
         self._mailbox = Mailbox("zenoh-sink", self._deliver, self._repeat)
 
-    # -- what the loop calls (see `edge.sinks.Sink`) --------------------------------------------
+    # -- on the loop's thread -------------------------------------------------------------------
 
-    def goal(self, goal: Goal) -> None:
-        self.publish_goal(goal)
-
-    def answered(self, answer: GoalStatus) -> None:
-        self.goal_answered(answer.stamp_ns, settled=answer.state != "accepted")
-
-    def tick(self, service: Service, observation: Observation | None, now_ns: int) -> None:
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        for answer in result.answers:
+            self._mailbox.queue("answered", (answer.stamp_ns, answer.state != "accepted"))
+        for goal in result.goals:
+            self._put("goal", goal)
+        now_ns, status = result.now_ns, result.status
         if self._is_due("map", now_ns):
-            self.publish_map(now_ns, service.grid.snapshot)
+            self._put("map", (now_ns, self._map_of(result)))
         if self._is_due("status", now_ns):
-            self.publish_status(service.status_dict())
+            self._put("status", status_of(result))
         if self._is_due("latency", now_ns):
-            self.publish_latency(lambda: service.latency.report().as_dict())
-        status = service.status
+            self._put("latency", result.latency)
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
-            self.publish_mission(status)
-        if self._lockstep and observation is not None:
-            self.publish_tick(observation.stamp_ns)
+            self._put("mission", status)
+        if self._lockstep and result.observation is not None:
+            self._put("tick", result.observation.stamp_ns)
+
+    def _map_of(self, result: TickResult) -> Callable[[], Grid]:
+        """Copying a large map takes too long for a tick: the mailbox's thread does it. In lockstep
+        it is done at once, since the map must be the one of this tick."""
+        if not self._lockstep:
+            return result.snapshot
+        taken = result.snapshot()
+        return lambda: taken
 
     def close(self) -> None:
         """Send what is left; gives up after a second, for a stopped peer may block lockstep."""
@@ -107,38 +111,20 @@ class ZenohSink(SinkBase):
             for publisher in self._publishers.values():
                 publisher.undeclare()
 
-    # -- what goes out --------------------------------------------------------------------------
-
-    def publish_goal(self, goal: Goal) -> None:
-        """Send a goal and keep sending it; it takes the place of the one before."""
-        self._put("goal", goal)
-
-    def goal_answered(self, stamp_ns: int, settled: bool = True) -> None:
-        """Stop sending a goal, or only send it less often while it is not `settled`."""
-        self._mailbox.queue("answered", (stamp_ns, settled))
-
-    def publish_map(self, stamp_ns: int, snapshot: Callable[[], Grid]) -> None:
-        """`snapshot` is called on the mailbox's thread: copying a large map takes too long for a
-        tick. In lockstep it is called at once, since the map must be the one of this tick."""
-        if self._lockstep:
-            taken = snapshot()
-            self._put("map", (stamp_ns, lambda: taken))
+    def _put(self, name: str, item: Any) -> None:
+        """Ticks, and in lockstep all, leave in order; else the newest of a name wins."""
+        if self._lockstep or name == "tick":
+            self._mailbox.queue(name, item)
         else:
-            self._put("map", (stamp_ns, snapshot))
+            self._mailbox.post(name, item)
 
-    def publish_status(self, status: dict[str, Any]) -> None:
-        self._put("status", status)
-
-    def publish_latency(self, report: Callable[[], dict[str, Any]]) -> None:
-        """`report` is called on the mailbox's thread: percentiles take longer than a tick may."""
-        self._put("latency", report)
-
-    def publish_mission(self, status: MissionStatus) -> None:
-        self._put("mission", status)
-
-    def publish_tick(self, stamp_ns: int) -> None:
-        """Say that the observation of this stamp has been dealt with."""
-        self._put("tick", stamp_ns)
+    def _is_due(self, name: str, now_ns: int) -> bool:
+        last_ns = self._last_ns.get(name)
+        # A clock that was set back must not silence the sink.
+        if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:
+            return False
+        self._last_ns[name] = now_ns
+        return True
 
     # -- on the mailbox's thread ------------------------------------------------------------------
 
@@ -174,23 +160,6 @@ class ZenohSink(SinkBase):
                     self._publishers["map"].put(self._last_map)
                 self._publishers[name].put(repeated.payload)
 
-    # -- bookkeeping --------------------------------------------------------------------------
-
-    def _put(self, name: str, item: Any) -> None:
-        """Ticks, and in lockstep all, leave in order; else the newest of a name wins."""
-        if self._lockstep or name == "tick":
-            self._mailbox.queue(name, item)
-        else:
-            self._mailbox.post(name, item)
-
-    def _is_due(self, name: str, now_ns: int) -> bool:
-        last_ns = self._last_ns.get(name)
-        # A clock that was set back must not silence the sink.
-        if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:
-            return False
-        self._last_ns[name] = now_ns
-        return True
-
 
 def _json(item: Any) -> bytes:
     return json.dumps(item, separators=(",", ":"), allow_nan=False).encode()
@@ -205,7 +174,7 @@ _ENCODERS: dict[str, Callable[[Any], bytes]] = {
     "goal": lambda goal: messages.encode_pose_stamped(goal.stamp_ns, goal.pose),
     "map": _encode_map,
     "status": _json,
-    "latency": lambda report: _json(report()),
+    "latency": lambda report: _json(report().as_dict()),
     "mission": lambda status: _json(asdict(status)),
     "tick": lambda stamp_ns: _json({"stamp": stamp_ns}),
 }

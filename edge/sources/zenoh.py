@@ -23,7 +23,7 @@ _PAUSE_S = 0.0003
 
 
 class ZenohSource:
-    """The sensors under `zenoh.prefix` as Observations (an `edge.sources.base.Source`).
+    """The sensors under `zenoh.prefix` as Observations (an `edge.loop.source.Source`).
 
     Raises:
         ConfigError: a cloud is asked for and no LiDAR is described.
@@ -60,12 +60,12 @@ class ZenohSource:
         return self._assembler.odometry.newest_pose
 
     def poll(self) -> Observation | None:
-        """See `edge.sources.base.Source`."""
+        """See `edge.loop.source.Source`."""
         self._drain()
         return self._assembler.poll()
 
     def wait(self, timeout_s: float) -> bool:
-        """See `edge.sources.base.Source`; looks every 0.3 ms, since rings cannot be waited on."""
+        """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
         deadline_s = time.monotonic() + timeout_s
         while not self._drain():
             if time.monotonic() >= deadline_s:

@@ -21,7 +21,8 @@ from edge.bus import topics
 from edge.bus.session import open_session
 from edge.config import Config
 from edge.host.ports import free_port
-from edge.loop.runner import Running, loop, open_service
+from edge.launch import Launched, open_service
+from edge.loop.runner import loop
 from edge.mission.order import ask
 
 FRAME_S = 1 / 30
@@ -35,7 +36,7 @@ class Live:
         peer: the attacker's session.
     """
 
-    def __init__(self, running: Running, peer: zenoh.Session) -> None:
+    def __init__(self, running: Launched, peer: zenoh.Session) -> None:
         self.running, self.peer = running, peer
         self.statuses: list[dict] = []
         self._prefix = running.config.zenoh.prefix

@@ -136,8 +136,8 @@ def test_a_report_that_cannot_be_written_is_told_before_the_run(words, tmp_path,
 
 
 def test_an_address_in_use_is_told_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("edge.loop.runner.make_detector", None)
-    monkeypatch.setattr("edge.loop.runner.warm_up", None)
+    monkeypatch.setattr("edge.launch.make_detector", None)
+    monkeypatch.setattr("edge.launch.warm_up", None)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -6,7 +6,7 @@ import threading
 import pytest
 from simulated import simulated
 
-from edge.cli import commands
+from edge import launch
 from edge.errors import UserError
 from edge.host import children
 from edge.host.children import python_module
@@ -36,11 +36,11 @@ def test_every_child_is_started_so(monkeypatch):
         started.append(command)
         raise OSError(2, "No such file")
 
-    monkeypatch.setattr(commands.subprocess, "Popen", start)
+    monkeypatch.setattr(launch.subprocess, "Popen", start)
     settings = simulated({"mission": {"target": "chair"}})
     with (
         pytest.raises(UserError, match="cannot start edge motion: No such file"),
-        commands.children(settings, threading.Event(), ("motion",)),
+        launch.children(settings, threading.Event(), ("motion",)),
     ):
         raise AssertionError
     assert tuple(started[0][:5]) == python_module("edge.cli")

@@ -17,6 +17,7 @@ from simulated import simulated
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
+from edge.loop.status import status_of
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice
 from edge.types import Observation
@@ -115,7 +116,7 @@ def test_the_robot_goes_on_when_the_server_is_killed():
         server.wait()
         loop.run(240)
         assert loop.service.status.phase == "reached"
-        status = loop.service.status_dict()["scorers"]["choice"]
+        status = status_of(loop.service.result())["scorers"]["choice"]
         assert status["answered"] >= 1
         assert status["failed"] == 0 or url in status["last_error"]
         loop.close()

@@ -22,7 +22,9 @@ from fake_model_process import __file__ as fake
 from edge.config import ModelProcess, parse
 from edge.errors import Stopped
 from edge.geometry import CameraModel
-from edge.loop.runner import Running, loop, open_service
+from edge.launch import Launched, open_service
+from edge.loop.runner import loop
+from edge.loop.status import status_of
 from edge.perception.process import link
 from edge.types import Observation
 
@@ -53,7 +55,7 @@ class Camera:
 class Life:
     """The loop under way, one step of a story at a time."""
 
-    def __init__(self, running: Running) -> None:
+    def __init__(self, running: Launched) -> None:
         self.running, self.stop = running, threading.Event()
         self.detector = running.worker.detector
 
@@ -82,7 +84,7 @@ class Life:
         return self.running.source.counters["observations"]
 
     def status(self) -> dict:
-        return self.running.service.status_dict()["detector"]
+        return status_of(self.running.service.result())["detector"]
 
     def state(self) -> str:
         return self.detector.health().state

@@ -26,7 +26,9 @@ from edge.bus.asking import OrderError
 from edge.config import load
 from edge.geometry import CameraModel
 from edge.host import resources
-from edge.loop.runner import loop, open_service
+from edge.launch import open_service
+from edge.loop.runner import loop
+from edge.loop.status import status_of
 from edge.models import use
 from edge.types import Observation
 
@@ -155,7 +157,7 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
         def each() -> None:
             probation = swapper.state == "on probation"
             running.source.dark = probation and swapper.status()["number"] == blind
-            seen.append(service.status_dict()["detector"]["model"])
+            seen.append(status_of(service.result())["detector"]["model"])
             if job.done():
                 stop.set()
 
@@ -202,8 +204,8 @@ def test_models_are_swapped_in_the_running_service(config, capsys):
 
         blind = None
         assert use_one("good", force=True)[0] == 0
-        assert service.status_dict()["swap"]["state"] == "kept"
-        assert service.status_dict()["detector"]["model"] == "good"
+        assert status_of(service.result())["swap"]["state"] == "kept"
+        assert status_of(service.result())["detector"]["model"] == "good"
 
 
 @pytest.mark.slow
@@ -215,7 +217,7 @@ def test_an_isolated_model_is_swapped_too(config):
         job = pool.submit(asked, config, "steady")
         loop(running, stop, each=lambda: job.done() and stop.set())
         assert job.result() == 0
-        status = running.service.status_dict()
+        status = status_of(running.service.result())
     assert (status["swap"]["state"], status["detector"]["model"]) == ("kept", "steady")
 
 

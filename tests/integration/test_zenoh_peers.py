@@ -9,18 +9,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from patience import PATIENCE_S, eventually
+from results import result
 from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
 from edge.config import Config
-from edge.geometry import SE2, CameraModel
+from edge.geometry import SE2, CameraModel, Grid
 from edge.host.ports import free_port
 from edge.sinks.zenoh import ZenohSink
 from edge.sources import recording
@@ -137,11 +137,9 @@ def test_nonsense_is_counted_and_the_robot_is_still_seen(config, start):
 
 
 def test_a_stopped_subscriber_stops_nobody_else(config, start):
-    big = SimpleNamespace(
-        cells=np.zeros((1500, 1500), np.int8), origin_xy_m=(0.0, 0.0), resolution_m=0.05
-    )
+    big = Grid(np.zeros((1500, 1500), np.int8), (0.0, 0.0), 0.05)
     with open_session(config.zenoh, "listen") as session:
-        sink = ZenohSink(session, config)
+        sink = ZenohSink(config, session)
         stopped, alive = start("listener"), start("listener")
         assert [p.stdout.readline() for p in (stopped, alive)] == ["ready\n"] * 2
         stopped.send_signal(signal.SIGSTOP)
@@ -152,9 +150,8 @@ def test_a_stopped_subscriber_stops_nobody_else(config, start):
             )
             thread.start()
             for k in range(1, 41):
-                sink.publish_map(k, lambda: big)
-                pose = SE2(0.0, 0.0, 0.0)
-                sink.publish_goal(Goal(k, pose, "frontier", 0, (0.0, 0.0), 0.0, "chair"))
+                goal = Goal(k, SE2(0.0, 0.0, 0.0), "frontier", 0, (0.0, 0.0), 0.0, "chair")
+                sink.tick(result(k * 10**9, goals=(goal,), snapshot=lambda: big))
                 time.sleep(0.03)
             eventually(lambda: 40 in heard)
             sink.close()  # while one of the two is still stopped

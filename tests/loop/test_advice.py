@@ -16,6 +16,7 @@ from simulated import simulated
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.advice import SIGHTED_NS, Advisers, make_advisers, sightings
+from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.instances import InstanceTracker
@@ -47,7 +48,7 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
     """Steps until the service has asked its choice scorer something."""
     for _ in range(80):
         loop.step()
-        if loop.service.status_dict()["scorers"]["choice"]["asked"]:
+        if status_of(loop.service.result())["scorers"]["choice"]["asked"]:
             return loop
     raise AssertionError("no frontier came into view")
 
@@ -56,7 +57,7 @@ def test_without_scorers_nothing_runs():
     loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
     loop.step()
     assert loop.service.advice is None
-    assert loop.service.status_dict()["scorers"] == {}
+    assert status_of(loop.service.result())["scorers"] == {}
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
@@ -66,7 +67,7 @@ def test_what_the_scorer_says_becomes_the_advice(lockstep):
         if lockstep:  # at once, or a run would not replay the same
             assert loop.service.advice.choice.stamp_ns == loop.service.stamp_ns
         choice = eventually(lambda: loop.step() or loop.service.advice.choice)
-        status = loop.service.status_dict()["scorers"]["choice"]
+        status = status_of(loop.service.result())["scorers"]["choice"]
         loop.close()
     assert set(choice.ids) <= set(range(1, 1000))
     assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
@@ -86,7 +87,7 @@ def test_the_robot_goes_on_when_the_server_never_answers():
         loop = ClosedLoop(settings(server.url, target="television")).run(240)
         assert loop.service.status.phase == "reached", loop.service.status
         assert loop.service.advice.choice is None
-        status = loop.service.status_dict()["scorers"]["choice"]
+        status = status_of(loop.service.result())["scorers"]["choice"]
         assert status["asked"] > status["answered"] == 0
         assert status["frontiers"] == {}
         loop.close()  # or the time limit of the test is over before that of the server
@@ -95,10 +96,10 @@ def test_the_robot_goes_on_when_the_server_never_answers():
 def test_a_server_that_lies_is_counted_and_the_loop_goes_on(caplog):
     with serving(lambda h: send(h, likeliest({"A": float("nan")}))) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url)))
-        scorers = loop.service.status_dict
-        eventually(lambda: loop.step() or scorers()["scorers"]["choice"]["failed"])
+        scorers = loop.advisers.status
+        eventually(lambda: loop.step() or scorers()["choice"]["failed"])
         loop.close()
-    assert "a logprob that is none" in scorers()["scorers"]["choice"]["last_error"]
+    assert "a logprob that is none" in scorers()["choice"]["last_error"]
     assert len([r for r in caplog.records if "choice" in r.getMessage()]) == 1
 
 
@@ -168,7 +169,7 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
     similarity = loop.service.advice.similarity
     assert similarity.targets == ("chair",)
     assert similarity.score.shape == (1,)
-    status = loop.service.status_dict()["scorers"]
+    status = status_of(loop.service.result())["scorers"]
     assert status["similarity"]["model"].startswith(f"{name} (sim")
     assert "choice" not in status
     assert loop.advisers.names() == [name]

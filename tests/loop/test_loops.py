@@ -25,9 +25,9 @@ from edge.loop import runner
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running, loop
 from edge.loop.stages import STAGES
+from edge.loop.status import status_of
 from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker, WorkerBase
-from edge.sinks import SinkBase
 from edge.types import GoalStatus, Observation
 
 
@@ -86,8 +86,8 @@ def running_of(
     desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
-        service._worker = worker
-    return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
+        service._worker = service._health._worker = worker
+    return Running(closed.config, service, service._worker, source, inbox, desk, models)
 
 
 def run_out(run: Running, seen: list[Observation]) -> None:
@@ -180,7 +180,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
     breaking.enter_context(monkeypatch.context()).setattr(*BREAKS[stage](run), broken)
 
     def each() -> None:
-        states.append(service.status_dict()["loop"]["state"])
+        states.append(status_of(service.result())["loop"]["state"])
         if len(seen) == passing and len(states) == failing:
             breaking.close()
         if not seen:
@@ -190,7 +190,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
         loop(run, stop, each=each)
     assert states.index("degraded") == DEGRADED_AFTER - 1
     assert states[-passing:] == ["ok"] * passing
-    said = service.status_dict()["loop"]
+    said = status_of(service.result())["loop"]
     assert said["failures"][f"{stage}: ZeroDivisionError"] == failing
     assert "oh no" in said["last_error"]
     report = service.latency.report()
@@ -244,7 +244,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(m
     def each() -> None:
         if make is DetectorWorker:
             eventually(run.worker.idle)
-        states.append(service.status_dict()["detector"])
+        states.append(status_of(service.result())["detector"])
         if len(states) == failing:
             monkeypatch.setattr(detector, "detect", whole)
         if not seen:
@@ -259,23 +259,23 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(m
     name = f"detector {detector.name}: "
     told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
     assert told == [f"degraded: {ill[1]}", "goes well again"]
-    assert service.status_dict()["loop"]["state"] == "ok"
+    assert status_of(service.result())["loop"]["state"] == "ok"
 
 
-class Sink(SinkBase):
+class Sink:
     """Notes the stamps of the ticks that it is told of."""
 
     def __init__(self) -> None:
         self.stamps_ns: list[int] = []
 
-    def tick(self, service, observation, now_ns) -> None:
-        self.stamps_ns.append(observation.stamp_ns)
+    def tick(self, result) -> None:
+        self.stamps_ns.append(result.observation.stamp_ns)
 
 
-class BadSink(SinkBase):
+class BadSink:
     """Fails at everything."""
 
-    tick = goal = detections = event = answered = broken
+    tick = broken
 
 
 def test_a_sink_that_fails_costs_the_others_nothing():

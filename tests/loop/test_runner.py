@@ -15,11 +15,13 @@ import pytest
 from patience import PATIENCE_S
 from simulated import simulated
 
+from edge import launch
 from edge.config import Config
 from edge.errors import Stopped
 from edge.host.ports import free_port
-from edge.loop import runner
-from edge.loop.runner import loop, open_service
+from edge.launch import open_service
+from edge.loop.runner import loop
+from edge.loop.status import status_of
 from edge.mission.checkpoint import save
 from edge.mission.order import ask
 from edge.mission.saved import Saved
@@ -119,9 +121,9 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
 
         return note
 
-    monkeypatch.setattr(runner, "warm_up", lambda config: None)
+    monkeypatch.setattr(launch, "warm_up", lambda config: None)
     for name in STEPS:
-        monkeypatch.setattr(runner, name, noting(name, getattr(runner, name)))
+        monkeypatch.setattr(launch, name, noting(name, getattr(launch, name)))
     with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):
         raise AssertionError
     assert made == STEPS[: STEPS.index(last) + 1]
@@ -134,7 +136,7 @@ def test_the_status_tells_of_every_ring_that_was_overrun():
         running.inbox._ring.overruns = 3
         running.desk._ring.overruns = 2
         running.source.counters["overrun"] = 1
-        assert running.service.status_dict()["loop"]["overruns"] == {
+        assert status_of(running.service.result())["loop"]["overruns"] == {
             "sensors": 1, "goal_status": 3, "mission/request": 2, "models/request": 0,
         }  # fmt: skip
 

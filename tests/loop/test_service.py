@@ -12,11 +12,13 @@ from frames import Slot
 from simulated import simulated
 
 from edge.bus.session import open_session
-from edge.cli.console import ConsoleSink, RecorderSink
+from edge.cli.console import ConsoleSink
 from edge.config import Config
 from edge.geometry import SE2
 from edge.host.ports import free_port
+from edge.loop.status import status_of
 from edge.perception.inline import InlineWorker
+from edge.report.recorder import Recorder
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Detections, Goal, GoalStatus
 
@@ -117,13 +119,13 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
 def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
     loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}))
-    assert loop.service.status_dict()["controller"] == "silent"
+    assert status_of(loop.service.result())["controller"] == "silent"
     for i in range(60):
         goal = loop.service.tick(loop.observe(), START_NS + i * TICK_NS)
         if answers and goal is not None:
             loop.service.goal_answered(GoalStatus(goal.stamp_ns, "accepted"))
     assert any("stuck" in event for event in loop.notes.events) == stuck
-    assert loop.service.status_dict()["controller"] == ("answers" if answers else "silent")
+    assert status_of(loop.service.result())["controller"] == ("answers" if answers else "silent")
     told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
     assert len(told) == (0 if answers else 1)
 
@@ -292,7 +294,7 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
         perception={"detector": {"kind": "sim", "score_noise": 0.0, "miss_rate": 0.0}},
     )  # fmt: skip
     with open_session(settings.zenoh, "listen") as session:
-        sinks = [ZenohSink(session, settings), ConsoleSink(), RecorderSink(settings)]
+        sinks = [ZenohSink(settings, session), ConsoleSink(), Recorder(settings)]
         yield ClosedLoop(settings, sinks=sinks)
         for sink in sinks:
             sink.close()

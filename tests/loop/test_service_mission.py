@@ -8,6 +8,7 @@ from simulated import simulated
 
 from edge.config import Config
 from edge.loop.requests import handle
+from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.text import PromptError
 
@@ -236,7 +237,7 @@ def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
 
 def test_status_tells_formula_state_plan_sets_and_why():
     loop = ClosedLoop(config(CHOICE)).run(3)
-    told = loop.service.status_dict()["mission"]
+    told = status_of(loop.service.result())["mission"]
     assert told["formula"] == CHOICE
     assert told["states"] >= 4
     assert told["plan"][-1] == "television"

@@ -180,5 +180,6 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
         service.grid._write(*cell, ly.OCCUPIED)
     service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
     assert service.grid.bumps.closed_m == []
-    (said,) = held_up(loop)
+    (said,) = [event.text for event in service.result().events]
+    assert said.startswith("held up")
     assert said.endswith("by what the map shows")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from report_runs import flat_run, mission_run
+from results import result
 from simulated import simulated
 
-from edge.loop.latency import LatencyRing
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
-from edge.types import MissionStatus
 
 
 @pytest.fixture(scope="session")
@@ -25,4 +26,5 @@ def run() -> RunRecord:
 @pytest.fixture(scope="session")
 def empty_run() -> RunRecord:
     """A run that ended before anything arrived."""
-    return Recorder(simulated()).finish(MissionStatus("chair", "searching"), LatencyRing().report())
+    record = Recorder(simulated()).record(result(), {})
+    return replace(record, map=None, story=None)

@@ -8,10 +8,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from results import result
 from simulated import simulated
 
 from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyRing
+from edge.loop.result import Event
 from edge.loop.stages import STAGES
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
@@ -96,7 +98,8 @@ def drive(recorder: Recorder) -> int:
         length, yaw = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
         for s in np.arange(0, length, 0.4 / 30):
             f = s / length
-            recorder.pose(stamp_ns, SE2(x0 + f * (x1 - x0), y0 + f * (y1 - y0), yaw))
+            pose = SE2(x0 + f * (x1 - x0), y0 + f * (y1 - y0), yaw)
+            recorder.tick(result(observation=Observation(0, stamp_ns, pose.matrix())))
             stamp_ns += S // 30
     return stamp_ns
 
@@ -122,25 +125,29 @@ def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
     end_ns = drive(recorder)
     for i, (x, y) in enumerate(WAY[1:-1]):
         pose = SE2(x, y, 0.5)
-        recorder.goal(Goal(i * 4 * S, pose, "frontier", i, (x + 0.5, y + 0.4), 0.4, "chair"))
+        goal = Goal(i * 4 * S, pose, "frontier", i, (x + 0.5, y + 0.4), 0.4, "chair")
+        recorder.tick(result(goals=(goal,)))
     at = SE2(*WAY[-1], 2.8)
-    recorder.goal(Goal(23 * S, at, "instance", 4, (5.3, 5.7), 0.9, "chair"))
+    goal = Goal(23 * S, at, "instance", 4, (5.3, 5.7), 0.9, "chair")
+    recorder.tick(result(goals=(goal,)))
     for k in range(0, end_ns // S):
-        recorder.frame(detections(k * S, rng, float(rng.uniform(0.05, 0.9))))
-    recorder.event(0, "searching for chair")
-    recorder.event(22 * S, "approaching chair 4 (score 0.71)")
-    recorder.event(end_ns, f"{phase} chair")
+        recorder.tick(result(detections=detections(k * S, rng, float(rng.uniform(0.05, 0.9)))))
     frontiers = np.array([(7.85, y) for y in np.arange(0.5, 3.3, 0.3)], dtype=np.float32)
     things = [instance(i, name, 0.4 + 0.07 * i) for i, name in enumerate(FURNITURE)]
     things[4] = instance(4, "chair", 0.83, "reached")
-    return recorder.finish(
-        MissionStatus("chair", phase, reason, end_ns / S, 14.2),
-        latency().report(),
-        flat(),
-        frontiers,
-        things,
-        {"frames dropped": 3, "bad messages": 0},
+    end = result(
+        status=MissionStatus("chair", phase, reason, end_ns / S, 14.2),
+        events=(
+            Event(0, "searching for chair"),
+            Event(22 * S, "approaching chair 4 (score 0.71)"),
+            Event(end_ns, f"{phase} chair"),
+        ),
+        latency=latency().report,
+        snapshot=lambda inflated: flat(),
+        frontiers=lambda: frontiers,
+        instances=lambda: things,
     )
+    return replace(recorder.record(end, {"frames dropped": 3, "bad messages": 0}), story=None)
 
 
 STORY = (

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import zenoh
 from patience import eventually
+from results import health, observation, result
 from simulated import simulated
 
 from edge.bus import topics
@@ -19,29 +18,16 @@ from edge.config import Zenoh
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.loop.latency import LatencyRing
+from edge.loop.status import status_of
 from edge.sinks import zenoh as zenoh_sink
 from edge.sinks.zenoh import ZenohSink
-from edge.types import Goal, GoalStatus, MissionStatus, Observation
+from edge.types import Goal, GoalStatus, MissionStatus
 
 PAUSE_S = 0.3  # for what must not come: on a slow machine the test sees less, and passes
 
 
 def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
     return Goal(stamp_ns, SE2(x_m, 2.0, 0.5), "frontier", 7, (x_m, 2.5), 0.4, "chair")
-
-
-class Fake:
-    """Stands for the service: just what the sink asks of it."""
-
-    def __init__(self) -> None:
-        self.status = MissionStatus("chair", "searching")
-        self.latency = LatencyRing()
-        cells = np.array([[-1, 0], [100, 0]], np.int8)
-        snapshot = SimpleNamespace(cells=cells, origin_xy_m=(-1.0, 2.0), resolution_m=0.05)
-        self.grid = SimpleNamespace(snapshot=lambda: snapshot)
-
-    def status_dict(self) -> dict:
-        return {"phase": self.status.phase}
 
 
 class Ears:
@@ -99,30 +85,25 @@ def ears(session):
 
 @pytest.fixture
 def sink(session, ears):
-    sink = ZenohSink(session, simulated())
+    sink = ZenohSink(simulated(), session)
     yield sink
     sink.close()
 
 
-def observation(stamp_ns: int) -> Observation:
-    return Observation(0, stamp_ns, np.eye(4))
-
-
 def settle(sink: ZenohSink, ears: Ears) -> None:
     """Waits until the sink's thread has dealt with all that was put before."""
-    sink.publish_tick(0)
+    sink._put("tick", 0)
     ears.hear("tick")
 
 
 def test_a_first_tick_says_everything_once(sink, ears):
-    service = Fake()
     for now_ns in (10**9, 10**9 + 1):
-        sink.tick(service, observation(now_ns), now_ns)
+        sink.tick(result(now_ns, observation=observation(now_ns)))
     stamp_ns, grid = messages.decode_occupancy_grid(ears.hear("map"))
     assert (stamp_ns, grid.origin_xy_m, grid.resolution_m) == (10**9, (-1.0, 2.0), 0.05)
     assert grid.cells.tolist() == [[-1, 0], [100, 0]]
-    assert json.loads(ears.hear("status")) == {"phase": "searching"}
-    assert json.loads(ears.hear("latency")) == service.latency.report().as_dict()
+    assert json.loads(ears.hear("status")) == json.loads(json.dumps(status_of(result())))
+    assert json.loads(ears.hear("latency")) == LatencyRing().report().as_dict()
     mission = json.loads(ears.hear("mission"))
     assert (mission["target"], mission["phase"]) == ("chair", "searching")
     settle(sink, ears)
@@ -131,9 +112,9 @@ def test_a_first_tick_says_everything_once(sink, ears):
 
 def test_rates_follow_the_clock_of_the_loop(session, ears):
     # In lockstep nothing is replaced, so what leaves can be counted.
-    sink, service = ZenohSink(session, simulated({"loop": {"lockstep": True}})), Fake()
+    sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     for k in range(100):  # 10 s at 10 Hz on the loop's clock, in no time
-        sink.tick(service, None, k * 10**8)
+        sink.tick(result(k * 10**8))
     settle(sink, ears)
     assert len(ears.rest("map")) == 20
     assert len(ears.rest("status")) == 10
@@ -142,24 +123,23 @@ def test_rates_follow_the_clock_of_the_loop(session, ears):
 
 
 def test_a_clock_set_back_does_not_silence_it(sink, ears):
-    service = Fake()
-    sink.tick(service, None, 10**12)
+    sink.tick(result(10**12))
     assert ears.hear("status")
-    sink.tick(service, None, 5)
+    sink.tick(result(5))
     assert ears.hear("status")
 
 
 def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears):
-    sink.goal(goal(123, x_m=3.0))
+    sink.tick(result(goals=(goal(123, x_m=3.0),)))
     settle(sink, ears)
     for clock.now_s in (0.0, 0.6, 1.2):
         stamp_ns, pose = messages.decode_pose_stamped(ears.hear("goal"))
         assert (stamp_ns, pose.x_m, pose.y_m) == (123, 3.0, 2.0)
     assert ears.rest("goal") == []
-    sink.answered(GoalStatus(122, "reached"))
+    sink.tick(result(answers=(GoalStatus(122, "reached"),)))
     clock.now_s = 1.8
     assert ears.hear("goal")
-    sink.answered(GoalStatus(123, "reached"))
+    sink.tick(result(answers=(GoalStatus(123, "reached"),)))
     settle(sink, ears)
     clock.now_s = 9.9
     assert ears.rest("goal") == []
@@ -168,9 +148,9 @@ def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears
 def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_anew(
     clock, sink, ears
 ):
-    sink.goal(goal(123))
+    sink.tick(result(goals=(goal(123),)))
     assert ears.hear("goal")
-    sink.answered(GoalStatus(123, "accepted"))
+    sink.tick(result(answers=(GoalStatus(123, "accepted"),)))
     settle(sink, ears)
     clock.now_s = 0.6
     assert ears.hear("goal")
@@ -181,38 +161,34 @@ def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_
 
 
 def test_a_new_goal_takes_the_place_of_the_old(clock, sink, ears):
-    sink.goal(goal(1))
+    sink.tick(result(goals=(goal(1),)))
     assert messages.decode_pose_stamped(ears.hear("goal"))[0] == 1
-    sink.goal(goal(2))
-    sink.answered(GoalStatus(1, "failed"))
+    sink.tick(result(goals=(goal(2),)))
+    sink.tick(result(answers=(GoalStatus(1, "failed"),)))
     settle(sink, ears)
     for clock.now_s in (0.0, 0.6, 1.2):
         assert messages.decode_pose_stamped(ears.hear("goal"))[0] == 2
 
 
 def test_the_mission_reaches_those_who_come_late(sink, session, ears):
-    service = Fake()
-    service.status = MissionStatus("chair", "reached", "", 12.5, 3.0)
-    sink.tick(service, None, 0)
+    sink.tick(result(status=MissionStatus("chair", "reached", "", 12.5, 3.0)))
     ears.hear("mission")
     late = Ears(session, "edge")
     assert json.loads(late.hear("mission"))["phase"] == "reached"
 
 
 def test_the_last_word_leaves_before_it_closes(session, ears):
-    sink, service = ZenohSink(session, simulated()), Fake()
-    service.status = MissionStatus("chair", "failed", "time limit")
-    sink.tick(service, None, 0)
+    sink = ZenohSink(simulated(), session)
+    sink.tick(result(status=MissionStatus("chair", "failed", "time limit")))
     sink.close()
     assert json.loads(ears.hear("mission"))["reason"] == "time limit"
 
 
 def test_lockstep_sends_everything_in_order(clock, session):
     order = session.declare_subscriber("edge/**", zenoh.handlers.FifoChannel(1000))
-    sink, service = ZenohSink(session, simulated({"loop": {"lockstep": True}})), Fake()
+    sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     for k in range(3):
-        sink.goal(goal(k))
-        sink.tick(service, observation(k), k * 10**10)
+        sink.tick(result(k * 10**10, goals=(goal(k),), observation=observation(k)))
     keys = []
     while keys.count("tick") < 3:
         keys.append(str(eventually(order.try_recv).key_expr).removeprefix("edge/"))
@@ -223,8 +199,8 @@ def test_lockstep_sends_everything_in_order(clock, session):
 
 
 def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
-    sink = ZenohSink(session, simulated({"loop": {"lockstep": True}}))
-    sink.tick(Fake(), observation(77), 77)
+    sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
+    sink.tick(result(77, observation=observation(77)))
     ears.hear("tick")
     late = Ears(session, "edge")
     assert messages.decode_occupancy_grid(late.hear("map"))[0] == 77
@@ -233,7 +209,7 @@ def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
 
 
 def test_a_status_that_is_no_json_does_not_stop_the_sink(sink, ears, caplog):
-    sink.publish_status({"score": float("nan")})
+    sink.tick(result(health=lambda: {**health(), "detector": {"score": float("nan")}}))
     eventually(lambda: "status" in caplog.text)  # a newer one would take its place
-    sink.publish_status({"score": 1.0})
-    assert json.loads(ears.hear("status")) == {"score": 1.0}
+    sink.tick(result(10**10))
+    assert json.loads(ears.hear("status"))["phase"] == "searching"

@@ -1,11 +1,11 @@
-"""What the loop asks of a source of observations."""
+"""What the loop listens to: a source of observations, and the motion controller's answers."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 from edge.geometry import SE2
-from edge.types import Observation
+from edge.types import GoalStatus, Observation
 
 
 class Source(Protocol):
@@ -36,3 +36,10 @@ class Source(Protocol):
         """Block until a message arrives or time is up; False when none came."""
 
     def close(self) -> None: ...
+
+
+class Answers(Protocol):
+    """Yields what the motion controller says of the goals it was given; for one thread."""
+
+    def poll(self) -> list[GoalStatus]:
+        """What came since the last call, oldest first; never blocks."""

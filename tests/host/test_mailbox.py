@@ -7,7 +7,7 @@ import threading
 import pytest
 from patience import PATIENCE_S
 
-from edge.sinks.mailbox import Mailbox
+from edge.host.mailbox import Mailbox
 
 
 class Gate:

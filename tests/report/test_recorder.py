@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from results import facts, result
 from simulated import simulated
 
 from edge.geometry import SE2
-from edge.loop.latency import LatencyRing
-from edge.mission.automaton import compile_formula
-from edge.mission.ltl import parse as parse_ltl
+from edge.loop.result import Event, facts_of
+from edge.mission.brief import prepare
+from edge.mission.run import MissionRun
 from edge.report.album import MAX_FRAME_PX
-from edge.report.record import RunRecord, Story
-from edge.report.recorder import STEP_M, Ends, Recorder, Trail, detector_name
+from edge.report.record import RunRecord
+from edge.report.recorder import STEP_M, Ends, Recorder, Trail, detector_name, story_of
 from edge.types import Detections, Goal, MissionStatus, Observation
 
 S = 1_000_000_000
 MS = 1_000_000
 
 
-def make(frames: int = 8, target: str = "chair") -> Recorder:
-    return Recorder(simulated({"report": {"frames": frames}, "mission": {"target": target}}))
+def make(frames: int = 8) -> Recorder:
+    return Recorder(simulated({"report": {"frames": frames}}))
 
 
-def finish(recorder: Recorder, **more: object) -> RunRecord:
-    return recorder.finish(MissionStatus("chair", "reached"), LatencyRing().report(), **more)
+def finish(recorder: Recorder, target: str = "chair", **more: object) -> RunRecord:
+    return recorder.record(result(status=MissionStatus(target, "reached"), **more), {})
+
+
+def drive(recorder: Recorder, stamp_ns: int, x_m: float, yaw_rad: float = 0.0) -> None:
+    pose = SE2(x_m, 0.0, yaw_rad).matrix()
+    recorder.tick(result(observation=Observation(0, stamp_ns, pose)))
+
+
+def show(recorder: Recorder, detections: Detections, *targets: str) -> None:
+    recorder.tick(result(detections=detections, targets=targets or ("chair",)))
 
 
 def seen(stamp_ns: int, scores: dict[str, float], size: tuple[int, int] = (16, 20)) -> Detections:
@@ -43,14 +55,14 @@ def test_empty():
     record = finish(make())
     assert record.trajectory.shape == (0, 3)
     assert record.frontiers_m.shape == (0, 2)
-    assert (record.frames, record.goals, record.events, record.map) == ((), (), (), None)
+    assert (record.frames, record.goals, record.events) == ((), (), ())
     assert record.title == "Find the chair"
 
 
 def test_trajectory_keeps_steps_and_counts_from_the_start():
     recorder = make()
     for k in range(100):  # 1 cm each 10 ms: every fifth is 5 cm on
-        recorder.pose(5 * S + k * 10 * MS, SE2(0.0100001 * k, 0.0, 0.25))
+        drive(recorder, 5 * S + k * 10 * MS, 0.0100001 * k, 0.25)
     record = finish(recorder)
     np.testing.assert_allclose(record.trajectory[:, 0], np.arange(0, 100, 5) * 0.01, atol=1e-4)
     np.testing.assert_allclose(record.trajectory_t_s, np.arange(0, 100, 5) * 0.01, atol=1e-9)
@@ -60,7 +72,7 @@ def test_trajectory_keeps_steps_and_counts_from_the_start():
 def test_a_standing_robot_leaves_a_pose_each_tenth_of_a_second():
     recorder = make()
     for k in range(61):
-        recorder.pose(k * S // 60, SE2(0.0, 0.0, 0.0))
+        drive(recorder, k * S // 60, 0.0)
     assert len(finish(recorder).trajectory) == 11
 
 
@@ -90,10 +102,12 @@ def test_ends(n, first, last):
     assert (ends.count, ends.left_out) == (n, n - len(expected))
 
 
-def test_a_goal_sent_again_is_one_goal():
+def test_goals_are_counted_from_the_start():
     recorder = make()
-    for stamp in (1, 1, 2, 2, 2):
-        recorder.goal(Goal(stamp * S, SE2(0, 0, 0), "frontier", stamp, (1.0, 1.0), 0.5, "chair"))
+    for stamp in (1, 2):
+        drive(recorder, stamp * S, 0.0)
+        goal = Goal(stamp * S, SE2(0, 0, 0), "frontier", stamp, (1.0, 1.0), 0.5, "chair")
+        recorder.tick(result(goals=(goal,)))
     record = finish(recorder)
     assert [g.candidate_id for g in record.goals] == [1, 2]
     assert record.counters["goals"] == 2
@@ -102,16 +116,15 @@ def test_a_goal_sent_again_is_one_goal():
 
 def test_events_in_order_of_time():
     recorder = make()
-    recorder.event(10 * S, "begin")
-    recorder.event(12 * S, "late")
-    recorder.event(11 * S, "early")
-    assert finish(recorder).events == ((0.0, "begin"), (1.0, "early"), (2.0, "late"))
+    recorder.tick(result(events=(Event(10 * S, "begin"), Event(12 * S, "late"))))
+    events = finish(recorder, events=(Event(11 * S, "early"),)).events
+    assert events == ((0.0, "begin"), (1.0, "early"), (2.0, "late"))
 
 
 def test_events_without_end_are_counted():
     recorder = make()
     for k in range(2000):
-        recorder.event(k, f"{k}")
+        recorder.tick(result(events=(Event(k, f"{k}"),)))
     record = finish(recorder)
     assert len(record.events) == 500
     assert record.counters["events not shown"] == 1500
@@ -120,12 +133,12 @@ def test_events_without_end_are_counted():
 def test_frames_are_spaced_and_copied():
     recorder = make()
     shared = seen(0, {"chair": 0.5})
-    recorder.frame(shared)
+    show(recorder, shared)
     shared.observation.rgb[:] = 255
     shared.xyxy_px[:] = -1
     for k in range(1, 30):  # no better, within the second
-        recorder.frame(seen(k * S // 30, {"chair": 0.5}))
-    recorder.frame(seen(S, {"sofa": 0.5}))
+        show(recorder, seen(k * S // 30, {"chair": 0.5}))
+    show(recorder, seen(S, {"sofa": 0.5}))
     frames = finish(recorder).frames
     assert [f.stamp_ns for f in frames] == [0, S]
     assert frames[0].rgb.max() == 0
@@ -136,7 +149,7 @@ def test_frames_are_spaced_and_copied():
 def test_a_clearly_better_view_within_the_second_takes_the_place():
     recorder = make()
     for k, score in enumerate((0.3, 0.32, 0.6, 0.5)):
-        recorder.frame(seen(k * S // 10, {"chair": score}))
+        show(recorder, seen(k * S // 10, {"chair": score}))
     assert [f.stamp_ns for f in finish(recorder).frames] == [2 * S // 10]
 
 
@@ -144,14 +157,14 @@ def test_half_are_the_best_of_the_target_and_half_the_newest():
     scores = [0.1, 0.9, 0.2, 0.8, 0.1, 0.1, 0.3, 0.2, 0.1]
     recorder = make(frames=4)
     for k, score in enumerate(scores):
-        recorder.frame(seen(k * S, {"sofa": 0.9, "chair": score}))
+        show(recorder, seen(k * S, {"sofa": 0.9, "chair": score}))
     assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 3, 7, 8]
 
 
 def test_frames_with_boxes_outlast_frames_without():
     recorder = make(frames=3)
     for k in range(9):
-        recorder.frame(seen(k * S, {"sofa": 0.5} if k in (1, 2) else {}))
+        show(recorder, seen(k * S, {"sofa": 0.5} if k in (1, 2) else {}))
     assert [f.stamp_ns // S for f in finish(recorder).frames] == [1, 2, 8]
 
 
@@ -159,15 +172,15 @@ def test_frames_with_boxes_outlast_frames_without():
 def test_few_or_no_frames_wanted(frames):
     recorder = make(frames)
     for k in range(6):
-        recorder.frame(seen(k * S, {"chair": 0.1 * k}))
-    recorder.frame(Detections(Observation(0, 9 * S, np.eye(4)), *[np.zeros(0)] * 3, ("chair",)))
+        show(recorder, seen(k * S, {"chair": 0.1 * k}))
+    show(recorder, Detections(Observation(0, 9 * S, np.eye(4)), *[np.zeros(0)] * 3, ("chair",)))
     assert len(finish(recorder).frames) == frames
 
 
 def test_another_word_for_the_target_is_the_target():
-    recorder = make(target="couch")
-    recorder.frame(seen(0, {"sofa": 0.7, "chair": 0.9}))
-    record = finish(recorder)
+    recorder = make()
+    show(recorder, seen(0, {"sofa": 0.7, "chair": 0.9}), "couch")
+    record = finish(recorder, "couch")
     assert record.frames[0].is_target.tolist() == [True, False]
     assert record.is_target("sofas")
     assert not record.is_target("chair")
@@ -175,11 +188,10 @@ def test_another_word_for_the_target_is_the_target():
 
 def test_each_target_has_its_best_view():
     """One target is seen well in many images; another only once, and badly."""
-    recorder = Recorder(simulated({"report": {"frames": 4}}), ("chair", "sofa"))
+    recorder = make(frames=4)
     for k in range(12):
-        recorder.frame(
-            seen(k * S, {"chair": 0.9 - 0.01 * k, "sofa": 0.3} if k == 5 else {"chair": 0.8})
-        )
+        scores = {"chair": 0.9 - 0.01 * k, "sofa": 0.3} if k == 5 else {"chair": 0.8}
+        show(recorder, seen(k * S, scores), "chair", "sofa")
     frames = finish(recorder).frames
     assert [f.stamp_ns // S for f in frames if "sofa" in f.best] == [5]
     assert next(iter(frames[0].best.values())) == pytest.approx(0.85)
@@ -188,10 +200,9 @@ def test_each_target_has_its_best_view():
 
 def test_targets_may_change_with_the_mission():
     recorder = make()
-    recorder.frame(seen(0, {"chair": 0.5, "sofa": 0.6}))
-    recorder.targets = ("sofa",)
-    recorder.frame(seen(S, {"chair": 0.5, "sofa": 0.6}))
-    record = finish(recorder)
+    show(recorder, seen(0, {"chair": 0.5, "sofa": 0.6}))
+    show(recorder, seen(S, {"chair": 0.5, "sofa": 0.6}), "sofa")
+    record = finish(recorder, "sofa")
     assert [list(f.best) for f in record.frames] == [["chair"], ["sofa"]]
     assert record.targets == ("sofa",)
 
@@ -201,21 +212,54 @@ def test_targets_may_change_with_the_mission():
     [
         ("chair", "target", "Find the chair"),
         ("go to the tv", "grammar", "go to the tv"),
-        ("x\n" * 500, "grammar", "x�" * 79 + "x…"),
+        ("x\n" * 500, "grammar", "x\ufffd" * 79 + "x…"),
     ],
 )
 def test_a_run_is_called_after_its_instruction(instruction, backend, title):
-    automaton = compile_formula(parse_ltl("F chair"))
-    story = Story(instruction, "", "F chair", backend, automaton)
-    record = finish(make(), story=story)
+    told = facts()
+    translation = replace(told.brief.translation, instruction=instruction, backend=backend)
+    mission = replace(told, brief=replace(told.brief, translation=translation))
+    record = finish(make(), mission=lambda: mission)
     assert record.title == title
-    assert record.story is story
-    assert story.simple
+    assert (record.story.instruction, record.story.backend) == (instruction, backend)
+    assert record.story.simple
+
+
+def under_way(formula: str) -> MissionRun:
+    config = simulated().mission
+    run = MissionRun(prepare(config, formula=formula), config)
+    run.start(0)
+    return run
+
+
+def test_the_story_of_a_mission_under_way():
+    run = under_way("F(chair & F sofa) & (!bed W sofa)")
+    run.arrive("seen in 9 images", S)
+    story = story_of(facts_of(run))
+    assert (story.state, story.word, story.plan) == (run.state, ("chair",), ("sofa",))
+    assert story.automaton.run(story.word) == story.state
+    assert [step.label for step in story.reached] == ["chair"]
+    assert [step.kind for step in story.steps] == ["start", "target", "reached", "target"]
+    assert not story.simple
+
+
+def test_the_story_of_a_mission_that_is_over():
+    run = under_way("F chair")
+    run.arrive("seen in 9 images", S)
+    story = story_of(facts_of(run))
+    assert (story.plan, story.simple) == ((), True)
+    assert story.steps[-1].kind == "end"
+
+
+def test_the_story_of_a_mission_that_failed_says_what_was_left():
+    run = under_way("F(chair & F sofa)")
+    run.fail("time limit of 45 s", S)
+    assert story_of(facts_of(run)).plan == ("chair", "sofa")
 
 
 def test_large_images_are_thinned_with_their_boxes():
     recorder = make()
-    recorder.frame(seen(0, {"chair": 0.5}, size=(1000, 1500)))
+    show(recorder, seen(0, {"chair": 0.5}, size=(1000, 1500)))
     frame = finish(recorder).frames[0]
     assert frame.rgb.shape == (334, 500, 3)
     assert max(frame.rgb.shape) <= MAX_FRAME_PX

@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-log = logging.getLogger("edge.sinks")
+log = logging.getLogger("edge.host.mailbox")
 
 
 class Mailbox:

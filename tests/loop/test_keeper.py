@@ -11,11 +11,12 @@ from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.config import Config
+from edge.loop.keeper import Keeper
+from edge.loop.result import facts_of
 from edge.loop.service import Service
 from edge.loop.status import mission_of
 from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
-from edge.mission.keeper import Keeper
 from edge.perception.factory import make_detector
 from edge.perception.inline import InlineWorker
 from edge.text import MAX_CHARS
@@ -90,7 +91,7 @@ def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     save(path, forged)
     with caplog.at_level(logging.INFO):
         second = restart(loop, path)
-        second.resume(loop.service)
+        second.resume(loop.service.mission)
         Keeper(loop.config, path, "another").close()
     loop.step()
     second.close()
@@ -98,7 +99,11 @@ def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     assert len(told) >= 2
     assert load(path).saved.instruction == said  # which is how it is known again
     service = loop.service
-    shown = [service.status.instruction, *mission_of(service.mission).values(), *loop.notes.events]
+    shown = [
+        service.status.instruction,
+        *mission_of(facts_of(service.mission)).values(),
+        *loop.notes.events,
+    ]
     for text in map(str, [*told, *shown]):
         assert text.isprintable()
         assert len(text) < 1500

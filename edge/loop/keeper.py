@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from edge.config import Config
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of
 from edge.mission.checkpoint import CheckpointWriter, continuous, load
+from edge.mission.run import MissionRun
 from edge.mission.saved import Saved, restore_instance, save_instances
 from edge.mission.translate import Translation
+from edge.perception.instances import InstanceTracker
 from edge.text import one_line
+from edge.types import Instance, MissionStatus, Observation
 
-if TYPE_CHECKING:
-    from edge.loop.service import Service
-    from edge.mission.run import MissionRun
-    from edge.types import Observation
-
-log = logging.getLogger("edge.mission")
+log = logging.getLogger("edge.loop.keeper")
 
 
 class Keeper:
-    """Has the state of a service's mission written: at once when it changes, else each second.
+    """Has the state of the mission written: at once when it changes, else each second.
 
     Attributes:
         saved: the unfinished mission that the checkpoint held and that goes on; else None.
@@ -68,17 +67,19 @@ class Keeper:
                 "move the file away to begin without it"
             ) from None
 
-    def resume(self, service: Service) -> None:
+    def resume(self, mission: MissionRun) -> None:
         """Set the mission to where it was; what was seen comes back with the first observation."""
         if (saved := self.saved) is not None:
-            service.mission.restore(
+            mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
             )
             log.info("going on with the mission: %s (state %d, reached: %s)",
-                     one_line(saved.instruction), service.mission.state,
+                     one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
-    def restore_places(self, service: Service, observation: Observation) -> None:
+    def restore_places(
+        self, mission: MissionRun, tracker: InstanceTracker, observation: Observation
+    ) -> None:
         """Put the instances back if the robot's odometry is still the one they were seen in."""
         saved, self._places = self._places, None
         if saved is None:
@@ -90,24 +91,38 @@ class Keeper:
             saved, here, observation.stamp_ns, robot.max_speed_mps, source.max_pose_jump_m
         ):
             for instance in saved.instances:
-                service.tracker.adopt(restore_instance(instance, observation.stamp_ns))
-            service.mission.overlook(max((i.id for i in saved.instances), default=-1))
+                tracker.adopt(restore_instance(instance, observation.stamp_ns))
+            mission.overlook(max((i.id for i in saved.instances), default=-1))
         else:
             log.info("the pose is not where it was: what was seen before the restart is dropped")
 
-    def note(self, service: Service, now_ns: int) -> None:
-        """Hand the state to the writer if it is time. Never blocks."""
-        mission = service.mission
+    def note(
+        self,
+        mission: MissionRun,
+        status: MissionStatus,
+        seen: Iterable[Instance],
+        pose: SE2 | None,
+        stamp_ns: int,
+        epoch: int,
+        now_ns: int,
+    ) -> None:
+        """Hand the state to the writer if it is time. Never blocks.
+
+        Args:
+            seen: every instance.
+            pose: in `map`, at `stamp_ns` of the sensors' clock; None before there was any.
+            epoch: counts the frames that the map was in.
+            now_ns: the loop's time.
+        """
         kept, self._kept = self._kept, (mission, mission.changes)
         unchanged = kept is not None and kept[0] is mission and kept[1] == mission.changes
         if unchanged and not self._writer.due(now_ns):
             return
         # Only references are taken here: instances replace their arrays and never write into them.
-        instances = [copy(i) for i in service.tracker.all]
-        status, pose, brief = service.status, service.pose, mission.brief
+        instances = [copy(i) for i in seen]
+        brief, pending = mission.brief, self._places
         word, reached, failed = mission.word, mission.reached, mission.failed
         detected, paused = mission.detected, mission.paused
-        stamp_ns, epoch, pending = service.stamp_ns, service.epoch, self._places
 
         def made() -> Saved:
             saved = Saved(

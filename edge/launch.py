@@ -1,0 +1,255 @@
+"""Puts a service together from a configuration, and starts `edge` commands beside it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import BinaryIO
+
+import zenoh
+
+from edge.bus.session import zenoh_session
+from edge.config import Config
+from edge.errors import UserError
+from edge.host import resources
+from edge.host.children import python_module
+from edge.host.interruptible import raise_if_stopped, unless_stopped
+from edge.host.ports import free_port
+from edge.loop.advice import make_advisers
+from edge.loop.keeper import Keeper
+from edge.loop.mission_desk import MissionDesk
+from edge.loop.models_desk import ModelsDesk
+from edge.loop.result import Sink
+from edge.loop.runner import Running
+from edge.loop.service import Service
+from edge.loop.warmup import warm_up
+from edge.mission.brief import prepare
+from edge.perception.cards import ModelError
+from edge.perception.detector import Detector
+from edge.perception.factory import make_detector
+from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
+from edge.sinks import find_sinks
+from edge.sources.goal_status import GoalStatusInbox
+from edge.sources.zenoh import ZenohSource
+
+_SWITCH_S = 2e-4
+_CHILD_STOP_S = 5.0
+_CHILD_LOOK_S = 0.2
+
+
+@dataclass
+class Launched(Running):
+    """A running service, its session on the bus, and its sinks."""
+
+    session: zenoh.Session
+    sinks: Sequence[Sink]
+
+
+@contextmanager
+def open_service(
+    config: Config,
+    sinks: Sequence[Sink],
+    asked: str | None = None,
+    formula: str | None = None,
+    stop: threading.Event | None = None,
+) -> Iterator[Launched]:
+    """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
+
+    Zenoh comes before what takes long: where another service has the endpoint, that is known at
+    once. Who connects early finds nobody to take orders until all is ready.
+
+    Args:
+        sinks: take the results besides those that the configuration names.
+        asked: the configuration's mission, where the command line named it.
+        formula: the mission, in place of the configuration's. With neither, a checkpoint's
+            unfinished mission goes on, whatever the configuration says.
+        stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
+            (`edge.host.interruptible`).
+
+    Raises:
+        Stopped: `stop` was set before the service was ready.
+        ConfigError: there is no such sink.
+        UserError: the mission is not understood or cannot be done.
+        CheckpointError: `mission.checkpoint` cannot be read or written.
+        ModelError: the detector's or a scorer's model is missing or unusable.
+        ChatError: the URL of a scorer's server cannot be used.
+        BusError: the endpoint cannot be listened on.
+    """
+    stop = stop or threading.Event()
+    make_sinks = find_sinks(config)
+    with ExitStack() as stack:
+        mission, keeper, brief = config.mission, None, None
+        if mission.checkpoint is not None:
+            named = asked if formula is None else formula
+            keeper = Keeper(config, resources.expand(mission.checkpoint), named)
+            stack.callback(keeper.close)
+            brief = keeper.brief()
+        if brief is None:
+            brief = prepare(mission, formula=formula)
+        raise_if_stopped(stop)
+        session = stack.enter_context(
+            zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
+        )
+        detector = _load(config, brief.targets, stop)
+        worker = (
+            InlineWorker(detector, config.loop.detect_every)
+            if config.loop.lockstep
+            else DetectorWorker(detector)
+        )
+        stack.callback(worker.close)
+        advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
+        if advisers is not None:
+            stack.callback(advisers.close)
+        unless_stopped(partial(warm_up, config), stop)
+        raise_if_stopped(stop)
+        source = ZenohSource(session, config)
+        stack.callback(source.close)
+        every = [*(make(session) for make in make_sinks), *sinks]
+        for sink in every:
+            stack.callback(sink.close)
+        inbox = GoalStatusInbox(session, config.zenoh.prefix)
+        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
+        stack.callback(desk.close)
+        models = ModelsDesk(session, config.zenoh.prefix)
+        stack.callback(models.close)
+
+        def overruns() -> dict[str, int]:
+            """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
+            return {
+                "sensors": source.counters["overrun"],
+                "goal_status": inbox.overruns,
+                "mission/request": desk.overruns,
+                "models/request": models.overruns,
+            }
+
+        service = Service(config, brief, worker, every, keeper, advisers, overruns)
+        stack.callback(service.close)
+        # What start-up made stays for good; the collector need not walk it again in the loop.
+        gc.collect()
+        gc.freeze()
+        stack.callback(gc.unfreeze)
+        # Kernels give the interpreter lock away; by default the loop then waits up to 5 ms for the
+        # detector's or the sink's thread to give it back, more than a whole tick's budget.
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_S)
+        yield Launched(config, service, worker, source, inbox, desk, models, session, every)
+
+
+def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
+    """See `make_detector`; raises Stopped once `stop` is set."""
+    make = partial(make_detector, config.perception, targets, cancelled=stop)
+    if config.perception.isolation == "thread":
+        return unless_stopped(make, stop)
+    try:
+        return make()
+    except ModelError:
+        raise_if_stopped(stop)
+        raise
+
+
+def on_a_free_port(config: Config) -> Config:
+    """The configuration, with an endpoint on this machine that nobody has."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    return config.model_copy(
+        update={"zenoh": config.zenoh.model_copy(update={"endpoint": endpoint})}
+    )
+
+
+@contextmanager
+def children(
+    config: Config, stop: threading.Event, *commands: tuple[str, ...]
+) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """`edge COMMAND` processes with this configuration; they end with the block.
+
+    A child gets the whole configuration in a file, since the environment's overrides and `--target`
+    are already in it.
+
+    Args:
+        stop: set when a child ends before the block does: there is nothing to go on with.
+
+    Raises:
+        UserError: a child could not be started, or ended by itself.
+    """
+    environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+    started: list[subprocess.Popen[bytes]] = []
+    with _in_memory(config) as file:
+        path = f"/proc/self/fd/{file.fileno()}"
+        try:
+            for command, *options in commands:
+                arguments = [*python_module("edge.cli"), "--log-level", "warning"]
+                arguments += [command, path, "--with-parent", str(os.getpid()), *options]
+                try:
+                    # A session of its own keeps the terminal's Ctrl-C for the parent, which
+                    # stops its children in order.
+                    child = subprocess.Popen(
+                        arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
+                    )
+                except OSError as error:
+                    raise UserError(f"cannot start edge {command}: {error.strerror}") from None
+                started.append(child)
+            with _watched(started, stop):
+                yield started
+            _check([command for command, *_ in commands], started)
+        finally:
+            _stop(started)
+
+
+def _in_memory(config: Config) -> BinaryIO:
+    """A file with the configuration and no name: nothing is left of it however this process ends,
+    and none but children can read what secrets it holds."""
+    file = open(os.memfd_create("edge-config"), "wb")  # noqa: SIM115
+    file.write(config.model_dump_json(exclude={"path"}).encode())
+    file.flush()
+    return file
+
+
+@contextmanager
+def _watched(started: list[subprocess.Popen[bytes]], stop: threading.Event) -> Iterator[None]:
+    """Sets `stop` as soon as one of the processes ends."""
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(_CHILD_LOOK_S):
+            if any(child.poll() is not None for child in started):
+                stop.set()
+                return
+
+    thread = threading.Thread(target=watch, name="children", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:
+    """Raises UserError for the first process that has ended by itself."""
+    for name, child in zip(names, started, strict=True):
+        code = child.poll()
+        if code is not None:
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            error = UserError(f"edge {name} ended before its time ({how}): see what it said above")
+            error.exit_code = code if code > 0 else os.EX_SOFTWARE
+            raise error
+
+
+def _stop(started: list[subprocess.Popen[bytes]]) -> None:
+    for child in started:
+        with suppress(ProcessLookupError):
+            child.send_signal(signal.SIGTERM)
+    for child in started:
+        try:
+            child.wait(_CHILD_STOP_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()

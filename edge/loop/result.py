@@ -1,0 +1,111 @@
+"""What a tick comes to, and the sinks that are handed it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from edge.geometry import SE2, Grid
+from edge.loop.latency import LatencyReport
+from edge.mission.brief import Brief
+from edge.mission.planning.plan import Knowledge, Plan
+from edge.mission.run import MissionRun
+from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
+
+
+class Event(NamedTuple):
+    """Something that a person would want to know, at a time of the loop."""
+
+    now_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissionFacts:
+    """A mission as it stood at one moment.
+
+    Attributes:
+        state: of the automaton; `word`: the letters that led there.
+        knowledge: the sets D, R and B (ViTL IV-A2); `reached`: R in order of reaching.
+        forbidden: targets from which, reached next, success would be impossible.
+        steps: what happened, oldest first.
+    """
+
+    brief: Brief
+    state: int
+    word: tuple[str, ...]
+    plan: Plan
+    knowledge: Knowledge
+    reached: tuple[str, ...]
+    forbidden: tuple[str, ...]
+    paused: bool
+    steps: tuple[Step, ...]
+
+
+def facts_of(mission: MissionRun) -> MissionFacts:
+    """A mission as it stands."""
+    return MissionFacts(
+        mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
+        mission.reached, mission.forbidden, mission.paused, mission.steps,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TickResult:
+    """All that a sink may know of a tick, or of a moment in which there was nothing to see.
+
+    What is dear to gather is to be called for, in `Sink.tick` or after the loop's end. Only
+    `snapshot` and `latency` may be called later, and by another thread.
+
+    Attributes:
+        now_ns: the loop's time.
+        observation: what was dealt with, held until `Sink.tick` returns; None: there was none.
+        pose: the newest in `map`; None before there was any.
+        goal: where the robot is sent; None: nowhere.
+        answer: the controller's newest answer to that goal; None before it came.
+        controlled: whether a controller answers.
+        targets: of the mission.
+        goals: that went out since the result before; so `answers` that came, and `events`.
+        detections: what came in, with its frame, valid until `Sink.tick` returns; None: nothing.
+        mission: the mission's state, plan and story.
+        instances: those of all targets that are worth driving to, best first a target; one that
+            answers to two targets stands twice. They are copies, whose arrays nobody writes to.
+        frontiers: (n, 2) float32 in `map`, a copy.
+        known_m2: area that was seen.
+        snapshot: a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
+        latency: see `edge.loop.latency.LatencyRing.report`.
+        health: of loop, checkpoint, detector, swap and scorers, JSON-ready.
+    """
+
+    now_ns: int
+    observation: Observation | None
+    pose: SE2 | None
+    status: MissionStatus
+    goal: Goal | None
+    answer: GoalStatus | None
+    controlled: bool
+    targets: tuple[str, ...]
+    goals: tuple[Goal, ...]
+    answers: tuple[GoalStatus, ...]
+    events: tuple[Event, ...]
+    detections: Detections | None
+    mission: Callable[[], MissionFacts]
+    instances: Callable[[], list[Instance]]
+    frontiers: Callable[[], np.ndarray]
+    known_m2: Callable[[], float]
+    snapshot: Callable[..., Grid]
+    latency: Callable[..., LatencyReport]
+    health: Callable[[], dict[str, Any]]
+
+
+class Sink(Protocol):
+    """Takes results. Its methods never block; what they raise is counted and costs no one else."""
+
+    def tick(self, result: TickResult) -> None:
+        """A tick ended, or there was nothing to see for a moment."""
+
+    def close(self) -> None:
+        """No more will come."""

@@ -1,0 +1,142 @@
+"""The progress line: its words, its beat, and that it fits the terminal."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+from results import facts, result
+from simulated import simulated
+
+from edge.cli import console
+from edge.cli.console import ConsoleSink, line_of
+from edge.geometry import SE2
+from edge.logs import CLEAR_LINE
+from edge.loop.latency import LatencyRing
+from edge.loop.result import TickResult, facts_of
+from edge.loop.service import DETECT
+from edge.mission.brief import prepare
+from edge.mission.run import MissionRun
+from edge.types import Goal, MissionStatus
+
+S, MS = 1_000_000_000, 1_000_000
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def wall(monkeypatch) -> SimpleNamespace:
+    """Stands for the module `time`; stands still unless the test sets it."""
+    wall = SimpleNamespace(now_ns=0)
+    wall.monotonic_ns = lambda: wall.now_ns
+    monkeypatch.setattr(console, "time", wall)
+    return wall
+
+
+def latency() -> LatencyRing:
+    ring = LatencyRing()
+    ring.begin_tick(0)
+    ring.span(DETECT, 9 * MS)
+    ring.end_tick(2 * MS)
+    return ring
+
+
+def test_before_anything_came():
+    line = line_of(result())
+    assert line == ("0.0s waiting for sensors, looking for chair | no goal | 0 seen | map 0 m2")
+
+
+def test_a_robot_on_its_way():
+    line = line_of(
+        result(
+            status=MissionStatus("couch", "approaching", elapsed_s=61.26),
+            pose=SE2(1.0, 0.0, 0.0),
+            goal=Goal(0, SE2(2.0, 0.0, 0.0), "instance", 1, (2.24, 0.0), 0.5, "couch"),
+            mission=facts,
+            instances=lambda: [SimpleNamespace(label=label) for label in ("sofa", "sofa", "bed")],
+            known_m2=lambda: 40.6,
+            latency=latency().report,
+        )
+    )
+    assert line == (
+        "61.3s approaching couch | instance 1.2 m | 2 seen | map 41 m2 "
+        "| tick p95 2.0 ms | detector 9 ms"
+    )
+
+
+def test_nothing_in_it_moves_the_cursor():
+    status = MissionStatus("a\x1b[2Jb\n", "searching")
+    assert "for a[2Jb |" in line_of(result(status=status, mission=facts))
+
+
+@pytest.mark.parametrize(
+    ("formula", "ahead"),
+    [
+        ("F chair", "chair |"),
+        ("F(chair & F sofa)", "chair (then sofa) |"),
+        ("F(chair & X F(sofa & X X F chair))", "chair (then sofa, nothing, chair) |"),
+    ],
+)
+@pytest.mark.parametrize("phase", ["searching", "failed"])
+def test_the_line_names_the_target_and_what_comes_after_it(formula, ahead, phase):
+    line = line_of(of(formula, phase))
+    assert (ahead if phase == "searching" else "chair |") in line
+
+
+def test_a_long_plan_is_cut():
+    things = ("bed", "bench", "bottle", "bowl", "box", "candle", "chair", "clock", "cup", "desk")
+    line = line_of(of(" & ".join(f"F {thing}" for thing in things)))
+    assert len(line.partition(" | ")[0]) < 120
+
+
+def of(formula: str, phase: str = "searching") -> TickResult:
+    config = simulated().mission
+    run = MissionRun(prepare(config, formula=formula), config)
+    run.start(0)
+    status = MissionStatus(run.target, phase)
+    return result(status=status, mission=partial(facts_of, run))
+
+
+@pytest.mark.parametrize(("stream", "written"), [(Terminal, 10), (io.StringIO, 1)])
+def test_beat(wall, stream, written):
+    out = stream()
+    sink = ConsoleSink(out)
+    for k in range(60):  # two seconds of a 30 Hz loop
+        wall.now_ns = k * S // 30
+        sink.tick(result())
+    assert out.getvalue().count("looking for chair") == written
+
+
+def test_a_log_gets_whole_lines(wall):
+    out = io.StringIO()
+    sink = ConsoleSink(out)
+    for k in (0, 4, 5, 11):
+        wall.now_ns = k * S
+        sink.tick(result(status=MissionStatus("chair", "searching", elapsed_s=k)))
+    sink.close()
+    assert [line.split()[0] for line in out.getvalue().splitlines()] == ["0.0s", "5.0s", "11.0s"]
+    assert "\x1b" not in out.getvalue()
+
+
+def test_a_terminal_gets_one_line_that_fits(wall):
+    out = Terminal()
+    sink = ConsoleSink(out)
+    for k in range(3):
+        wall.now_ns = k * S
+        sink.tick(result(status=MissionStatus("x" * 300, "searching"), mission=facts))
+    sink.close()
+    lines = out.getvalue().removesuffix("\n").split(CLEAR_LINE)
+    assert (lines[0], len(lines)) == ("", 4)
+    assert all(len(line) < 80 and "\n" not in line for line in lines)
+    assert out.getvalue().endswith("\n")
+
+
+def test_nothing_to_close():
+    out = Terminal()
+    ConsoleSink(out).close()
+    assert out.getvalue() == ""

@@ -1,0 +1,48 @@
+"""Results of the loop, made by hand for tests of sinks."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from simulated import simulated
+
+from edge.geometry import Grid
+from edge.loop.latency import LatencyRing
+from edge.loop.result import MissionFacts, TickResult, facts_of
+from edge.mission.brief import prepare
+from edge.mission.run import MissionRun
+from edge.types import MissionStatus, Observation
+
+CELLS = np.array([[-1, 0], [100, 0]], np.int8)
+
+
+def observation(stamp_ns: int) -> Observation:
+    return Observation(0, stamp_ns, np.eye(4))
+
+
+@cache
+def facts(target: str = "chair") -> MissionFacts:
+    """A mission to reach one thing, at its beginning."""
+    config = simulated({"mission": {"target": target}}).mission
+    return facts_of(MissionRun(prepare(config), config))
+
+
+def health() -> dict[str, Any]:
+    return {key: {} for key in ("loop", "checkpoint", "detector", "swap", "scorers")}
+
+
+def result(now_ns: int = 0, **fields: Any) -> TickResult:
+    """A tick in which nothing happened, but for what is given."""
+    status = fields.get("status", MissionStatus("chair", "searching"))
+    nothing: dict[str, Any] = {
+        "observation": None, "pose": None, "status": status, "goal": None, "answer": None,
+        "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
+        "events": (), "detections": None, "mission": lambda: facts(status.target),
+        "instances": list, "frontiers": lambda: np.zeros((0, 2), np.float32),
+        "known_m2": lambda: 0.0,
+        "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),
+        "latency": LatencyRing().report, "health": health,
+    }  # fmt: skip
+    return TickResult(now_ns=now_ns, **{**nothing, **fields})
