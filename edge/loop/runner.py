@@ -33,7 +33,6 @@ from edge.mission.brief import prepare
 from edge.mission.keeper import Keeper
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, make_detector
-from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.sinks import Sink
 from edge.sinks.zenoh import ZenohSink
@@ -59,7 +58,7 @@ class Running:
     config: Config
     session: zenoh.Session
     service: Service
-    worker: DetectorWorker | InlineWorker
+    worker: DetectorWorker
     source: Source
     inbox: GoalStatusInbox
     desk: Desk
@@ -112,11 +111,7 @@ def open_service(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
         detector = _load(config, brief.targets, stop)
-        worker = (
-            InlineWorker(detector, config.loop.detect_every)
-            if config.loop.lockstep
-            else DetectorWorker(detector)
-        )
+        worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
         advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
         if advisers is not None:

@@ -28,7 +28,6 @@ from edge.mission.keeper import Keeper
 from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
 from edge.mission.sight import newest_ids, places
-from edge.perception.inline import InlineWorker
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
@@ -70,7 +69,7 @@ class Service:
         self,
         config: Config,
         brief: Brief,
-        worker: DetectorWorker | InlineWorker,
+        worker: DetectorWorker,
         sinks: list[Sink],
         keeper: Keeper | None = None,
         advisers: Advisers | None = None,

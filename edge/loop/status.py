@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from edge.loop.faults import DEGRADED_AFTER
 from edge.perception.detector import Health
-from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def status_of(
-    service: Service, worker: DetectorWorker | InlineWorker, advisers: Advisers | None
+    service: Service, worker: DetectorWorker, advisers: Advisers | None
 ) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
     pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
@@ -70,7 +69,7 @@ def status_of(
     }
 
 
-def detector_health(worker: DetectorWorker | InlineWorker) -> Health:
+def detector_health(worker: DetectorWorker) -> Health:
     """How the detector is by its own account, and if that is well, by what comes of its images."""
     own = worker.detector.health()
     if own.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:

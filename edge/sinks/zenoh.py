@@ -1,6 +1,6 @@
 """Goals, map, mission, status and latency over Zenoh.
 
-The loop only puts things into a mailbox; encoding and sending happen on the mailbox's thread.
+The loop only hands things to a worker; encoding and sending happen on the worker's thread.
 A goal goes out every 0.5 s until it is answered, then every second until it is settled, so that a
 controller that was behind or starts anew finds it. The mission goes out when it changes and every
 second, so that whoever joins late learns of it within a second; nothing needs to be asked for.
@@ -21,8 +21,8 @@ from edge.bus import topics
 from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
+from edge.host.worker import Worker
 from edge.sinks import SinkBase
-from edge.sinks.mailbox import Mailbox
 from edge.types import Goal, GoalStatus, MissionStatus, Observation
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Snapshot(Protocol):
 
 @dataclass(slots=True)
 class _Repeated:
-    """Something that is sent again; touched by the mailbox's thread only."""
+    """Something that is sent again; touched by the worker's thread only."""
 
     payload: bytes
     period_s: float
@@ -85,7 +85,7 @@ class ZenohSink(SinkBase):
         }
         self._last_ns: dict[str, int] = {}
         self._mission: tuple[str, str, str] | None = None
-        self._mailbox = Mailbox("zenoh-sink", self._deliver, self._repeat)
+        self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
 
     # -- what the loop calls (see `edge.sinks.Sink`) --------------------------------------------
 
@@ -111,7 +111,7 @@ class ZenohSink(SinkBase):
 
     def close(self) -> None:
         """Send what is left; gives up after a second, for a stopped peer may block lockstep."""
-        if self._mailbox.close(_CLOSE_S):
+        if self._worker.close(_CLOSE_S):
             for publisher in self._publishers.values():
                 publisher.undeclare()
 
@@ -123,10 +123,10 @@ class ZenohSink(SinkBase):
 
     def goal_answered(self, stamp_ns: int, settled: bool = True) -> None:
         """Stop sending a goal, or only send it less often while it is not `settled`."""
-        self._mailbox.queue("answered", (stamp_ns, settled))
+        self._worker.queue(("answered", (stamp_ns, settled)))
 
     def publish_map(self, stamp_ns: int, snapshot: Callable[[], Snapshot]) -> None:
-        """`snapshot` is called on the mailbox's thread: copying a large map takes too long for a
+        """`snapshot` is called on the worker's thread: copying a large map takes too long for a
         tick. In lockstep it is called at once, since the map must be the one of this tick."""
         if self._lockstep:
             taken = snapshot()
@@ -138,7 +138,7 @@ class ZenohSink(SinkBase):
         self._put("status", status)
 
     def publish_latency(self, report: Callable[[], dict[str, Any]]) -> None:
-        """`report` is called on the mailbox's thread: percentiles take longer than a tick may."""
+        """`report` is called on the worker's thread: percentiles take longer than a tick may."""
         self._put("latency", report)
 
     def publish_mission(self, status: MissionStatus) -> None:
@@ -148,13 +148,17 @@ class ZenohSink(SinkBase):
         """Say that the observation of this stamp has been dealt with."""
         self._put("tick", stamp_ns)
 
-    # -- on the mailbox's thread ------------------------------------------------------------------
+    # -- on the worker's thread ------------------------------------------------------------------
 
-    def _deliver(self, name: str, item: Any) -> None:
+    def _deliver(self, what: tuple[str, Any]) -> None:
+        name, item = what
         if name == "answered":
             self._slow_down(*item)
             return
-        payload = _ENCODERS[name](item)
+        try:
+            payload = _ENCODERS[name](item)
+        except Exception as error:
+            raise ValueError(f"{name}: {error}") from error
         self._publishers[name].put(payload)
         if name == "map" and self._lockstep:
             self._last_map = payload
@@ -187,9 +191,9 @@ class ZenohSink(SinkBase):
     def _put(self, name: str, item: Any) -> None:
         """Ticks, and in lockstep all, leave in order; else the newest of a name wins."""
         if self._lockstep or name == "tick":
-            self._mailbox.queue(name, item)
+            self._worker.queue((name, item))
         else:
-            self._mailbox.post(name, item)
+            self._worker.submit((name, item), key=name)
 
     def _is_due(self, name: str, now_ns: int) -> bool:
         last_ns = self._last_ns.get(name)

@@ -25,8 +25,7 @@ from edge.loop import runner
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running, loop
 from edge.loop.stages import STAGES
-from edge.perception.inline import InlineWorker
-from edge.perception.worker import DetectorWorker, WorkerBase
+from edge.perception.worker import DetectorWorker
 from edge.sinks import SinkBase
 from edge.types import GoalStatus, Observation
 
@@ -79,7 +78,10 @@ def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
 
 
 def running_of(
-    closed: ClosedLoop, seen: list[Observation], jump_at: int = -1, worker: WorkerBase | None = None
+    closed: ClosedLoop,
+    seen: list[Observation],
+    jump_at: int = -1,
+    worker: DetectorWorker | None = None,
 ) -> Running:
     """The loop over these frames, with another worker in place of the closed loop's if need be."""
     inbox = SimpleNamespace(poll=list)
@@ -230,20 +232,19 @@ def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
     assert slot.holds == 0
 
 
-@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
-def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(make, monkeypatch):
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(inline, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     failing, passing = DEGRADED_AFTER + 2, 3
     seen = blanks(closed, failing + passing)
     detector = closed.service._worker.detector
-    run = running_of(closed, seen, worker=make(detector))
+    run = running_of(closed, seen, worker=DetectorWorker(detector, inline))
     service, stop, states = run.service, threading.Event(), []
     whole = detector.detect
     monkeypatch.setattr(detector, "detect", broken)
 
     def each() -> None:
-        if make is DetectorWorker:
-            eventually(run.worker.idle)
+        eventually(lambda: run.worker.idle)
         states.append(service.status_dict()["detector"])
         if len(states) == failing:
             monkeypatch.setattr(detector, "detect", whole)

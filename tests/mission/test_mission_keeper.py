@@ -17,7 +17,7 @@ from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.mission.keeper import Keeper
 from edge.perception.detector import make_detector
-from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
 from edge.text import MAX_CHARS
 
 
@@ -30,7 +30,7 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     """Put a service that reads the checkpoint in the place of the present one."""
     keeper = Keeper(loop.config, path, None)
     brief = keeper.brief() or loop.service.mission.brief
-    worker = InlineWorker(make_detector(loop.config.perception, brief.targets))
+    worker = DetectorWorker(make_detector(loop.config.perception, brief.targets), inline=True)
     loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
     return keeper
 

@@ -15,7 +15,7 @@ from edge.loop.models_desk import ModelOrder, handle, parse_order
 from edge.models.use import follow
 from edge.perception.sim_detector import SimDetector
 from edge.perception.swap.swapper import Swapper
-from edge.perception.worker import WorkerBase
+from edge.perception.worker import DetectorWorker
 
 
 class Service:
@@ -129,7 +129,7 @@ def test_no_order(payload, text):
 
 def test_orders_are_answered_with_how_the_swap_stands():
     perception = simulated().perception
-    worker = WorkerBase(SimDetector(perception.detector, ["chair"]))
+    worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
     swapper = Swapper(perception, worker, lambda text, now_ns: None)
     said: list = []
 

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.host.interruptible import start_unjoined
+from edge.host.worker import LONGEST_ERROR
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.swap.trial import Unfit, failure, judge, median_ms, not_finite, sample
-from edge.perception.worker import LONGEST_ERROR, WorkerBase
+from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -47,7 +48,7 @@ class Attempt:
     """
 
     def __init__(
-        self, model: str, force: bool, perception: Perception, worker: WorkerBase, make: Make
+        self, model: str, force: bool, perception: Perception, worker: DetectorWorker, make: Make
     ) -> None:
         self.model, self.force = model, force
         self.previous = worker.detector
@@ -95,7 +96,7 @@ class Attempt:
     def see(
         self, detector: Detector, observation: Observation, outcome: Detections | Exception
     ) -> None:
-        """For `WorkerBase.watch`: an image to try the model on, or one of its probation."""
+        """For `DetectorWorker.watch`: an image to try the model on, or one of its probation."""
         try:
             self._take(detector, observation, outcome)
         except Exception as error:  # no memory for a copy: none for the model either

@@ -17,7 +17,7 @@ from edge.config import Perception
 from edge.errors import UserError
 from edge.perception.detector import Detector, make_detector
 from edge.perception.swap.attempt import Attempt, Make
-from edge.perception.worker import WorkerBase
+from edge.perception.worker import DetectorWorker
 
 log = logging.getLogger("edge.swap")
 
@@ -41,7 +41,7 @@ class Swapper:
     def __init__(
         self,
         perception: Perception,
-        worker: WorkerBase,
+        worker: DetectorWorker,
         tell: Callable[[str, int], None],
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
