@@ -15,17 +15,15 @@ from time import perf_counter_ns
 
 import zenoh
 
-from edge.bus.desk import Desk, Request
+from edge.bus.requests import RequestServer
 from edge.bus.session import zenoh_session
 from edge.config import Config
 from edge.host import resources
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.priority import real_time
-from edge.loop import models_desk, requests
+from edge.loop import requests
 from edge.loop.advice import make_advisers
 from edge.loop.faults import IDLE, TICK
-from edge.loop.mission_desk import MissionDesk
-from edge.loop.models_desk import ModelsDesk
 from edge.loop.service import DETECT, INGEST, Service
 from edge.loop.stages import STAGES
 from edge.loop.warmup import warm_up
@@ -39,7 +37,6 @@ from edge.sinks.zenoh import ZenohSink
 from edge.sources.base import Source
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
-from edge.text import one_line
 from edge.types import MissionStatus, Observation
 
 log = logging.getLogger("edge.loop.runner")
@@ -47,7 +44,6 @@ log = logging.getLogger("edge.loop.runner")
 _SWITCH_S = 2e-4
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
-_ORDERS = 12  # more than wait in a desk's first lane
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
 
 
@@ -61,8 +57,7 @@ class Running:
     worker: DetectorWorker
     source: Source
     inbox: GoalStatusInbox
-    desk: Desk
-    models: Desk
+    servers: dict[str, RequestServer]
     sinks: list[Sink] = field(default_factory=list)
     epoch: int = 0
 
@@ -78,7 +73,7 @@ def open_service(
     """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
 
     Zenoh comes before what takes long: where another service has the endpoint, that is known at
-    once. Who connects early finds nobody to take orders until all is ready.
+    once. Who connects early finds nobody to take requests until all is ready.
 
     Args:
         sinks: take the results besides the Zenoh sink.
@@ -134,11 +129,12 @@ def open_service(
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
         inbox = GoalStatusInbox(session, config.zenoh.prefix)
-        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
-        stack.callback(desk.close)
-        models = ModelsDesk(session, config.zenoh.prefix)
-        stack.callback(models.close)
-        running = Running(config, session, service, worker, source, inbox, desk, models, every)
+        servers = {}
+        for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
+            place = f"{config.zenoh.prefix}/{key}"
+            servers[key] = RequestServer(session, place, verbs, handle)
+            stack.callback(servers[key].close)
+        running = Running(config, session, service, worker, source, inbox, servers, every)
         service.overruns = partial(_overruns, running)
         yield running
 
@@ -191,8 +187,7 @@ def _overruns(running: Running) -> dict[str, int]:
     return {
         "sensors": running.source.counters["overrun"],
         "goal_status": running.inbox.overruns,
-        "mission/request": running.desk.overruns,
-        "models/request": running.models.overruns,
+        **{key: server.overruns for key, server in running.servers.items()},
     }
 
 
@@ -257,8 +252,8 @@ def _later(now_ns: int, passed_ns: int) -> int:
     return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
 
 
-# What follows is called by the loop, and raises nothing into it: whatever one message, order or
-# frame does, the next one's turn comes (see `edge.loop.faults`).
+# What follows is called by the loop, and raises nothing into it: whatever one message, request
+# or frame does, the next one's turn comes (see `edge.loop.faults`).
 
 
 def _wait(running: Running, now_ns: int) -> bool:
@@ -285,39 +280,12 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next orders from outside, if there are any, and the next step of a swap."""
+    """Take the next requests from outside, if there are any, and the next step of a swap."""
     service = running.service
-    orders = partial(_serve, running.desk, partial(requests.handle, service), now_ns)
-    service.faults.attempt("orders", now_ns, orders)
-    orders = partial(_serve, running.models, partial(models_desk.handle, service.swapper), now_ns)
-    service.faults.attempt("model orders", now_ns, orders)
+    for key, server in running.servers.items():
+        service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
     with service.faults.outlived("swap", now_ns):
         service.swapper.step(now_ns)
-
-
-def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> int:
-    """Handle what waits at a desk, and say how much that was; every order is answered."""
-    served = 0
-    for request in _orders(desk):
-        try:
-            handle(request, now_ns)
-        except Exception as error:
-            request.refuse(f"internal error: {one_line(f'{type(error).__name__}: {error}')}")
-            raise
-        served += 1
-    return served
-
-
-def _orders(desk: Desk) -> Iterator[Request]:
-    """What waits at a desk, for one look: a few, of which one was prepared, since a new mission
-    takes a while to begin."""
-    for _ in range(_ORDERS):
-        request = desk.poll()
-        if request is None:
-            return
-        yield request
-        if request.prepared is not None:
-            return
 
 
 def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> None:

@@ -59,7 +59,7 @@ class Service:
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
         overruns: by what is listened to, how often more came than could be taken.
-        faults: what stages, sinks and orders raised, and the loop outlived.
+        faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
         advice: what the scorers said, for policies; None where there are none.

@@ -99,7 +99,7 @@ def mission_of(mission: MissionRun) -> dict[str, object]:
 
 
 def answer_of(service: Service) -> dict[str, object]:
-    """How the mission stands, for whoever gave it an order."""
+    """How the mission stands, for whoever asked."""
     s, mission = service.status, service.mission
     return {
         "instruction": s.instruction,

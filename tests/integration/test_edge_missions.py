@@ -61,7 +61,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, end
     assert (tmp_path / "mission.json.damaged-1").read_text().startswith('{"format"')
 
 
-def test_orders_by_command(edge, endpoint, tmp_path):
+def test_requests_by_command(edge, endpoint, tmp_path):
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"})
 
     def order(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:

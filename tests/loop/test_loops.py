@@ -18,7 +18,6 @@ from frames import Slot
 from patience import eventually
 from simulated import simulated
 
-from edge.bus.desk import Request
 from edge.errors import Stopped
 from edge.geometry import SE2
 from edge.loop import runner
@@ -85,11 +84,11 @@ def running_of(
 ) -> Running:
     """The loop over these frames, with another worker in place of the closed loop's if need be."""
     inbox = SimpleNamespace(poll=list)
-    desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
+    servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
         service._worker = worker
-    return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
+    return Running(closed.config, None, service, service._worker, source, inbox, servers)
 
 
 def run_out(run: Running, seen: list[Observation]) -> None:
@@ -318,14 +317,12 @@ def ticks(run: Running) -> int:
     [
         (False, "inbox", "poll", "goal_status"),
         (False, "source", "poll", "source"),
-        (False, "desk", "poll", "orders"),
-        (False, "models", "poll", "model orders"),
+        (False, "mission/request", "serve", "mission/request"),
         (False, "service", "idle", "idle"),
         (True, "inbox", "poll", "goal_status"),
         (True, "source", "wait", "wait"),
         (True, "source", "poll", "source"),
-        (True, "desk", "poll", "orders"),
-        (True, "models", "poll", "model orders"),
+        (True, "mission/request", "serve", "mission/request"),
     ],
 )
 def test_whatever_fails_around_the_ticks_the_loop_goes_on(
@@ -334,13 +331,14 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
     if part == "service":  # idle comes only where there is nothing to be seen
         run.source.poll = lambda: run.source._observations.pop() if len(beats) > 2 else None
-    whole = getattr(getattr(run, part), method)
+    owner = run.servers.get(part) or getattr(run, part)
+    whole = getattr(owner, method)
 
     def sometimes(*args) -> object:
         beats.append(len(beats))
         return whole(*args) if len(beats) > 2 else broken()
 
-    monkeypatch.setattr(getattr(run, part), method, sometimes)
+    monkeypatch.setattr(owner, method, sometimes)
     loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
     assert ticks(run) == 1
     assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
@@ -360,17 +358,3 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
     run_out(run, run.source._observations)
     assert heard == [1, 2, 3]
     assert run.service.faults.failed == 1
-
-
-def test_who_gave_an_order_that_fails_is_told_and_the_next_order_is_taken(monkeypatch):
-    run, said = running(True, frames=2), []
-    cancel = Request("cancel", None, said.append, said.append)
-    status = Request("status", None, said.append, said.append)
-    orders = [cancel, status]
-    run.desk = SimpleNamespace(poll=lambda: orders.pop(0) if orders else None)
-    monkeypatch.setattr(run.service.mission, "fail", broken)
-    run_out(run, run.source._observations)
-    assert said[0] == "internal error: ZeroDivisionError: oh no"
-    assert said[1]["phase"] == "searching"
-    assert run.service.faults.failures == {"orders: ZeroDivisionError": 1}
-    assert run.service.latency.report().tick.count == 2
