@@ -110,45 +110,25 @@ def shown(value: object) -> str:
     return f"{value!r:.40}" if plain else f"a {type(value).__name__}"
 
 
+@dataclass(eq=False)
 class Query:
-    """One query, from its arrival to its one answer."""
+    """One query of a client; `until_s` is when it has waited long enough for its answer."""
 
-    def __init__(self, query: zenoh.Query, answered: Callable[[Query], None]) -> None:
-        self.until_s = math.inf
-        self._query, self._answered = query, answered
-        self._first = threading.Lock()
-        self._reply: bytes = b""
-        self._is_error = False
+    asked: zenoh.Query
+    until_s: float = math.inf
 
     def payload(self) -> bytes:
         """ValueError when there is none, or too much of it."""
-        payload = self._query.payload
+        payload = self.asked.payload
         if payload is None or not len(payload):
             raise ValueError("no payload: expected a JSON object")
         if len(payload) > MAX_BYTES:
             raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
         return payload.to_bytes()
 
-    def refuse(self, reason: str) -> None:
-        line = one_line(reason, MAX_ERROR_CHARS)
-        self.finish(json.dumps({"error": line}).encode(), is_error=True)
 
-    def finish(self, reply: bytes, is_error: bool) -> None:
-        """Only the first counts."""
-        if self._first.acquire(blocking=False):
-            self._reply, self._is_error = reply, is_error
-            self._answered(self)
-
-    def send(self, key: str) -> None:
-        """Reply and let the query go, or its client would wait on."""
-        try:
-            with self._query as query:
-                if self._is_error:
-                    query.reply_err(self._reply, encoding=zenoh.Encoding.APPLICATION_JSON)
-                else:
-                    query.reply(key, self._reply, encoding=zenoh.Encoding.APPLICATION_JSON)
-        except zenoh.ZError as error:
-            log.warning("an answer to a request was lost: %s", _reason(error))
+Finish = Callable[[Iterable[Query], bytes, bool], None]
+"""Sends a reply, or an error, to each of these queries that has none yet. Never blocks."""
 
 
 @dataclass(eq=False)
@@ -156,6 +136,7 @@ class Request:
     """What the loop does once, for all who asked for it one after the other.
 
     Attributes:
+        queries: of those.
         prepared: what `Verb.prepare` made of it.
         ready: for the loop.
         overtaken: how many different requests, made before and not begun, this one stopped.
@@ -163,90 +144,31 @@ class Request:
 
     do: str
     fields: dict = field(default_factory=dict)
+    finish: Finish = lambda queries, reply, is_error: None
     queries: list[Query] = field(default_factory=list)
     prepared: object | None = None
     ready: bool = True
     overtaken: int = 0
 
     def answer(self, data: dict) -> None:
-        """Send what JSON can carry (finite numbers only). Never blocks; only the first call of
-        `answer` or `refuse` counts, and only within `PATIENCE_S`."""
+        """Send what JSON can carry (finite numbers only). Only the first call of `answer` or
+        `refuse` counts, and only within the server's patience."""
         # Encoded here: the dict is the caller's, who may go on to change it.
         try:
-            encoded, is_error = json.dumps(data, allow_nan=False).encode(), False
+            reply = json.dumps(data, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
             log.error("an answer to a request is not JSON: %s", error)
-            encoded, is_error = b'{"error": "internal error: the answer is not JSON"}', True
-        for query in self.queries:
-            query.finish(encoded, is_error)
+            self.refuse("internal error: the answer is not JSON")
+        else:
+            self.finish(self.queries, reply, False)
 
     def refuse(self, reason: str) -> None:
         """Send an error instead."""
-        for query in self.queries:
-            query.refuse(reason)
+        self.finish(self.queries, _error(reason), True)
 
 
-class _Lane:
-    """Requests that wait for the loop, in the order in which they came; equal ones are one.
-
-    One joins the last of them, if that asks for the same, however far it is. It passes no other,
-    nor does any pass it, or the other would have the last word. Only what stops the robot joins
-    an equal one even past other stops, so however many come, only few of them wait, and none is
-    ever turned away.
-    """
-
-    def __init__(self, verbs: Mapping[str, Verb]) -> None:
-        self._verbs = verbs
-        self._requests: deque[Request] = deque()
-
-    def __len__(self) -> int:
-        return len(self._requests)
-
-    def add(self, do: str, fields: dict, query: Query) -> Request | None:
-        """The request that the query is of; None: too many wait."""
-        verb = self._verbs[do]
-        for request in reversed(self._requests):
-            if (request.do, request.fields) == (do, fields):
-                if len(request.queries) >= _SAME and not verb.stops:
-                    return None
-                request.queries.append(query)
-                return request
-            other = self._verbs[request.do]
-            if not verb.stops or not (other.stops or other.reads):
-                break
-        full = len(self._requests) >= _WAITING or len(self.unready()) > _WAITING_NEW
-        if full and not verb.stops:
-            return None
-        self._requests.append(Request(do, fields, [query], ready=verb.prepare is None))
-        return self._requests[-1]
-
-    def pop(self) -> Request | None:
-        """The oldest, if it is ready."""
-        return self._requests.popleft() if self._requests and self._requests[0].ready else None
-
-    def unready(self) -> list[Request]:
-        """Those that are to be prepared: the first is worked on, others wait for that."""
-        return [request for request in self._requests if not request.ready]
-
-    def remove(self, query: Query) -> bool:
-        """Take a query back whose request the loop has not taken; False where it has."""
-        for request in self._requests:
-            if query in request.queries:
-                request.queries.remove(query)
-                if not request.queries:
-                    self._requests.remove(request)
-                return True
-        return False
-
-    def discard(self, request: Request) -> None:
-        if request in self._requests:
-            self._requests.remove(request)
-
-    def clear(self) -> list[Request]:
-        """All of them, which are in the lane no more."""
-        requests = list(self._requests)
-        self._requests.clear()
-        return requests
+def _error(reason: str) -> bytes:
+    return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS)}).encode()
 
 
 class RequestServer:
@@ -272,10 +194,11 @@ class RequestServer:
         self._patience_s = patience_s
         self._lock = threading.Lock()  # for the two lanes and what is open
         self._to_prepare = threading.Condition(self._lock)
-        self._first, self._second = _Lane(verbs), _Lane(verbs)
+        self._first: list[Request] = []
+        self._second: list[Request] = []  # prepared, or to be prepared
         self._open: set[Query] = set()
         self._polled_s = -math.inf
-        self._answered: queue.SimpleQueue[Query | None] = queue.SimpleQueue()
+        self._replies: queue.SimpleQueue[tuple[Query, bytes, bool] | None] = queue.SimpleQueue()
         self._closing = threading.Event()
         # A ring lets the oldest go when it is full; a FIFO would block the session.
         self._ring = QueryRing(session, key, _ARRIVED)
@@ -324,7 +247,10 @@ class RequestServer:
         if not self._first and not self._second:
             return None
         with self._lock:
-            return self._first.pop() or self._second.pop()
+            for lane in (self._first, self._second):
+                if lane and lane[0].ready:
+                    return lane.pop(0)
+        return None
 
     def close(self, timeout_s: float = 1.0) -> None:
         """Refuse what is open and take nothing more; a preparation that goes on is abandoned."""
@@ -350,10 +276,9 @@ class RequestServer:
             with self._lock:
                 left = tuple(self._open)
                 self._to_prepare.notify()
-            for query in left:
-                query.refuse("the service is stopping")
+            self._finish(left, _error("the service is stopping"), True)
             for _ in range(_SENDERS):
-                self._answered.put(None)
+                self._replies.put(None)
 
     def _arrived(self, most: int) -> Iterator[Query]:
         for _ in range(most):
@@ -361,7 +286,7 @@ class RequestServer:
                 self._looked.extend(self._ring.take())
             if not self._looked:
                 return
-            yield Query(self._looked.popleft(), self._finished)
+            yield Query(self._looked.popleft())
 
     def _note(self, queries: Iterable[Query]) -> None:
         with self._lock:
@@ -372,47 +297,70 @@ class RequestServer:
         try:
             do, fields = read_request(query.payload(), self._verbs)
         except ValueError as error:
-            query.refuse(str(error))
+            self._finish((query,), _error(str(error)), True)
             return
+        overtaken: list[Request] = []
         with self._lock:
-            overtaken = self._second.clear() if self._verbs[do].stops else []
-            taken = self._take_in(do, fields, query, len(overtaken))
-        for request in overtaken:
-            request.refuse(_STOPPED)
-        if not taken:
-            query.refuse(_BUSY)
+            if self._verbs[do].stops:
+                overtaken, self._second = self._second, []
+            if (request := self._place(do, fields)) is not None:
+                request.queries.append(query)
+                request.overtaken += len(overtaken)
+                if request.ready:
+                    query.until_s = time.monotonic() + self._patience_s
+                self._to_prepare.notify()
+        for stopped in overtaken:
+            stopped.refuse(_STOPPED)
+        if request is None:
+            self._finish((query,), _error(_BUSY), True)
 
-    def _take_in(self, do: str, fields: dict, query: Query, overtaken: int) -> bool:
-        """False: too many wait."""
-        lane = self._first if self._verbs[do].prepare is None else self._second
-        if (request := lane.add(do, fields, query)) is None:
-            return False
-        request.overtaken += overtaken
-        if request.ready:
-            query.until_s = time.monotonic() + self._patience_s
-        else:
-            self._to_prepare.notify()
-        return True
+    def _place(self, do: str, fields: dict) -> Request | None:
+        """The request that a query joins, or a new one in its lane; None: too many wait.
+
+        A query joins the last request, if that asks for the same, however far it is. It passes no
+        other, or the other would have the last word. Only what stops the robot joins an equal one
+        even past other stops, so however many come, only few of them wait, and none is ever turned
+        away.
+        """
+        verb = self._verbs[do]
+        lane = self._first if verb.prepare is None else self._second
+        for request in reversed(lane):
+            if (request.do, request.fields) == (do, fields):
+                return request if verb.stops or len(request.queries) < _SAME else None
+            other = self._verbs[request.do]
+            if not verb.stops or not (other.stops or other.reads):
+                break
+        full = len(lane) >= _WAITING
+        if not verb.stops and (full or (verb.prepare and len(self._unready()) > _WAITING_NEW)):
+            return None
+        lane.append(Request(do, fields, self._finish, ready=verb.prepare is None))
+        return lane[-1]
 
     def _give_up(self, now_s: float) -> None:
+        waiting: set[Query] = set()
         with self._lock:
-            late = [query for query in self._open if now_s >= query.until_s]
-            lanes = (self._first, self._second)
-            waited = {query for query in late if any(lane.remove(query) for lane in lanes)}
+            late = {query for query in self._open if now_s >= query.until_s}
+            for lane in (self._first, self._second) if late else ():
+                for request in lane:
+                    waiting.update(late.intersection(request.queries))
+                    request.queries = [query for query in request.queries if query not in late]
+                lane[:] = [request for request in lane if request.queries]
             polled_s = self._polled_s
-        for query in late:
-            limit = f"within {self._patience_s:g} s"
-            if query not in waited:
-                query.refuse(f"taken, but not answered {limit}; ask for the status")
-            elif now_s - polled_s < self._patience_s:
-                query.refuse(f"busy with other requests: not taken {limit}; try again later")
-            else:
-                query.refuse(f"the loop is not running: not taken {limit}")
+        limit = f"within {self._patience_s:g} s"
+        why = f"the loop is not running: not taken {limit}"
+        if now_s - polled_s < self._patience_s:
+            why = f"busy with other requests: not taken {limit}; try again later"
+        self._finish(waiting, _error(why), True)
+        taken = f"taken, but not answered {limit}; ask for the status"
+        self._finish(late - waiting, _error(taken), True)
 
-    def _finished(self, query: Query) -> None:
+    def _finish(self, queries: Iterable[Query], reply: bytes, is_error: bool) -> None:
+        """See `Finish`."""
         with self._lock:
-            self._open.discard(query)
-        self._answered.put(query)
+            finished = self._open.intersection(queries)
+            self._open -= finished
+        for query in finished:
+            self._replies.put((query, reply, is_error))
 
     # The thread that prepares. What it works on may be overtaken, and its queries refused. Then
     # what follows changes nothing: it is in no lane, and a query's first answer counts.
@@ -424,8 +372,12 @@ class RequestServer:
     def _wait_for_work(self) -> Request | None:
         """The next request to prepare; None when the server closes."""
         with self._to_prepare:
-            self._to_prepare.wait_for(lambda: self._closing.is_set() or self._second.unready())
-            return None if self._closing.is_set() else self._second.unready()[0]
+            self._to_prepare.wait_for(lambda: self._closing.is_set() or self._unready())
+            return None if self._closing.is_set() else self._unready()[0]
+
+    def _unready(self) -> list[Request]:
+        """Requests to prepare: the first is worked on, others wait for that."""
+        return [request for request in self._second if not request.ready]
 
     def _prepare(self, request: Request) -> None:
         try:
@@ -444,14 +396,26 @@ class RequestServer:
 
     def _drop(self, request: Request, reason: str) -> None:
         with self._lock:
-            self._second.discard(request)
+            if request in self._second:
+                self._second.remove(request)
         request.refuse(reason)
 
     # The others: one that answers a stopped client waits until Zenoh lets that one go.
 
     def _send_all(self) -> None:
-        while (query := self._answered.get()) is not None:
-            query.send(self.key)
+        while (entry := self._replies.get()) is not None:
+            self._send(*entry)
+
+    def _send(self, query: Query, reply: bytes, is_error: bool) -> None:
+        """Reply and let the query go, or its client would wait on."""
+        try:
+            with query.asked as asked:
+                if is_error:
+                    asked.reply_err(reply, encoding=zenoh.Encoding.APPLICATION_JSON)
+                else:
+                    asked.reply(self.key, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            log.warning("an answer to a request was lost: %s", _reason(error))
 
 
 def _reason(error: zenoh.ZError) -> str:

@@ -141,13 +141,13 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
 
 
 def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monkeypatch):
-    answered, send = [], Query.send
+    answered, send = [], RequestServer._send
 
-    def noted(query: Query, key: str) -> None:
-        send(query, key)
-        answered.append(query._reply)
+    def noted(server: RequestServer, query: Query, reply: bytes, is_error: bool) -> None:
+        send(server, query, reply, is_error)
+        answered.append(reply)
 
-    monkeypatch.setattr(Query, "send", noted)
+    monkeypatch.setattr(RequestServer, "_send", noted)
     # `exact`, so that the one that is stopped is waited for as long as can be.
     with (
         open_session(Zenoh(endpoint=endpoint), "listen", exact=True) as session,

@@ -16,7 +16,7 @@ from patience import PATIENCE_S, eventually
 
 from edge.bus import requests
 from edge.bus.client import RequestError, ask
-from edge.bus.requests import MAX_BYTES, Query, Request, RequestServer, Verb
+from edge.bus.requests import MAX_BYTES, Request, RequestServer, Verb
 from edge.bus.session import open_session
 from edge.config import Zenoh
 from edge.errors import UserError
@@ -244,12 +244,12 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
 def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve):
     server = serve(Preparing(quick="ab"), patience_s=1.0)
     asked = give(server, session, "a")
-    eventually(lambda: server._second._requests[0].ready)
+    eventually(lambda: server._second[0].ready)
     asked += give(server, session, "ab")
     assert begin_all(server, 2) == ["a", "b"]
     assert [asking.answer["began"] for asking in asked] == ["a", "a", "b"]
     late = give(server, session, "a")
-    eventually(lambda: server._second._requests[0].ready)
+    eventually(lambda: server._second[0].ready)
     late += give(server, session, "a")
     assert all("the loop is not running" in asking.refusal for asking in late)
     assert server.poll() is None
@@ -288,7 +288,7 @@ def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(s
     # What goes first keeps the loop busy; it never comes to the prepared ones.
     while not all(asking.done for asking in asked):
         with server._lock:
-            server._first.add("status", {}, Query(None, lambda _: None))
+            server._first.append(Request("status"))
         server.poll()
     for asking in asked:
         assert "busy with other requests: not taken within 0.2 s" in asking.refusal
@@ -427,7 +427,7 @@ def test_what_stops_no_robot_leaves_what_is_to_be_prepared(session):
     new = Verb(("instruction",), prepare=lambda fields: fields["instruction"])
     server = RequestServer(session, KEY, {"new": new, "cancel": Verb()}, broken)
     asked = give(server, session, "a")
-    eventually(lambda: server._second._requests[0].ready)
+    eventually(lambda: server._second[0].ready)
     asked += waiting(server, session, ["cancel"])
     assert [server.poll().do for _ in range(2)] == ["cancel", "new"]
     server.close()
@@ -556,7 +556,7 @@ def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
     server = RequestServer(session, KEY, verbs, handle)
     assert server.serve(0) == 0
     new = give(server, session, "ab")
-    eventually(lambda: not server._second.unready())
+    eventually(lambda: not server._unready())
     others = waiting(server, session, ["status", "resume"])
     assert [server.serve(0) for _ in range(3)] == [3, 1, 0]
     assert [asking.answer["did"] for asking in (*others, *new)] == [
