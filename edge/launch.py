@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 import zenoh
 
+from edge.bus.requests import RequestServer
 from edge.bus.session import zenoh_session
 from edge.config import Config
 from edge.errors import UserError
@@ -23,10 +24,9 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.ports import free_port
+from edge.loop import requests
 from edge.loop.advice import make_advisers
 from edge.loop.keeper import Keeper
-from edge.loop.mission_desk import MissionDesk
-from edge.loop.models_desk import ModelsDesk
 from edge.loop.result import Sink
 from edge.loop.runner import Running
 from edge.loop.service import Service
@@ -35,7 +35,6 @@ from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
-from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
 from edge.sinks import find_sinks
 from edge.sources.goal_status import GoalStatusInbox
@@ -65,7 +64,7 @@ def open_service(
     """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
 
     Zenoh comes before what takes long: where another service has the endpoint, that is known at
-    once. Who connects early finds nobody to take orders until all is ready.
+    once. Who connects early finds nobody to take requests until all is ready.
 
     Args:
         sinks: take the results besides those that the configuration names.
@@ -100,11 +99,7 @@ def open_service(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
         detector = _load(config, brief.targets, stop)
-        worker = (
-            InlineWorker(detector, config.loop.detect_every)
-            if config.loop.lockstep
-            else DetectorWorker(detector)
-        )
+        worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
         advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
         if advisers is not None:
@@ -117,22 +112,21 @@ def open_service(
         for sink in every:
             stack.callback(sink.close)
         inbox = GoalStatusInbox(session, config.zenoh.prefix)
-        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
-        stack.callback(desk.close)
-        models = ModelsDesk(session, config.zenoh.prefix)
-        stack.callback(models.close)
+        servers: dict[str, RequestServer] = {}
 
         def overruns() -> dict[str, int]:
             """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
             return {
                 "sensors": source.counters["overrun"],
                 "goal_status": inbox.overruns,
-                "mission/request": desk.overruns,
-                "models/request": models.overruns,
+                **{key: server.overruns for key, server in servers.items()},
             }
 
         service = Service(config, brief, worker, every, keeper, advisers, overruns)
         stack.callback(service.close)
+        for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
+            servers[key] = RequestServer(session, f"{config.zenoh.prefix}/{key}", verbs, handle)
+            stack.callback(servers[key].close)
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()
         gc.freeze()
@@ -141,7 +135,7 @@ def open_service(
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
-        yield Launched(config, service, worker, source, inbox, desk, models, session, every)
+        yield Launched(config, service, worker, source, inbox, servers, session, every)
 
 
 def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:

@@ -14,7 +14,7 @@ from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.factory import make_detector
-from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig
@@ -55,7 +55,7 @@ class ClosedLoop:
         self.rig = CameraRig(config, self.world)
         self.labels = tuple(o.label for o in self.world.objects)
         brief = prepare(config.mission)
-        worker = InlineWorker(make_detector(config.perception, brief.targets))
+        worker = DetectorWorker(make_detector(config.perception, brief.targets), inline=True)
         self.advisers = make_advisers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         self.service = Service(config, brief, worker, sinks, advisers=self.advisers)

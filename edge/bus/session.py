@@ -67,7 +67,7 @@ def session_config(settings: config.Zenoh, role: Role, exact: bool = False) -> z
     With `mode: client` nobody listens: all connect to a router that runs elsewhere.
 
     Whoever takes nothing for `BLOCKED_S`, while something waits for it that must not be dropped
-    (an answer to an order, or what another's peer publishes so), is let go; a client comes back by
+    (an answer to a request, or what another's peer publishes so), is let go; a client comes back by
     itself. Where it must be `exact`, Zenoh's 5 s are left.
     """
     connects = role == "connect" or settings.mode == "client"

@@ -51,9 +51,9 @@ TICK = Topic("tick", "json", "block", 0, "service")
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
 GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 
-# Not a topic but a queryable: orders to the mission, JSON both ways (see `edge.loop.mission_desk`).
+# Not topics but queryables: requests about the mission and the perception's model, JSON both ways
+# (see `edge.loop.requests`).
 MISSION_REQUEST = "mission/request"
-# And orders to the perception's model (see `edge.loop.models_desk`).
 MODELS_REQUEST = "models/request"
 
 ALL: tuple[Topic, ...] = (

@@ -77,7 +77,7 @@ def _leave(code: int) -> int:
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
     """The configuration that a command names, with `--target` or `--mission` put in.
 
-    A formula is no part of it: the configured translator is still there for later orders.
+    A formula is no part of it: the configured translator is still there for later requests.
     """
     from edge.config import load
 

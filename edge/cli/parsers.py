@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import model_parsers
+from edge.cli import model_parsers, requests
 from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
-from edge.mission import order
 
 _TARGET = "what to find, in place of mission.target"
 
@@ -115,8 +114,8 @@ def _config(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def
 
 
 def _mission(commands) -> None:  # type: ignore[no-untyped-def]
-    mission = commands.add_parser("mission", help="explain a mission; order a running service")
-    actions = order.add_arguments(mission)
+    mission = commands.add_parser("mission", help="explain a mission; tell a running service")
+    actions = requests.add_arguments(mission)
     explain = actions.add_parser("explain", help="what is understood, and how it is planned")
     explain.add_argument("text", help="an instruction in words")
     explain.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import Choice, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice
 from edge.perception.instances import InstanceTracker
-from edge.perception.scorer_worker import InlineScorer, ScorerWorker
 from edge.perception.similarity import (
     SimilarityScorer,
     best_scores,
@@ -23,6 +22,7 @@ from edge.perception.similarity import (
     make_similarity,
     similarity_card,
 )
+from edge.perception.worker import ScorerWorker
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # what was seen longer ago is not in view any more
@@ -111,14 +111,13 @@ class Advisers:
             rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
         """
-        run = InlineScorer if inline else ScorerWorker
         self.advice = Advice()
         self._from_detections = from_detections
         self._detector = ""
         self._round = 0
         asker = None if similarity is None else _SimilarityAsker(similarity)
-        self._similarity = None if asker is None else run("similarity", asker)
-        self._choice = None if choice is None else run("choice", choice, rest_s)
+        self._similarity = None if asker is None else ScorerWorker("similarity", asker, 0.0, inline)
+        self._choice = None if choice is None else ScorerWorker("choice", choice, rest_s, inline)
 
     def ask(
         self,
@@ -182,13 +181,17 @@ class Advisers:
         similarity, choice = self.advice.similarity, self.advice.choice
         if self._similarity is not None or self._from_detections is not None:
             said["similarity"] = {
-                **_counts(self._similarity, f"{self._from_detections} ({self._detector})"),
+                **(
+                    {"model": f"{self._from_detections} ({self._detector})"}
+                    if self._similarity is None
+                    else self._similarity.counts()
+                ),
                 "stamp_ns": None if similarity is None else similarity.stamp_ns,
                 "scores": {} if similarity is None else _by(similarity.targets, similarity.score),
             }
         if self._choice is not None:
             said["choice"] = {
-                **_counts(self._choice, ""),
+                **self._choice.counts(),
                 "stamp_ns": None if choice is None else choice.stamp_ns,
                 "target": None if choice is None else choice.target,
                 "scene": None if choice is None else choice.scene,
@@ -243,12 +246,6 @@ def make_advisers(config: Config, targets: Sequence[str]) -> Advisers | None:
     if is_running_detector(card, perception):
         return Advisers(None, asked, from_detections=card.name, **how)
     return Advisers(make_similarity(card, perception, targets), asked, **how)
-
-
-def _counts(worker: ScorerWorker | InlineScorer | None, otherwise: str) -> dict[str, object]:
-    if worker is None:
-        return {"model": otherwise}
-    return {"model": worker.name, **asdict(worker.stats)}
 
 
 def _by(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:

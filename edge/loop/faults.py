@@ -1,6 +1,6 @@
 """What the loop's steps raised, and that the loop outlives it.
 
-A step (a tick, an order, a sink) that raises costs what it was at, and nothing else: the next one
+A step (a tick, a request, a sink) that raises costs what it was at, and nothing else: the next one
 comes all the same. The first of each kind is told (at debug level with its traceback), the others
 are counted. A step that fails without end makes the service `degraded` until it goes well again.
 What is to end the process (`Stopped`, KeyboardInterrupt, SystemExit) passes through.

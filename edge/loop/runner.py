@@ -9,22 +9,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
 
-from edge.bus.desk import Desk, Request
+from edge.bus.requests import RequestServer
 from edge.config import Config
 from edge.host.priority import real_time
-from edge.loop import models_desk, requests
 from edge.loop.faults import IDLE, TICK
 from edge.loop.service import DETECT, INGEST, Service
 from edge.loop.source import Answers, Source
 from edge.loop.stages import STAGES
-from edge.perception.inline import InlineWorker
 from edge.perception.worker import DetectorWorker
-from edge.text import one_line
 from edge.types import MissionStatus, Observation
 
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
-_ORDERS = 12  # more than wait in a desk's first lane
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
 
 
@@ -34,11 +30,10 @@ class Running:
 
     config: Config
     service: Service
-    worker: DetectorWorker | InlineWorker
+    worker: DetectorWorker
     source: Source
     inbox: Answers
-    desk: Desk
-    models: Desk
+    servers: dict[str, RequestServer]
     epoch: int = field(default=0, init=False)
 
 
@@ -134,8 +129,8 @@ def _later(now_ns: int, passed_ns: int) -> int:
     return now_ns + (passed_ns if 0 < passed_ns <= _LEAP_NS else 0)
 
 
-# What follows is called by the loop, and raises nothing into it: whatever one message, order or
-# frame does, the next one's turn comes (see `edge.loop.faults`).
+# What follows is called by the loop, and raises nothing into it: whatever one message, request
+# or frame does, the next one's turn comes (see `edge.loop.faults`).
 
 
 def _wait(running: Running, now_ns: int) -> bool:
@@ -162,39 +157,12 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next orders from outside, if there are any, and the next step of a swap."""
+    """Take the next requests from outside, if there are any, and the next step of a swap."""
     service = running.service
-    orders = partial(_serve, running.desk, partial(requests.handle, service), now_ns)
-    service.faults.attempt("orders", now_ns, orders)
-    orders = partial(_serve, running.models, partial(models_desk.handle, service.swapper), now_ns)
-    service.faults.attempt("model orders", now_ns, orders)
+    for key, server in running.servers.items():
+        service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
     with service.faults.outlived("swap", now_ns):
         service.swapper.step(now_ns)
-
-
-def _serve(desk: Desk, handle: Callable[[Request, int], None], now_ns: int) -> int:
-    """Handle what waits at a desk, and say how much that was; every order is answered."""
-    served = 0
-    for request in _orders(desk):
-        try:
-            handle(request, now_ns)
-        except Exception as error:
-            request.refuse(f"internal error: {one_line(f'{type(error).__name__}: {error}')}")
-            raise
-        served += 1
-    return served
-
-
-def _orders(desk: Desk) -> Iterator[Request]:
-    """What waits at a desk, for one look: a few, of which one was prepared, since a new mission
-    takes a while to begin."""
-    for _ in range(_ORDERS):
-        request = desk.poll()
-        if request is None:
-            return
-        yield request
-        if request.prepared is not None:
-            return
 
 
 def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> None:

@@ -33,7 +33,6 @@ from edge.mission.brief import Brief
 from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
 from edge.mission.sight import newest_ids, places
-from edge.perception.inline import InlineWorker
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
@@ -64,7 +63,7 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
-        faults: what stages, sinks and orders raised, and the loop outlived.
+        faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
         advice: what the scorers said, for policies; None where there are none.
@@ -74,7 +73,7 @@ class Service:
         self,
         config: Config,
         brief: Brief,
-        worker: DetectorWorker | InlineWorker,
+        worker: DetectorWorker,
         sinks: Sequence[Sink],
         keeper: Keeper | None = None,
         advisers: Advisers | None = None,

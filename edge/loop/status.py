@@ -11,7 +11,6 @@ from edge.loop.faults import DEGRADED_AFTER, Faults
 from edge.loop.keeper import Keeper
 from edge.loop.result import MissionFacts, TickResult
 from edge.perception.detector import Health
-from edge.perception.inline import InlineWorker
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.text import one_line
@@ -72,7 +71,7 @@ class HealthWatch:
 
     def __init__(
         self,
-        worker: DetectorWorker | InlineWorker,
+        worker: DetectorWorker,
         swapper: Swapper,
         advisers: Advisers | None,
         keeper: Keeper | None,
@@ -113,7 +112,7 @@ class HealthWatch:
         }
 
 
-def detector_health(worker: DetectorWorker | InlineWorker) -> Health:
+def detector_health(worker: DetectorWorker) -> Health:
     """How the detector is by its own account, and if that is well, by what comes of its images."""
     own = worker.detector.health()
     if own.state == "ok" and worker.stats.in_a_row >= DEGRADED_AFTER:
@@ -143,7 +142,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
 
 
 def answer_of(s: MissionStatus, mission: MissionFacts) -> dict[str, object]:
-    """How the mission stands, for whoever gave it an order."""
+    """How the mission stands, for whoever asked."""
     return {
         "instruction": s.instruction,
         "phase": s.phase,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.errors import FileError
-from edge.host.mailbox import Mailbox
+from edge.host.worker import Worker
 from edge.mission.saved import MAX_BYTES, Saved, decode, encode
 
 log = logging.getLogger("edge.mission.checkpoint")
@@ -115,7 +115,7 @@ class CheckpointWriter:
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
         _probe(self.path)
-        self._mailbox = Mailbox("checkpoint", self._deliver, period_s=1.0)
+        self._worker = Worker("checkpoint", self._write, finishes=True)
 
     def due(self, now_ns: int) -> bool:
         """Whether the last posted state is a period old; events need not wait for that."""
@@ -129,13 +129,13 @@ class CheckpointWriter:
             now_ns: of the clock that `due` is asked with.
         """
         self._posted_ns = now_ns
-        self._mailbox.post("newest", make)
+        self._worker.submit(make)
 
     def close(self, timeout_s: float = 5.0) -> bool:
         """Write what waits, for at most `timeout_s`; whether it was done in time."""
-        return self._mailbox.close(timeout_s)
+        return self._worker.close(timeout_s)
 
-    def _deliver(self, _name: str, make: Callable[[], Saved]) -> None:
+    def _write(self, make: Callable[[], Saved]) -> None:
         try:
             save(self.path, make())
         except (OSError, ValueError) as error:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
-from edge.bus import asking, topics
-from edge.bus.asking import OrderError
+from edge.bus import client, topics
+from edge.bus.client import RequestError
 from edge.text import one_line
 
 _LOOK_S = 0.25
@@ -24,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge models use NAME CONFIG`; 0 only when the model was kept.
 
     Raises:
-        OrderError: no service is there, it does not answer, or it refuses to begin.
+        RequestError: no service is there, it does not answer, or it refuses to begin.
         ConfigError: the configuration cannot be read.
     """
     from edge.config import load
@@ -32,12 +33,9 @@ def run(args: argparse.Namespace) -> int:
     settings = load(args.config).zenoh
     key = f"{settings.prefix}/{topics.MODELS_REQUEST}"
     until_s = time.monotonic() + args.timeout
-    with asking.connect(settings, args.timeout, _WHAT) as session:
-
-        def ask(request: dict) -> dict:
-            return asking.ask(session, key, request, _ANSWER_S, _WHAT)
-
-        state = ""
+    state = ""
+    with client.connect(settings, args.timeout, _WHAT) as session:
+        ask = partial(client.ask, session, key, timeout_s=_ANSWER_S)
         for swap in follow(ask, args.name, args.force, lambda: time.monotonic() < until_s):
             state = swap["state"]
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
@@ -55,17 +53,19 @@ def follow(
     """Ask for a swap; how it stands, whenever that has changed, until it is over.
 
     Args:
-        ask: gives an order to the service.
+        ask: asks the service for something.
         patient: whether to wait on.
 
     Raises:
-        OrderError: see `edge.bus.asking.ask`; or it took too long, or another swap came after it.
+        RequestError: see `edge.bus.client.ask`; or it took too long, or another swap came after it.
     """
     swap = ask({"do": "use", "model": name, "force": force})
     number, told = swap["number"], None
     while True:
         if swap["number"] != number:
-            raise OrderError(f"{_WHAT}: another swap has begun since; the service's log knows more")
+            raise RequestError(
+                f"{_WHAT}: another swap has begun since; the service's log knows more"
+            )
         if (told_now := (swap["state"], swap["detail"])) != told:
             told = told_now
             yield swap
@@ -73,7 +73,7 @@ def follow(
             return
         if not patient():
             progress = f" ({swap['progress']})" if swap["progress"] else ""
-            raise OrderError(
+            raise RequestError(
                 f"{_WHAT}: still {swap['state']}{progress}, not waited for any longer; "
                 "the service goes on with it and says in its log how it ends"
             )

@@ -1,72 +1,33 @@
-"""The detector's own thread: newest image in, newest detections out, nobody waits."""
+"""Models beside the loop: the detector, and scorers that may take long to answer."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
 
+from edge.errors import UserError
+from edge.host.worker import Worker
 from edge.perception.detector import Detector
-from edge.perception.text import PromptError
-from edge.text import one_line
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
 
-LONGEST_ERROR = 500
-
-
-@dataclass(slots=True)
-class WorkerStats:
-    """Counts since the start; written by the worker and its user, read by anyone at any time.
-
-    Attributes:
-        replaced: observations that a newer one displaced before their turn.
-        unread: detections that a newer result displaced before they were polled.
-        last_latency_ns: image to boxes of the newest result.
-        last_error: the newest failure in words, one line, empty when there was none.
-        failures: type of failure → how many; replaced by another dict, never changed.
-        in_a_row: failures since the newest result, but for those while the detector itself was not
-            `ok` (see `Detector.health`).
-    """
-
-    submitted: int = 0
-    replaced: int = 0
-    done: int = 0
-    unread: int = 0
-    failed: int = 0
-    last_latency_ns: int = 0
-    last_error: str = ""
-    failures: dict[str, int] = field(default_factory=dict)
-    in_a_row: int = 0
-
-    def count_result(self, detections: Detections) -> None:
-        """Count what a model found."""
-        self.done += 1
-        self.last_latency_ns = detections.latency_ns
-        self.in_a_row = 0
-
-    def count_failure(self, error: Exception, expected: bool = False) -> bool:
-        """Count what a model raised; whether it is the first of its kind.
-
-        Args:
-            expected: the detector itself says that it is not `ok`.
-        """
-        kind = type(error).__name__
-        self.failed += 1
-        self.in_a_row += not expected
-        self.last_error = one_line(f"{kind}: {error}", LONGEST_ERROR)
-        self.failures = {**self.failures, kind: self.failures.get(kind, 0) + 1}
-        return self.failures[kind] == 1
-
+PAUSE_S = 1.0
 
 Watch = Callable[[Detector, Observation, "Detections | Exception"], None]
 """Called with every image that a detector was run on, held meanwhile, and with what came of it."""
 
 
-class WorkerBase:
-    """What both workers share: the detector at work, and how another takes its place.
+class DetectorWorker(Worker[Observation, Detections]):
+    """Runs a detector, and lets another take its place.
+
+    Observations are held (`Observation.hold`) while they wait and while they are detected in.
+    Whoever polls detections owns that hold: call `detections.observation.release()` when done.
+
+    Args:
+        inline, every: see `Worker`.
 
     Attributes:
         detector: runs on the next image.
@@ -74,13 +35,26 @@ class WorkerBase:
         watch: told of every image, on the thread that detects; what it raises is only logged.
     """
 
-    def __init__(self, detector: Detector) -> None:
+    def __init__(self, detector: Detector, inline: bool = False, every: int = 1) -> None:
         self.detector = detector
         self.spare: Detector | None = None
         self.watch: Watch | None = None
-        self.stats = WorkerStats()
         self._using: Detector | None = None
         self._hand = threading.Lock()
+        super().__init__(
+            "detector", self._detect, inline=inline, every=every, drop=Observation.release,
+            drop_result=lambda unread: unread.observation.release(),
+        )  # fmt: skip
+
+    def submit(self, observation: Observation) -> None:
+        """Detect in this next. Never blocks, unless inline."""
+        observation.hold()
+        super().submit(observation)
+
+    def close(self) -> None:
+        """Finish the image at hand, release every observation still held."""
+        super().close()
+        self.detector.close()
 
     def exchange(self, detector: Detector) -> Detector:
         """Have another detector run on the next image; the one before, still open."""
@@ -108,8 +82,8 @@ class WorkerBase:
         before = spare.prompts
         try:
             spare.set_prompts(prompts)
-        except PromptError as error:
-            raise PromptError(
+        except UserError as error:
+            raise type(error)(
                 f"{spare.name}, kept until {self.detector.name} has proved itself: {error}; "
                 "try again after that"
             ) from None
@@ -119,14 +93,14 @@ class WorkerBase:
             spare.set_prompts(before)
             raise
 
-    def _detect(self, observation: Observation) -> Detections | Exception:
-        """What the detector finds, or the failure it ends with, after `watch` was told."""
+    def _detect(self, observation: Observation) -> Detections:
+        """What the detector finds, after `watch` was told; a failure lets the observation go."""
         with self._hand:
             detector = self._using = self.detector
         outcome: Detections | Exception
         try:
             outcome = detector.detect(observation)
-        except Exception as error:  # the loop must outlive whatever a model does
+        except Exception as error:
             outcome = error
         if (watch := self.watch) is not None:
             try:
@@ -134,92 +108,102 @@ class WorkerBase:
             except Exception:
                 log.exception("whoever watches the detector failed")
         self._using = None
+        if isinstance(outcome, Exception):
+            observation.release()
+            raise outcome
         return outcome
 
-    def _failed(self, error: Exception) -> None:
-        """Count a failure, and say once what kind of failure a detector has."""
-        detector = self.detector
-        if self.stats.count_failure(error, expected=detector.health().state != "ok"):
-            reason = one_line(f"{type(error).__name__}: {error}", LONGEST_ERROR)
-            log.error("detector %s: %s (more of these are only counted)", detector.name, reason)
+    def _failed(self, error: Exception, excused: bool = False) -> None:
+        """See `Worker`; excused is a detector that itself says that it is not `ok`."""
+        self._what = f"detector {self.detector.name}"
+        super()._failed(error, excused=self.detector.health().state != "ok")
 
 
-class DetectorWorker(WorkerBase):
-    """Runs a detector beside the loop.
+class Question(Protocol):
+    """What a scorer is asked; its observation is held until the scorer has looked at it."""
 
-    Observations are held (`Observation.hold`) while they wait and while they are detected in.
-    Whoever polls detections owns that hold: call `detections.observation.release()` when done.
+    @property
+    def observation(self) -> Observation: ...
+
+
+Q = TypeVar("Q", bound=Question)
+A = TypeVar("A")
+
+
+class Scorer(Protocol[Q, A]):
+    """A model beside the loop, in two steps so that a frame is not held while a server thinks.
+
+    Attributes:
+        name: what it is, for people.
     """
 
-    def __init__(self, detector: Detector) -> None:
-        super().__init__(detector)
-        self._wake = threading.Condition()
-        self._pending: Observation | None = None
-        self._result: Detections | None = None
-        self._busy = False
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="detector", daemon=True)
-        self._thread.start()
+    name: str
 
-    def submit(self, observation: Observation) -> None:
-        """Detect in this next; a waiting older one is let go and counted. Never blocks."""
-        observation.hold()
-        with self._wake:
-            if self._closed:
-                displaced = observation
-            else:
-                displaced, self._pending = self._pending, observation
-                self.stats.submitted += 1
-                self.stats.replaced += displaced is not None
-                self._wake.notify_all()
-        if displaced is not None:
-            displaced.release()
+    def look(self, question: Q) -> Any:
+        """Everything that needs the observation's arrays; may raise anything."""
+        ...
 
-    def poll(self) -> Detections | None:
-        """The newest finished detections that were not polled yet, or None."""
-        with self._wake:
-            result, self._result = self._result, None
-        return result
-
-    def idle(self) -> bool:
-        """Whether nothing waits and nothing is being detected in."""
-        with self._wake:
-            return self._pending is None and not self._busy
+    def answer(self, looked: Any) -> A | None:
+        """The rest, which may take long but not for ever; may raise anything."""
+        ...
 
     def close(self) -> None:
-        """Finish the image at hand, stop the thread, release every observation still held."""
-        with self._wake:
-            self._closed = True
-            self._wake.notify_all()
-        self._thread.join()
-        if self._pending is not None:
-            self._pending.release()
-        if self._result is not None:
-            self._result.observation.release()
-        self._pending = self._result = None
-        self.detector.close()
+        """Give up at once, if that can be, what is being answered in another thread."""
+        ...
 
-    def _run(self) -> None:
-        while (observation := self._next()) is not None:
-            outcome = self._detect(observation)
-            if isinstance(outcome, Exception):
-                self._failed(outcome)
-                observation.release()
-                continue
-            with self._wake:
-                unread, self._result = self._result, outcome
-                self.stats.unread += unread is not None
-                self.stats.count_result(outcome)
-            if unread is not None:
-                unread.observation.release()
 
-    def _next(self) -> Observation | None:
-        with self._wake:
-            self._busy = False
-            while self._pending is None and not self._closed:
-                self._wake.wait()
-            if self._closed:
-                return None
-            observation, self._pending = self._pending, None
-            self._busy = True
-            return observation
+class ScorerWorker(Worker[Q, A]):
+    """Puts questions to a scorer, one at a time, and leaves it alone for a while after a failure:
+    a server that refuses at once must not be asked at the loop's rate.
+
+    Args:
+        kind: what the scorer is for, in messages.
+        inline, rest_s, pause_s: see `Worker`.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        scorer: Scorer[Q, A],
+        rest_s: float = 0.0,
+        inline: bool = False,
+        pause_s: float = PAUSE_S,
+    ) -> None:
+        self.name, self._scorer = scorer.name, scorer
+        super().__init__(
+            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s,
+            drop=lambda question: question.observation.release(),
+        )  # fmt: skip
+
+    def submit(self, question: Q) -> None:
+        """Answer this, unless another is being answered, or rested from."""
+        if self.idle:
+            question.observation.hold()
+            super().submit(question)
+
+    def close(self) -> None:
+        """Give up what is being answered."""
+        self.stop()
+        self._scorer.close()
+        super().close()
+
+    def counts(self) -> dict[str, object]:
+        """For the status message."""
+        s = self.stats
+        return {
+            "model": self.name, "asked": s.submitted, "answered": s.done, "failed": s.failed,
+            "in_a_row": s.in_a_row, "last_latency_ns": s.last_latency_ns,
+            "last_error": s.last_error,
+        }  # fmt: skip
+
+    def _put(self, question: Q) -> A | None:
+        try:
+            looked = self._scorer.look(question)
+        finally:
+            question.observation.release()
+        return self._scorer.answer(looked)
+
+    def _failed(self, error: Exception, excused: bool = False) -> None:
+        """See `Worker`; what is given up has not failed."""
+        if not self._closed:
+            super()._failed(error, excused)

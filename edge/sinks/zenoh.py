@@ -1,6 +1,6 @@
 """Goals, map, mission, status and latency over Zenoh.
 
-The loop only puts things into a mailbox; encoding and sending happen on the mailbox's thread.
+The loop only hands things to a worker; encoding and sending happen on the worker's thread.
 A goal goes out every 0.5 s until it is answered, then every second until it is settled, so that a
 controller that was behind or starts anew finds it. The mission goes out when it changes and every
 second, so that whoever joins late learns of it within a second; nothing needs to be asked for.
@@ -21,7 +21,7 @@ from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import Grid
-from edge.host.mailbox import Mailbox
+from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.loop.status import status_of
 
@@ -36,7 +36,7 @@ WRITTEN = tuple(topic for topic in topics.ALL if topic.writer == "service")
 
 @dataclass(slots=True)
 class _Repeated:
-    """Something that is sent again; touched by the mailbox's thread only."""
+    """Something that is sent again; touched by the worker's thread only."""
 
     payload: bytes
     period_s: float
@@ -74,14 +74,14 @@ class ZenohSink:
         }
         self._last_ns: dict[str, int] = {}
         self._mission: tuple[str, str, str] | None = None
-        self._mailbox = Mailbox("zenoh-sink", self._deliver, self._repeat)
+        self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
 
     # -- on the loop's thread -------------------------------------------------------------------
 
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""
         for answer in result.answers:
-            self._mailbox.queue("answered", (answer.stamp_ns, answer.state != "accepted"))
+            self._worker.queue(("answered", (answer.stamp_ns, answer.state != "accepted")))
         for goal in result.goals:
             self._put("goal", goal)
         now_ns, status = result.now_ns, result.status
@@ -98,7 +98,7 @@ class ZenohSink:
             self._put("tick", result.observation.stamp_ns)
 
     def _map_of(self, result: TickResult) -> Callable[[], Grid]:
-        """Copying a large map takes too long for a tick: the mailbox's thread does it. In lockstep
+        """Copying a large map takes too long for a tick: the worker's thread does it. In lockstep
         it is done at once, since the map must be the one of this tick."""
         if not self._lockstep:
             return result.snapshot
@@ -107,16 +107,16 @@ class ZenohSink:
 
     def close(self) -> None:
         """Send what is left; gives up after a second, for a stopped peer may block lockstep."""
-        if self._mailbox.close(_CLOSE_S):
+        if self._worker.close(_CLOSE_S):
             for publisher in self._publishers.values():
                 publisher.undeclare()
 
     def _put(self, name: str, item: Any) -> None:
         """Ticks, and in lockstep all, leave in order; else the newest of a name wins."""
         if self._lockstep or name == "tick":
-            self._mailbox.queue(name, item)
+            self._worker.queue((name, item))
         else:
-            self._mailbox.post(name, item)
+            self._worker.submit((name, item), key=name)
 
     def _is_due(self, name: str, now_ns: int) -> bool:
         last_ns = self._last_ns.get(name)
@@ -126,13 +126,17 @@ class ZenohSink:
         self._last_ns[name] = now_ns
         return True
 
-    # -- on the mailbox's thread ------------------------------------------------------------------
+    # -- on the worker's thread ------------------------------------------------------------------
 
-    def _deliver(self, name: str, item: Any) -> None:
+    def _deliver(self, what: tuple[str, Any]) -> None:
+        name, item = what
         if name == "answered":
             self._slow_down(*item)
             return
-        payload = _ENCODERS[name](item)
+        try:
+            payload = _ENCODERS[name](item)
+        except Exception as error:
+            raise ValueError(f"{name}: {error}") from error
         self._publishers[name].put(payload)
         if name == "map" and self._lockstep:
             self._last_map = payload

@@ -18,12 +18,12 @@ from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.bus import topics
+from edge.bus.client import ask
 from edge.bus.session import open_session
 from edge.config import Config
 from edge.host.ports import free_port
 from edge.launch import Launched, open_service
 from edge.loop.runner import loop
-from edge.mission.order import ask
 
 FRAME_S = 1 / 30
 
@@ -62,9 +62,11 @@ class Live:
         eventually(lambda: self.ticks >= enough, "the loop does not tick")
 
     def goes_on(self, ticks: int = 3) -> None:
-        """Waits until it has seen more, and answered an order."""
+        """Waits until it has seen more, and answered a request."""
         self.wait(ticks)
-        assert "phase" in ask(self.peer, self._prefix, {"do": "status"}, PATIENCE_S)
+        assert "phase" in ask(
+            self.peer, f"{self._prefix}/mission/request", {"do": "status"}, PATIENCE_S
+        )
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Floods of orders: each is answered, and those that stop the robot get through."""
+"""Floods of requests: each is answered, and those that stop the robot get through."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import pytest
 from edge_processes import write_config
 from patience import PATIENCE_S
 
+from edge.bus.client import ask
 from edge.bus.session import open_session
 from edge.config import Zenoh
-from edge.mission.order import ask
 
 pytestmark = pytest.mark.slow
 
-PREFIX, KEY = "edge", "edge/mission/request"
+KEY = "edge/mission/request"
 FLOODERS = 3
 PAUSES = 16
-A_SECOND = 250  # orders, of each flooder, where the machine can
+A_SECOND = 250  # requests, of each flooder, where the machine can
 FLOODS = {
     "new": [{"do": "new", "formula": "F chair"}, {"do": "new", "instruction": "find the bed"}],
     "stop and go": [{"do": "pause"}, {"do": "resume"}, {"do": "status"}],
@@ -28,8 +28,8 @@ FLOODS = {
 }
 
 
-@pytest.mark.parametrize("orders", FLOODS.values(), ids=FLOODS)
-def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_path, orders):
+@pytest.mark.parametrize("asked_for", FLOODS.values(), ids=FLOODS)
+def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_path, asked_for):
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"})
     service = edge("run", config).says("ready:")
     edge("sim", config)
@@ -37,11 +37,11 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
     stop = threading.Event()
 
     def flood(_: int) -> list[list[bytes]]:
-        """The answers to each order: what it says, or its error."""
+        """The answers to each request: what it says, or its error."""
         asked = []
         with open_session(Zenoh(endpoint=endpoint), "connect") as session:
             while not stop.is_set():
-                payload = json.dumps(orders[len(asked) % len(orders)])
+                payload = json.dumps(asked_for[len(asked) % len(asked_for)])
                 asked.append(session.get(KEY, payload=payload, timeout=PATIENCE_S))
                 time.sleep(1 / A_SECOND)
             return [
@@ -57,7 +57,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         paused = []
         try:
             for _ in range(PAUSES):
-                paused.append(ask(session, PREFIX, {"do": "pause"}, PATIENCE_S)["paused"])
+                paused.append(ask(session, KEY, {"do": "pause"}, PATIENCE_S)["paused"])
                 time.sleep(0.2)
         finally:
             stop.set()
@@ -67,4 +67,4 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         assert {len(answers) for answers in answered} == {1}
         said = [json.loads(answer) for (answer,) in answered]
         assert not [answer for answer in said if "not running" in answer.get("error", "")]
-        assert ask(session, PREFIX, {"do": "cancel"}, PATIENCE_S)["phase"] == "failed"
+        assert ask(session, KEY, {"do": "cancel"}, PATIENCE_S)["phase"] == "failed"

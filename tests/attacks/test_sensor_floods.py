@@ -49,4 +49,4 @@ def test_two_floods_of_answers_leave_the_loop_its_ticks():
         assert max(looks) == 64
         assert service.running.service.faults.failures == {}
         # What other processes say costs no memory that they could fill.
-        assert len(service.running.sinks[0]._mailbox._items) <= 300
+        assert len(service.running.sinks[0]._worker._waiting) <= 300

@@ -18,17 +18,17 @@ from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 from viewer_peer import ALIVE
 
-from edge.bus import desk as desk_module
 from edge.bus import topics
+from edge.bus.client import ask
+from edge.bus.requests import Query, RequestServer
 from edge.bus.session import declare_publisher, open_session
 from edge.config import Zenoh
-from edge.loop.mission_desk import MissionDesk
-from edge.mission.order import ask
+from edge.loop.requests import mission_verbs
 
 pytestmark = pytest.mark.slow
 
 PEER = Path(__file__).with_name("viewer_peer.py")
-PREFIX = "edge"
+PREFIX, KEY = "edge", "edge/mission/request"
 BEAT_S = 0.1
 FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
 
@@ -94,7 +94,7 @@ class Ears:
 
 
 def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_viewer):
-    """Before it is let go, for its silence, all else flows on and orders are answered."""
+    """Before it is let go, for its silence, all else flows on and requests are answered."""
     config = write_config(
         tmp_path,
         zenoh={"endpoint": endpoint},
@@ -115,13 +115,13 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         viewer.send_signal(signal.SIGSTOP)
         paused: list[bool] = []
 
-        def order() -> None:
+        def request() -> None:
             while not gone.is_set():
                 do = ("pause", "resume")[len(paused) % 2]
-                paused.append(ask(asking, PREFIX, {"do": do}, PATIENCE_S)["paused"])
+                paused.append(ask(asking, KEY, {"do": do}, PATIENCE_S)["paused"])
                 session.put(f"{PREFIX}/answer", b"")
 
-        ordering = pool.submit(order)
+        ordering = pool.submit(request)
         while not gone.wait(BEAT_S):
             ears.beat()
             assert not ordering.done(), ordering.exception()
@@ -140,25 +140,25 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
     assert "Traceback" not in service.output
 
 
-def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkeypatch):
-    answered, send = [], desk_module._Asker.send
+def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monkeypatch):
+    answered, send = [], RequestServer._send
 
-    def noted(asker: desk_module._Asker, key: str) -> None:
-        send(asker, key)
-        answered.append(asker._reply)
+    def noted(server: RequestServer, query: Query, reply: bytes, is_error: bool) -> None:
+        send(server, query, reply, is_error)
+        answered.append(reply)
 
-    monkeypatch.setattr(desk_module._Asker, "send", noted)
+    monkeypatch.setattr(RequestServer, "_send", noted)
     # `exact`, so that the one that is stopped is waited for as long as can be.
     with (
         open_session(Zenoh(endpoint=endpoint), "listen", exact=True) as session,
         open_session(Zenoh(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):
-        desk = MissionDesk(session, PREFIX, lambda *texts: texts)
+        server = RequestServer(session, KEY, mission_verbs(dict), lambda *_: {})
         viewer = start_viewer()
         viewer.stdin.write("\n")
         viewer.stdin.flush()
-        unanswered = eventually(desk.poll)
+        unanswered = eventually(server.poll)
         viewer.send_signal(signal.SIGSTOP)
         maps = declare_publisher(session, topics.MAP, PREFIX)
         for _ in range(200):  # 200 MB: more than fits in between
@@ -166,12 +166,12 @@ def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkey
         answered.clear()
         unanswered.answer({"n": "stopped"})
         for n in range(10):
-            answer = pool.submit(ask, asking, PREFIX, {"do": "pause"}, PATIENCE_S)
-            eventually(desk.poll).answer({"n": n})
+            answer = pool.submit(ask, asking, KEY, {"do": "pause"}, PATIENCE_S)
+            eventually(server.poll).answer({"n": n})
             assert answer.result(PATIENCE_S) == {"n": n}
         eventually(lambda: len(answered) == 11)
         order = [json.loads(answer)["n"] for answer in answered]
         assert set(order) == {*range(10), "stopped"}
         assert order[0] != "stopped"
-        desk.close()
+        server.close()
         viewer.kill()  # or closing the session would wait for it

@@ -14,7 +14,7 @@ from edge.bus.session import open_session
 from edge.config import Zenoh
 
 ALIVE = "viewer/alive"
-DESK = "edge/mission/request"
+KEY = "edge/mission/request"
 
 
 def main(endpoint: str) -> None:
@@ -24,10 +24,10 @@ def main(endpoint: str) -> None:
         session.liveliness().declare_token(ALIVE),
         session.declare_subscriber("edge/**", zenoh.handlers.RingChannel(8)),
     ]
-    list(session.get(DESK))  # refused: it had no payload, and came after the declarations
+    list(session.get(KEY))  # refused: it had no payload, and came after the declarations
     print("ready", flush=True)
     for _ in sys.stdin:
-        ends.append(session.get(DESK, payload=b'{"do": "status"}'))
+        ends.append(session.get(KEY, payload=b'{"do": "status"}'))
 
 
 if __name__ == "__main__":

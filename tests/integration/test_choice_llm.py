@@ -109,7 +109,7 @@ def test_the_robot_goes_on_when_the_server_is_killed():
         while loop.advisers.advice.choice is None and not loop.service.status.done:
             loop.step()
             worker = loop.advisers._choice
-            if worker.stats.asked:
+            if worker.stats.submitted:
                 eventually(lambda w=worker: w.idle)
         assert loop.advisers.advice.choice is not None
         server.kill()

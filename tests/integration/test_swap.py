@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from onnx_bytes import DETECTOR, field, graph, interface, model, tensor
 from test_perception_cards import CARD
 
-from edge.bus.asking import OrderError
+from edge.bus.client import RequestError
 from edge.config import load
 from edge.geometry import CameraModel
 from edge.host import resources
@@ -144,7 +144,7 @@ def asked(config: Path, name: str, force: bool = False, timeout: float = 200.0) 
     """What `edge models use` exits with, or the line of its error."""
     try:
         return use.run(argparse.Namespace(name=name, config=config, force=force, timeout=timeout))
-    except OrderError as error:
+    except RequestError as error:
         return str(error)
 
 

@@ -18,7 +18,7 @@ from edge.loop.status import mission_of
 from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.perception.factory import make_detector
-from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
 from edge.text import MAX_CHARS
 
 
@@ -31,7 +31,7 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     """Put a service that reads the checkpoint in the place of the present one."""
     keeper = Keeper(loop.config, path, None)
     brief = keeper.brief() or loop.service.mission.brief
-    worker = InlineWorker(make_detector(loop.config.perception, brief.targets))
+    worker = DetectorWorker(make_detector(loop.config.perception, brief.targets), inline=True)
     loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
     return keeper
 

@@ -18,7 +18,6 @@ from frames import Slot
 from patience import eventually
 from simulated import simulated
 
-from edge.bus.desk import Request
 from edge.errors import Stopped
 from edge.geometry import SE2
 from edge.loop import runner
@@ -26,8 +25,7 @@ from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running, loop
 from edge.loop.stages import STAGES
 from edge.loop.status import status_of
-from edge.perception.inline import InlineWorker
-from edge.perception.worker import DetectorWorker, WorkerBase
+from edge.perception.worker import DetectorWorker
 from edge.types import GoalStatus, Observation
 
 
@@ -79,15 +77,18 @@ def blanks(closed: ClosedLoop, frames: int) -> list[Observation]:
 
 
 def running_of(
-    closed: ClosedLoop, seen: list[Observation], jump_at: int = -1, worker: WorkerBase | None = None
+    closed: ClosedLoop,
+    seen: list[Observation],
+    jump_at: int = -1,
+    worker: DetectorWorker | None = None,
 ) -> Running:
     """The loop over these frames, with another worker in place of the closed loop's if need be."""
     inbox = SimpleNamespace(poll=list)
-    desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
+    servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
         service._worker = service._health._worker = worker
-    return Running(closed.config, service, service._worker, source, inbox, desk, models)
+    return Running(closed.config, service, service._worker, source, inbox, servers)
 
 
 def run_out(run: Running, seen: list[Observation]) -> None:
@@ -230,20 +231,19 @@ def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
     assert slot.holds == 0
 
 
-@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
-def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(make, monkeypatch):
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(inline, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     failing, passing = DEGRADED_AFTER + 2, 3
     seen = blanks(closed, failing + passing)
     detector = closed.service._worker.detector
-    run = running_of(closed, seen, worker=make(detector))
+    run = running_of(closed, seen, worker=DetectorWorker(detector, inline))
     service, stop, states = run.service, threading.Event(), []
     whole = detector.detect
     monkeypatch.setattr(detector, "detect", broken)
 
     def each() -> None:
-        if make is DetectorWorker:
-            eventually(run.worker.idle)
+        eventually(lambda: run.worker.idle)
         states.append(status_of(service.result())["detector"])
         if len(states) == failing:
             monkeypatch.setattr(detector, "detect", whole)
@@ -317,14 +317,12 @@ def ticks(run: Running) -> int:
     [
         (False, "inbox", "poll", "goal_status"),
         (False, "source", "poll", "source"),
-        (False, "desk", "poll", "orders"),
-        (False, "models", "poll", "model orders"),
+        (False, "mission/request", "serve", "mission/request"),
         (False, "service", "idle", "idle"),
         (True, "inbox", "poll", "goal_status"),
         (True, "source", "wait", "wait"),
         (True, "source", "poll", "source"),
-        (True, "desk", "poll", "orders"),
-        (True, "models", "poll", "model orders"),
+        (True, "mission/request", "serve", "mission/request"),
     ],
 )
 def test_whatever_fails_around_the_ticks_the_loop_goes_on(
@@ -333,13 +331,14 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
     if part == "service":  # idle comes only where there is nothing to be seen
         run.source.poll = lambda: run.source._observations.pop() if len(beats) > 2 else None
-    whole = getattr(getattr(run, part), method)
+    owner = run.servers.get(part) or getattr(run, part)
+    whole = getattr(owner, method)
 
     def sometimes(*args) -> object:
         beats.append(len(beats))
         return whole(*args) if len(beats) > 2 else broken()
 
-    monkeypatch.setattr(getattr(run, part), method, sometimes)
+    monkeypatch.setattr(owner, method, sometimes)
     loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
     assert ticks(run) == 1
     assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
@@ -359,17 +358,3 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
     run_out(run, run.source._observations)
     assert heard == [1, 2, 3]
     assert run.service.faults.failed == 1
-
-
-def test_who_gave_an_order_that_fails_is_told_and_the_next_order_is_taken(monkeypatch):
-    run, said = running(True, frames=2), []
-    cancel = Request("cancel", None, said.append, said.append)
-    status = Request("status", None, said.append, said.append)
-    orders = [cancel, status]
-    run.desk = SimpleNamespace(poll=lambda: orders.pop(0) if orders else None)
-    monkeypatch.setattr(run.service.mission, "fail", broken)
-    run_out(run, run.source._observations)
-    assert said[0] == "internal error: ZeroDivisionError: oh no"
-    assert said[1]["phase"] == "searching"
-    assert run.service.faults.failures == {"orders: ZeroDivisionError": 1}
-    assert run.service.latency.report().tick.count == 2

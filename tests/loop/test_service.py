@@ -17,7 +17,7 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.loop.status import status_of
-from edge.perception.inline import InlineWorker
+from edge.perception.worker import DetectorWorker
 from edge.report.recorder import Recorder
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Detections, Goal, GoalStatus
@@ -236,7 +236,7 @@ def test_a_pose_jump_forgets_the_map():
     assert loop.service.grid.known_m2 > 1.0
 
 
-class Late(InlineWorker):
+class Late(DetectorWorker):
     """Gives out what it found one tick later, as a worker beside the loop does."""
 
     found: Detections | None = None
@@ -248,7 +248,7 @@ class Late(InlineWorker):
 
 def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
     loop = ClosedLoop(config(mission={"target": "television"}, perception={"min_hits": 1}))
-    loop.service._worker = Late(loop.service._worker.detector)
+    loop.service._worker = Late(loop.service._worker.detector, inline=True)
     while not loop.service.tracker.of("television"):
         loop.step()
     slots = []

@@ -6,8 +6,10 @@ import pytest
 from closed_loop import START_NS, ClosedLoop
 from simulated import simulated
 
+from edge.bus.requests import Request
 from edge.config import Config
-from edge.loop.requests import handle
+from edge.errors import UserError
+from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.text import PromptError
@@ -63,33 +65,22 @@ def test_driving_distances_can_be_the_weights():
     loop.service.close()
 
 
-class Asked:
-    """An order and what came back."""
-
-    def __init__(self, do: str, brief=None, overtaken: int = 0) -> None:
-        self.do, self.prepared, self.overtaken = do, brief, overtaken
-        self.answers: list[dict] = []
-        self.errors: list[str] = []
-
-    def answer(self, data: dict) -> None:
-        self.answers.append(data)
-
-    def refuse(self, reason: str) -> None:
-        self.errors.append(reason)
+def ask(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0) -> dict:
+    request = Request(do, prepared=brief, overtaken=overtaken)
+    return handle_mission(loop.service, request, loop.drive.motion.stamp_ns)
 
 
-def order(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0) -> Asked:
-    asked = Asked(do, brief, overtaken)
-    handle(loop.service, asked, loop.drive.motion.stamp_ns)
-    assert len(asked.answers) + len(asked.errors) == 1
-    return asked
+def refusal(loop: ClosedLoop, do: str, brief=None) -> str:
+    with pytest.raises(UserError) as caught:
+        ask(loop, do, brief)
+    return str(caught.value)
 
 
 def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
     loop = ClosedLoop(config("F television")).run(10)
     generation = loop.service.grid.reach.generation
     brief = prepare(loop.config.mission, formula="F bed")
-    answer = order(loop, "new", brief).answers[0]
+    answer = ask(loop, "new", brief)
     assert (answer["formula"], answer["target"]) == ("F bed", "bed")
     loop.step()
     assert loop.service.grid.reach.generation >= generation
@@ -106,8 +97,10 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
 
     monkeypatch.setattr(loop.service._worker.detector, "set_prompts", refuse)
     before = loop.service.mission
-    asked = order(loop, "new", prepare(loop.config.mission, formula="F qwerty"))
-    assert asked.errors == ["prompt 'qwerty': not in the vocabulary"]
+    assert (
+        refusal(loop, "new", prepare(loop.config.mission, formula="F qwerty"))
+        == "prompt 'qwerty': not in the vocabulary"
+    )
     assert loop.service.mission is before
 
 
@@ -116,8 +109,8 @@ def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_o
     before, prompts = loop.service.mission, loop.service._worker.detector.prompts
     large = " & ".join(f"F object{i}" for i in range(12))
     brief = prepare(config("F bed").mission, formula=large)
-    asked = order(loop, "new", brief)
-    assert "'expected' cannot take on a formula with 12 objects" in asked.errors[0]
+    told = refusal(loop, "new", brief)
+    assert "'expected' cannot take on a formula with 12 objects" in told
     assert loop.service.mission is before
     assert loop.service._worker.detector.prompts == prompts
 
@@ -145,7 +138,7 @@ def test_a_pose_jump_ends_what_was_known_of_distances():
 
 def test_pause_has_the_robot_stand_and_resume_go_on():
     loop = ClosedLoop(config("F bed")).run(6)
-    assert order(loop, "pause").answers[0]["phase"] == "paused"
+    assert ask(loop, "pause")["phase"] == "paused"
     for _ in range(15):
         loop.step()
     at, elapsed_s = loop.drive.motion.pose, loop.service.status.elapsed_s
@@ -153,7 +146,7 @@ def test_pause_has_the_robot_stand_and_resume_go_on():
         loop.step()
     assert loop.drive.motion.pose.distance_to(at.x_m, at.y_m) < 0.02
     assert loop.service.status.elapsed_s == elapsed_s
-    assert order(loop, "resume").answers[0]["phase"] != "paused"
+    assert ask(loop, "resume")["phase"] != "paused"
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.notes.events
 
@@ -177,10 +170,10 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
     """The one to stand is newer, so a controller would take the old one for replaced."""
     loop = ClosedLoop(config("F bed")).run(1)
     for _ in range(8):
-        order(loop, "pause")
+        ask(loop, "pause")
         for _ in range(3):
             loop.step()
-        order(loop, "resume")
+        ask(loop, "resume")
         for _ in range(5):
             loop.step()
     stamps = [goal.stamp_ns for goal in loop.notes.goals]
@@ -190,20 +183,20 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
 
 def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
     loop = ClosedLoop(config("F bed")).run(3)
-    answer = order(loop, "cancel").answers[0]
+    answer = ask(loop, "cancel")
     assert (answer["phase"], "overtaken" in answer) == ("failed", False)
     loop.step()
     assert loop.service.status.reason == "cancelled"
-    assert "no mission" in order(loop, "pause").errors[0]
-    assert order(loop, "status").answers[0]["phase"] == "failed"
+    assert "no mission" in refusal(loop, "pause")
+    assert ask(loop, "status")["phase"] == "failed"
 
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
 def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
     loop = ClosedLoop(config("F bed"))
-    order(loop, "cancel")
-    assert "no mission is under way" in order(loop, do).errors[0]
-    answer = order(loop, do, overtaken=2).answers[0]
+    ask(loop, "cancel")
+    assert "no mission is under way" in refusal(loop, do)
+    answer = ask(loop, do, overtaken=2)
     assert (answer["phase"], answer["paused"], answer["overtaken"]) == ("failed", False, 2)
     loop.service.close()
 

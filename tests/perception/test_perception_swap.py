@@ -14,7 +14,6 @@ from simulated import simulated
 
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
-from edge.perception.inline import InlineWorker
 from edge.perception.swap import swapper
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.perception.swap.trial import Sample, boxes_found_again, sample
@@ -69,10 +68,10 @@ class Fake:
 class Bench:
     """A worker, a swapper, and a loop that steps once for every image."""
 
-    def __init__(self, make_observation, old, new, worker=InlineWorker, **swap):
+    def __init__(self, make_observation, old, new, inline=True, **swap):
         self.clock_s, self.building = 0.0, None
         self.old, self.new, self.said, self.seq = old, new, [], 0
-        self.worker = worker(old)
+        self.worker = DetectorWorker(old, inline)
         self._make_observation = make_observation
         settings = {"images": 2, "probation": 5, "budget_ms": 20.0, **swap}
         self.swapper = Swapper(
@@ -97,8 +96,7 @@ class Bench:
     def image(self):
         """One image through the worker, one step of the loop."""
         self.worker.submit(self.frame())
-        if isinstance(self.worker, DetectorWorker):
-            eventually(self.worker.idle)
+        eventually(lambda: self.worker.idle)
         found = self.worker.poll()
         self.swapper.step(self.seq)
         return found
@@ -136,9 +134,9 @@ def bench(make_observation, monkeypatch):
         one.worker.close()
 
 
-@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
-def test_without_a_request_nothing_happens(bench, worker):
-    b = bench(worker=worker)
+@pytest.mark.parametrize("inline", [True, False])
+def test_without_a_request_nothing_happens(bench, inline):
+    b = bench(inline=inline)
     for _ in range(3):
         assert b.image() is not None
     assert b.worker.watch is None
@@ -148,9 +146,9 @@ def test_without_a_request_nothing_happens(bench, worker):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
-def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, worker):
-    b = bench(worker=worker)
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline):
+    b = bench(inline=inline)
     assert b.swap() == ("kept", "5 images, median 5.0 ms")
     assert b.worker.detector is b.new
     assert b.worker.spare is None
@@ -213,10 +211,10 @@ def test_a_refused_model_is_closed(bench):
         ({"health": Health("restarting", "it ended")}, "restarting: it ended"),
     ],
 )
-@pytest.mark.parametrize("worker", [InlineWorker, DetectorWorker])
-def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, worker):
+@pytest.mark.parametrize("inline", [True, False])
+def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, inline):
     tried = 2 + 3 * 2
-    b = bench(Fake(from_=tried + 1, **then), worker=worker)
+    b = bench(Fake(from_=tried + 1, **then), inline=inline)
     assert b.swap() == ("rolled back", f"{reason}; old runs again")
     assert b.worker.detector is b.old
     assert b.worker.spare is None
@@ -392,7 +390,7 @@ def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, 
         raise MemoryError("12 MB")
 
     monkeypatch.setattr(swapper, "sample", fail)
-    b = bench(worker=DetectorWorker)
+    b = bench(inline=False)
     assert b.swap() == ("refused", "it cannot be watched: MemoryError: 12 MB; old goes on")
     assert b.image() is not None
 
@@ -445,7 +443,7 @@ def test_closing_on_probation_closes_both(bench):
 
 
 def test_a_detector_that_still_detects_is_not_closed_under_its_hands(bench):
-    b = bench(worker=DetectorWorker)
+    b = bench(inline=False)
     b.swapper.request("new", False, 0)
     b.until("on probation")
     b.new.gate.clear()

@@ -1,17 +1,21 @@
+"""Models beside the loop: no frame is held longer than need be, whatever they do."""
+
 from __future__ import annotations
 
-import logging
 import threading
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from frames import Slot
-from patience import PATIENCE_S
+from patience import PATIENCE_S, eventually
 
+from edge.chat import ChatError
+from edge.host import worker as host
 from edge.perception.detector import Health
-from edge.perception.inline import InlineWorker
-from edge.perception.worker import LONGEST_ERROR, DetectorWorker, WorkerStats
-from edge.types import Detections
+from edge.perception.worker import DetectorWorker, ScorerWorker
+from edge.types import Detections, Observation
 
 
 class Fake:
@@ -19,7 +23,6 @@ class Fake:
 
     name = "fake"
     prompts = ("chair",)
-    boxes = 1
     own = Health()
 
     def __init__(self, bad=()):
@@ -28,20 +31,12 @@ class Fake:
         self.bad = bad
         self.closed = False
 
-    def set_prompts(self, prompts):
-        self.prompts = tuple(prompts)
-
     def detect(self, observation):
         self.started.release()
         assert self.gate.acquire(timeout=PATIENCE_S)
         if observation.seq in self.bad:
             raise RuntimeError(f"no luck\nwith {observation.seq}")
-        one = np.ones(self.boxes, np.float32)
-        return Detections(
-            observation, np.zeros((self.boxes, 4), np.float32), one, one.astype(np.int32),
-            self.prompts,
-            latency_ns=7,
-        )  # fmt: skip
+        return found_in(observation)
 
     def health(self):
         return self.own
@@ -50,25 +45,18 @@ class Fake:
         self.closed = True
 
 
+def found_in(observation):
+    one = np.ones(1, np.float32)
+    return Detections(observation, np.zeros((1, 4), np.float32), one, one.astype(np.int32), ("a",))
+
+
 @pytest.fixture
 def frames(make_observation):
     return [make_observation(seq=i, slot=Slot()) for i in range(5)]
 
 
-def wait_for(worker, condition):
-    """Until the worker has got so far; it always does, or the test times out."""
-    pause = threading.Event()
-    while not condition():
-        assert worker._thread.is_alive()
-        pause.wait(0.001)
-
-
-def test_nothing_submitted_nothing_found():
-    worker = DetectorWorker(Fake())
-    assert worker.poll() is None
-    assert worker.idle()
-    worker.close()
-    assert worker.detector.closed
+def holds(frames):
+    return [frame.slot.holds for frame in frames]
 
 
 def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
@@ -77,120 +65,201 @@ def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
     assert fake.started.acquire(timeout=PATIENCE_S)
     for frame in frames[1:4]:
         worker.submit(frame)
-    assert [f.slot.holds for f in frames] == [1, 0, 0, 1, 0]
-    assert worker.stats.replaced == 2
+    assert holds(frames) == [1, 0, 0, 1, 0]
     fake.gate.release(2)
-    wait_for(worker, worker.idle)
+    eventually(lambda: worker.idle)
+    assert holds(frames) == [0, 0, 0, 1, 0]
     found = worker.poll()
     assert found.observation is frames[3]
-    assert worker.stats.done == 2
-    assert worker.stats.unread == 1
-    assert worker.stats.last_latency_ns == 7
-    assert [f.slot.holds for f in frames] == [0, 0, 0, 1, 0]
-    assert worker.poll() is None
-    found.observation.release()
     worker.close()
+    assert holds(frames) == [0, 0, 0, 1, 0]  # whose it is that polled
+    assert fake.closed
 
 
-def test_a_failure_is_counted_told_once_and_outlived(frames, caplog):
-    worker = DetectorWorker(fake := Fake(bad=(0, 1)))
-    with caplog.at_level(logging.ERROR):
-        for frame in frames[:3]:
-            worker.submit(frame)
-            fake.gate.release()
-            wait_for(worker, worker.idle)
-    assert worker.stats.failed == 2
-    assert worker.stats.failures == {"RuntimeError": 2}
-    assert "no luck with 1" in worker.stats.last_error
-    (told,) = (record.getMessage() for record in caplog.records)
-    assert told.startswith("detector fake: RuntimeError: no luck with 0 (")
-    assert worker.poll().observation is frames[2]
-    assert [f.slot.holds for f in frames[:3]] == [0, 0, 1]
-    worker.close()
-
-
-def test_a_failure_is_one_bounded_line_and_counts_that_are_read_stay_as_they_are():
-    stats = WorkerStats()
-    before = stats.failures
-    assert stats.count_failure(RuntimeError("no\nluck " + "x" * 1000))
-    assert not stats.count_failure(RuntimeError())
-    assert (before, stats.failures) == ({}, {"RuntimeError": 2})
-    stats.count_failure(ValueError("no\nluck " + "x" * 1000))
-    assert stats.last_error.startswith("ValueError: no luck xxx")
-    assert len(stats.last_error) == LONGEST_ERROR
-
-
-def test_inline_a_failure_is_counted_told_once_a_kind_and_outlived(frames, caplog):
-    worker = InlineWorker(fake := Fake(bad=(0, 1)))
-    fake.gate.release(len(frames))
-    with caplog.at_level(logging.ERROR):
-        for frame in frames[:2]:
-            worker.submit(frame)
-        fake.detect, detect = lambda observation: [][observation.seq], fake.detect
-        worker.submit(frames[2])
-        fake.detect = detect
-        worker.submit(frames[3])
-    assert worker.stats.failures == {"RuntimeError": 2, "IndexError": 1}
-    assert (worker.stats.failed, worker.stats.done) == (3, 1)
-    assert worker.stats.last_error.startswith("IndexError: ")
-    assert [r.getMessage().split(":")[1].strip() for r in caplog.records] == [
-        "RuntimeError",
-        "IndexError",
-    ]
-    assert worker.poll().observation is frames[3]
-    assert [f.slot.holds for f in frames[:4]] == [0, 0, 0, 1]
-    worker.close()
-
-
-@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
+@pytest.mark.parametrize("inline", [False, True])
 def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that_is_down(
-    frames, make
+    frames, inline, caplog
 ):
-    worker, rows = make(fake := Fake(bad=(0, 1, 3))), []
+    worker, rows = DetectorWorker(fake := Fake(bad=(0, 1, 3)), inline), []
     fake.gate.release(len(frames))
     for frame in frames:
         fake.own = Health("restarting", "it ended") if frame.seq == 1 else Health()
         worker.submit(frame)
-        if make is DetectorWorker:
-            wait_for(worker, worker.idle)
+        eventually(lambda: worker.idle)
         rows.append(worker.stats.in_a_row)
     assert rows == [1, 1, 0, 1, 0]
     assert worker.stats.failed == 3
+    assert caplog.messages == [
+        "detector fake: RuntimeError: no luck with 0 (more of these are only counted)"
+    ]
+    assert worker.poll().observation is frames[4]
     worker.close()
 
 
-@pytest.mark.parametrize("make", [InlineWorker, DetectorWorker])
-def test_whoever_watches_and_fails_stops_nothing(frames, make, caplog):
-    worker = make(fake := Fake())
+@pytest.mark.parametrize("inline", [False, True])
+def test_whoever_watches_and_fails_stops_nothing(frames, inline, caplog):
+    worker = DetectorWorker(fake := Fake(), inline)
 
-    def watch(*_):
+    def watch(detector, observation, outcome):
+        assert observation.slot.holds == 1
         raise MemoryError("no room for a copy")
 
     worker.watch = watch
     for frame in frames[:2]:
         fake.gate.release()
         worker.submit(frame)
-        if make is DetectorWorker:
-            wait_for(worker, worker.idle)
+        eventually(lambda: worker.idle)
     assert worker.stats.done == 2
     assert "no room for a copy" in caplog.text
-    assert worker.poll().observation is frames[1]
-    assert [f.slot.holds for f in frames[:2]] == [0, 1]
     worker.close()
+    assert holds(frames) == [0] * 5
 
 
-@pytest.mark.parametrize("boxes", [0, 1])
-def test_close_lets_everything_go(frames, boxes):
-    worker = DetectorWorker(fake := Fake())
-    fake.boxes = boxes
-    worker.submit(frames[0])
+class StoodStill:
+    """In the place of a thread: the test does its steps."""
+
+    def __init__(self, target, **_):
+        self.run = target
+
+    def start(self): ...
+
+    def join(self, timeout=None):
+        self.run()  # to its end, once the worker is closed
+
+    def is_alive(self):
+        return False
+
+
+class Steered:
+    """A detector, or a scorer, that does what the test says while it is at work."""
+
+    name = "steered"
+
+    def __init__(self):
+        self.meanwhile = lambda: None
+        self.fails = False
+
+    def detect(self, observation):
+        self.meanwhile()
+        if self.fails:
+            raise RuntimeError("as told")
+        return found_in(observation)
+
+    def look(self, question):
+        return self.detect(question.observation)
+
+    def answer(self, looked):
+        return looked
+
+    def health(self):
+        return Health()
+
+    def close(self): ...
+
+
+class Question(NamedTuple):
+    observation: Observation
+
+
+def stop(worker):
+    """What `close` does while its thread is at work."""
+    worker.stop()
+    if (found := worker.poll()) is not None:
+        found.observation.release()
+
+
+@pytest.mark.parametrize("inline", [False, True])
+@pytest.mark.parametrize("kind", ["detector", "scorer"])
+def test_no_frame_stays_held_in_any_order_of_events(make_observation, monkeypatch, inline, kind):
+    """Every order of five: a frame comes, the thread works (well or not, while a frame comes,
+    while the worker is closed), the result is polled. Inline, a frame that comes is worked on."""
+    monkeypatch.setattr(host.threading, "Thread", StoodStill)
+    frame = make_observation()
+
+    for events in product("sfWCp", repeat=5):
+        steered, slots = Steered(), []
+        worker = (
+            DetectorWorker(steered, inline)
+            if kind == "detector"
+            else ScorerWorker("test", steered, inline=inline, pause_s=1e-9)
+        )
+
+        def submit(worker=worker, slots=slots):
+            slots.append(Slot())
+            own = Observation(len(slots), 0, frame.T_map_base, slot=slots[-1])
+            worker.submit(own if kind == "detector" else Question(own))
+
+        for event in events:
+            steered.fails = event == "f"
+            steered.meanwhile = {"W": submit, "C": lambda w=worker: stop(w)}.get(event, list)
+            if event == "s" or (inline and event == "f"):
+                submit()
+            elif event == "p":
+                if (found := worker.poll()) is not None and kind == "detector":
+                    found.observation.release()
+            elif worker._waiting:
+                for item in worker._take():
+                    worker._do(item)
+        worker.close()
+        assert [slot.holds for slot in slots] == [0] * len(slots), events
+
+
+class FakeScorer:
+    """Answers with the seq; waits for `gate` before that, until it is closed."""
+
+    name = "fake"
+
+    def __init__(self, *outcomes):
+        self.gate = threading.Semaphore(0)
+        self.under_way = self.most = 0
+        self.closed = threading.Event()
+        self.outcomes = list(outcomes)
+
+    def look(self, question):
+        assert question.observation.slot.holds == 1
+        return question.observation.seq
+
+    def answer(self, looked):
+        self.under_way += 1
+        self.most = max(self.most, self.under_way)
+        while not self.gate.acquire(timeout=0.01):
+            if self.closed.is_set():
+                raise ChatError("given up")
+        self.under_way -= 1
+        return looked
+
+    def close(self):
+        self.closed.set()
+
+
+def test_one_question_at_a_time_and_its_frame_only_while_it_is_looked_at(frames):
+    questions = [Question(frame) for frame in frames]
+    worker = ScorerWorker("choice", fake := FakeScorer())
+    worker.submit(questions[1])
+    assert not worker.idle
+    worker.submit(questions[2])
+    eventually(lambda: fake.under_way)
+    assert holds(frames) == [0] * 5
+    worker.submit(questions[3])
     fake.gate.release()
-    wait_for(worker, worker.idle)
-    worker.submit(frames[1])
-    assert fake.started.acquire(timeout=PATIENCE_S)
-    assert fake.started.acquire(timeout=PATIENCE_S)
-    worker.submit(frames[2])
+    eventually(lambda: worker.idle)
+    assert (worker.poll(), worker.poll()) == (1, None)
+    worker.submit(questions[4])
     fake.gate.release()
+    assert eventually(worker.poll) == 4
     worker.close()
-    worker.submit(frames[3])
-    assert [f.slot.holds for f in frames] == [0] * 5
+    assert fake.most == 1
+    counts = worker.counts()
+    assert (counts["model"], counts["asked"], counts["answered"]) == ("fake", 2, 2)
+    assert holds(frames) == [0] * 5
+
+
+def test_closing_gives_up_what_is_being_answered_which_is_no_failure(frames, caplog):
+    worker = ScorerWorker("choice", fake := FakeScorer())
+    worker.submit(Question(frames[0]))
+    eventually(lambda: fake.under_way)
+    worker.close()
+    worker.submit(Question(frames[1]))
+    assert (worker.poll(), worker.stats.failed) == (None, 0)
+    assert holds(frames) == [0] * 5
+    assert not caplog.records

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from edge.geometry import SE2
+from edge.host.worker import Worker
 from edge.mission.planning.distances import distances
 
 if TYPE_CHECKING:
@@ -24,15 +24,14 @@ class Surveyor:
     """
 
     def __init__(self, inline: bool) -> None:
-        self._pool = None if inline else ThreadPoolExecutor(1, thread_name_prefix="surveyor")
-        self._future: Future[np.ndarray] | None = None
+        self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
+        self._round = 0
 
     def due(self, now_ns: int) -> bool:
-        """Whether `ask` would begin a survey now."""
-        if self._future is not None:
-            return False
-        return self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        """Whether it is time for another survey."""
+        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        return rested and self._worker.idle
 
     def ask(self, grid: RollingMap, pose: SE2, places: list[np.ndarray], now_ns: int) -> None:
         """Begin a survey.
@@ -40,29 +39,24 @@ class Surveyor:
         Args:
             places: for each letter of the automaton the (m, 2) positions of its known instances.
         """
-        self._asked_ns = now_ns
+        self._asked_ns, round_ = now_ns, self._round
 
-        def survey() -> np.ndarray:
-            return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), places)
+        def survey() -> tuple[int, np.ndarray]:
+            here = (pose.x_m, pose.y_m)
+            return round_, distances(grid.snapshot(inflated=50), here, places)
 
-        if self._pool is not None:
-            self._future = self._pool.submit(survey)
-        else:
-            self._future = Future()
-            self._future.set_result(survey())
+        self._worker.submit(survey)
 
     def poll(self) -> np.ndarray | None:
         """The distances, once, when they are there: see `Knowledge.distance_m`."""
-        if self._future is None or not self._future.done():
-            return None
-        future, self._future = self._future, None
-        return future.result()
+        round_, found = self._worker.poll() or (-1, None)
+        return found if round_ == self._round else None
 
     def forget(self) -> None:
         """The survey under way is of targets that no longer are; its result is not wanted."""
-        self._future = self._asked_ns = None
+        self._round += 1
+        self._asked_ns = None
 
     def close(self) -> None:
         """Begin nothing more; a survey under way is over within a tenth of a second."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+        self._worker.close()

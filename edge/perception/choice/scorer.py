@@ -71,7 +71,7 @@ def show_words(view: View) -> Shown:
 
 
 class ChoiceScorer:
-    """A scorer (`edge.perception.scorer_worker`) of views.
+    """A scorer (`edge.perception.worker`) of views.
 
     Both questions are messages that begin alike (the rules, then the view) and differ at the very
     end, so that a server which keeps what it computed for the last prompt reads the view once.

@@ -17,11 +17,12 @@ from collections.abc import Callable
 from edge.config import DetectorOnnx, Perception
 from edge.errors import UserError
 from edge.host.interruptible import start_unjoined
+from edge.host.worker import LONGEST_ERROR
 from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Health
 from edge.perception.factory import make_detector
 from edge.perception.swap.trial import failure, judge, median_ms, not_finite, sample
-from edge.perception.worker import LONGEST_ERROR, WorkerBase
+from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -52,7 +53,7 @@ class Swapper:
     def __init__(
         self,
         perception: Perception,
-        worker: WorkerBase,
+        worker: DetectorWorker,
         tell: Callable[[str, int], None],
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
@@ -180,7 +181,7 @@ class _Attempt:
     """
 
     def __init__(
-        self, model: str, force: bool, perception: Perception, worker: WorkerBase, make: Make
+        self, model: str, force: bool, perception: Perception, worker: DetectorWorker, make: Make
     ) -> None:
         self.model, self._force = model, force
         self.previous = worker.detector
@@ -253,7 +254,7 @@ class _Attempt:
     def see(
         self, detector: Detector, observation: Observation, outcome: Detections | Exception
     ) -> None:
-        """For `WorkerBase.watch`: an image to try the model on, or one of its probation."""
+        """For `DetectorWorker.watch`: an image to try the model on, or one of its probation."""
         if observation.rgb is None or self.fault:  # no image is no detector's fault
             return
         try:

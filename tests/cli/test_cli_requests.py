@@ -1,4 +1,4 @@
-"""What the client of the mission desk takes, and what it shows of an answer."""
+"""What `edge mission` takes for a running service, and what it shows of an answer."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from edge.mission.order import ANSWER_S, NEW_S, add_arguments, as_text
+from edge.cli.requests import ANSWER_S, NEW_S, add_arguments, as_text
 
 
 @pytest.mark.parametrize(

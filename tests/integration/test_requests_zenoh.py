@@ -1,4 +1,4 @@
-"""Orders between real processes: services that stop and die, askers that vanish, and garbage."""
+"""Requests between real processes: services that stop and die, clients that vanish, garbage."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ import zenoh
 from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 
-from edge.bus.asking import OrderError
+from edge.bus.client import RequestError, ask
 from edge.bus.session import open_session
+from edge.cli.requests import add_arguments
 from edge.config import Zenoh
-from edge.mission.order import add_arguments, ask
 
-PEER = Path(__file__).with_name("mission_desk_peer.py")
-PREFIX, KEY = "edge", "edge/mission/request"
+PEER = Path(__file__).with_name("requests_peer.py")
+KEY = "edge/mission/request"
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def release(service: subprocess.Popen, n: int = 1) -> None:
 
 
 def status(session: zenoh.Session) -> dict:
-    return ask(session, PREFIX, {"do": "status"}, PATIENCE_S)
+    return ask(session, KEY, {"do": "status"}, PATIENCE_S)
 
 
 def test_the_life_of_a_mission(config, service, capsys):
@@ -100,7 +100,7 @@ def test_the_life_of_a_mission(config, service, capsys):
 
 
 def test_what_a_person_reads(start, config, service):
-    code, out, err = done(start("order", "pause", config))
+    code, out, err = done(start("request", "pause", config))
     assert (code, err) == (0, [])
     assert out.splitlines() == [
         "understood:  do F chair",
@@ -117,20 +117,20 @@ def test_a_refusal_is_one_line_and_exit_code_2(start, config, service):
         ("formula, column 4: ", "new", "F (", "--formula"),
         ("instruction: expected text, got ' '", "new", " "),
     ]:
-        code, out, (error,) = done(start("order", verb, config, *words))
+        code, out, (error,) = done(start("request", verb, config, *words))
         assert (code, out) == (2, "")
         assert error.startswith(f"mission: refused: {line}")
 
 
 def test_where_no_service_is(start, config, endpoint):
-    code, out, err = done(start("order", "status", config, "--timeout", "1"))
+    code, out, err = done(start("request", "status", config, "--timeout", "1"))
     assert (code, out) == (2, "")
     assert err[-1] == f"mission: no service at {endpoint}; start one with `edge run`"
 
 
-def test_where_somebody_is_that_takes_no_orders(endpoint):
+def test_where_somebody_is_that_takes_no_requests(endpoint):
     settings = Zenoh(endpoint=endpoint)
-    nobody = pytest.raises(OrderError, match="no service answers at edge/mission/request")
+    nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
     with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
         status(session)
 
@@ -138,62 +138,62 @@ def test_where_somebody_is_that_takes_no_orders(endpoint):
 def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
-    with pytest.raises(OrderError, match=r"edge/mission/request: no answer within 0\.3 s"):
-        ask(session, PREFIX, {"do": "pause"}, 0.3)
+    with pytest.raises(RequestError, match=r"edge/mission/request: no answer within 0\.3 s"):
+        ask(session, KEY, {"do": "pause"}, 0.3)
     service.send_signal(signal.SIGCONT)
     assert status(session)["phase"] == "exploring"
 
 
 def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
-    ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S)
     service.kill()
     service.wait()
-    with pytest.raises(OrderError, match="mission: "):
-        ask(session, PREFIX, {"do": "status"}, 2.0)
+    with pytest.raises(RequestError, match="mission: "):
+        ask(session, KEY, {"do": "status"}, 2.0)
     started_service(start, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
         try:
             return status(session)["formula"] == "F chair"
-        except OrderError:
+        except RequestError:
             return False
 
     eventually(answers)
 
 
-def test_while_a_mission_is_being_understood_other_orders_pass_and_a_stop_ends_it(session, service):
+def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(session, service):
     def slow(thing: str) -> dict:
         return {"do": "new", "instruction": f"slow F {thing}"}
 
     with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(ask, session, PREFIX, slow("sofa"), PATIENCE_S)]
+        asked = [pool.submit(ask, session, KEY, slow("sofa"), PATIENCE_S)]
         assert service.stdout.readline() == "slow\n"
         for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(pool.submit(ask, session, PREFIX, slow(thing), PATIENCE_S))
+            asked.append(pool.submit(ask, session, KEY, slow(thing), PATIENCE_S))
         assert status(session)["formula"] == "F chair"
         eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert ask(session, PREFIX, {"do": "pause"}, PATIENCE_S)["paused"] is True
+        assert ask(session, KEY, {"do": "pause"}, PATIENCE_S)["paused"] is True
         errors = [str(future.exception(PATIENCE_S)) for future in asked]
     assert "stopped meanwhile: give it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
     assert sum("stopped meanwhile" in error for error in errors) == 3
     release(service)
-    assert ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
+    assert ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
     assert status(session)["formula"] == "F bed"
 
 
-def test_an_asker_that_is_killed_while_it_waits(start, config, service, session):
-    asker = start("order", "new", config, "slow F sofa")
+def test_a_client_that_is_killed_while_it_waits(start, config, service, session):
+    client = start("request", "new", config, "slow F sofa")
     assert service.stdout.readline() == "slow\n"
-    asker.kill()
-    asker.wait()
+    client.kill()
+    client.wait()
     assert status(session)["formula"] == "F chair"
     release(service)
-    eventually(lambda: status(session)["formula"] == "F sofa")  # the order itself was given
+    eventually(lambda: status(session)["formula"] == "F sofa")  # it was asked for
 
 
 def test_a_crowd_of_processes(start, config, service, endpoint):
-    askers = [start("order", "status", config, "--json", "--timeout", "60") for _ in range(4)]
+    clients = [start("request", "status", config, "--json", "--timeout", "60") for _ in range(4)]
 
     def many(_: int) -> list[dict]:
         with open_session(Zenoh(endpoint=endpoint), "connect") as session:
@@ -201,7 +201,7 @@ def test_a_crowd_of_processes(start, config, service, endpoint):
 
     with ThreadPoolExecutor(4) as pool:
         answers = [answer for answers in pool.map(many, range(4)) for answer in answers]
-    answers += [json.loads(done(asker)[1]) for asker in askers]
+    answers += [json.loads(done(client)[1]) for client in clients]
     assert len(answers) == 44
     assert all(answer == answers[0] for answer in answers)
 

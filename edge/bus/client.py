@@ -1,4 +1,4 @@
-"""The other side of a desk: reach the running service, give it an order, read its answer.
+"""The client of `edge.bus.requests`: reach the running service, ask it for something.
 
 Light to import, so that the command line can take its error from here.
 """
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from edge.config import Zenoh
 
 CONNECT_S = 5.0
-_REASON_CHARS = 1000  # what a desk sends at most, see `edge.bus.desk`
+_REASON_CHARS = 1000  # what a server sends at most, see `edge.bus.requests`
 _ZENOH_TIMEOUT = b"Timeout"  # what Zenoh itself puts in the place of an answer
 
 
-class OrderError(UnavailableError):
-    """Nobody took the order; one line."""
+class RequestError(UnavailableError):
+    """Nobody took the request; one line."""
 
 
-class RefusedError(OrderError):
+class RefusedError(RequestError):
     """The service refused it, in its own words."""
 
     exit_code = os.EX_DATAERR
@@ -41,7 +41,7 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
         what: the command, for the error's line.
 
     Raises:
-        OrderError: no service is there.
+        RequestError: no service is there.
     """
     from edge.bus.session import open_session
 
@@ -53,20 +53,21 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
         return open_session(settings, "connect", enough)
     except Stopped:
         where = settings.endpoint
-        raise OrderError(f"{what}: no service at {where}; start one with `edge run`") from None
+        raise RequestError(f"{what}: no service at {where}; start one with `edge run`") from None
     finally:
         timer.cancel()
 
 
-def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what: str) -> dict:
-    """Give an order to the desk at `key`; its answer.
+def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float) -> dict:
+    """The answer of the service whose requests go to `key`, such as `edge/mission/request`.
 
     Raises:
         RefusedError: it refused (its own words).
-        OrderError: none answered within `timeout_s`.
+        RequestError: none answered within `timeout_s`.
     """
     import zenoh
 
+    what = key.split("/")[-2]
     replies = session.get(
         key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
         timeout=timeout_s, priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
@@ -76,10 +77,10 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
             return _object(key, reply.ok.payload.to_bytes(), what)
         content = reply.err.payload.to_bytes()
         if content == _ZENOH_TIMEOUT:
-            raise OrderError(f"{what}: {key}: no answer within {timeout_s:g} s")
+            raise RequestError(f"{what}: {key}: no answer within {timeout_s:g} s")
         reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
         raise RefusedError(f"{what}: refused: {reason}")
-    raise OrderError(f"{what}: no service answers at {key}; start one with `edge run`")
+    raise RequestError(f"{what}: no service answers at {key}; start one with `edge run`")
 
 
 def _object(key: str, content: bytes, what: str) -> dict:
@@ -88,5 +89,5 @@ def _object(key: str, content: bytes, what: str) -> dict:
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):
-        raise OrderError(f"{what}: {key}: not the answer of a service: {content[:60]!r}")
+        raise RequestError(f"{what}: {key}: not the answer of a service: {content[:60]!r}")
     return data

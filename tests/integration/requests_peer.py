@@ -1,23 +1,24 @@
-"""Processes for the tests of orders: `service ENDPOINT`, or `order` and arguments."""
+"""Processes for the tests of requests: `service ENDPOINT`, or `request` and arguments."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
+from functools import partial
 
-from edge.bus.desk import Request
+from edge.bus.requests import Request, RequestServer
 from edge.bus.session import open_session
+from edge.cli.requests import add_arguments
 from edge.config import Zenoh
 from edge.errors import UserError
-from edge.loop.mission_desk import MissionDesk
-from edge.mission import order
+from edge.loop.requests import mission_verbs
 from edge.mission.ltl import parse, to_text
 
-PREFIX = "edge"
+KEY = "edge/mission/request"
 
 
-def prepare(instruction: str | None, formula: str | None) -> str:
+def prepare(instruction: str | None = None, formula: str | None = None) -> str:
     """The formula; `slow <formula>` is understood only when a line comes in."""
     text = instruction or formula
     if text.startswith("slow "):
@@ -29,37 +30,35 @@ def prepare(instruction: str | None, formula: str | None) -> str:
     return to_text(parse(text))
 
 
-def act(request: Request, state: dict) -> None:
-    """What a service does with an order."""
+def act(state: dict, request: Request, now_ns: int) -> dict:
+    """What a service does with a request."""
     if request.do == "new":
         state.update(formula=request.prepared, phase="exploring", paused=False)
     elif request.do == "resume" and not state["paused"]:
-        return request.refuse("nothing is paused")
+        raise UserError("nothing is paused")
     elif request.do == "cancel":
         state.update(phase="cancelled")
     elif request.do in ("pause", "resume"):
         state.update(paused=request.do == "pause")
-    request.answer({**state, "english": f"do {state['formula']}", "reached": ["bed", "tv"]})
+    return {**state, "english": f"do {state['formula']}", "reached": ["bed", "tv"]}
 
 
 def service(endpoint: str) -> None:
-    """Ticks for ever; says `ready` when it takes orders."""
+    """Ticks for ever; says `ready` when it takes requests."""
     state = {"formula": "F chair", "phase": "exploring", "paused": False}
     with open_session(Zenoh(endpoint=endpoint), "listen") as session:
-        desk = MissionDesk(session, PREFIX, prepare)
+        server = RequestServer(session, KEY, mission_verbs(prepare), partial(act, state))
         print("ready", flush=True)
         while True:
             time.sleep(0.02)
-            # All that waits, as the loop does: one a tick would let orders that pass starve others.
-            while (request := desk.poll()) is not None:
-                act(request, state)
+            server.serve(0)
 
 
 def main(role: str, *arguments: str) -> int:
     if role == "service":
         service(*arguments)
     parser = argparse.ArgumentParser()
-    order.add_arguments(parser)
+    add_arguments(parser)
     args = parser.parse_args(arguments)
     try:
         return args.handler(args)

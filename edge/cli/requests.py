@@ -8,13 +8,9 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from edge.bus import asking
+from edge.bus import client
 from edge.text import one_line
-
-if TYPE_CHECKING:
-    import zenoh
 
 ANSWER_S = 5.0
 _ROW_CHARS = 1000
@@ -30,7 +26,7 @@ _VERBS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-def]
-    """A subcommand for each verb of the desk; returns the subcommands, for others to add to."""
+    """A subcommand for each verb; returns the subcommands, for others to add to."""
     actions = parser.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for verb, text in _VERBS.items():
         action = actions.add_parser(verb, help=text)
@@ -51,26 +47,21 @@ def run(args: argparse.Namespace) -> int:
     """Handle `edge mission new | pause | resume | cancel | status`.
 
     Raises:
-        OrderError: no service is there, it does not answer, or it refuses (`edge.bus.asking`).
+        RequestError: no service is there, it does not answer, or it refuses.
         ConfigError: the configuration cannot be read.
     """
+    from edge.bus import topics
     from edge.config import load
 
     settings = load(args.config).zenoh
     request = {"do": args.do}
     if args.do == "new":
         request["formula" if args.formula else "instruction"] = args.text
-    with asking.connect(settings, args.timeout, "mission") as session:
-        answer = ask(session, settings.prefix, request, args.timeout)
+    key = f"{settings.prefix}/{topics.MISSION_REQUEST}"
+    with client.connect(settings, args.timeout, "mission") as session:
+        answer = client.ask(session, key, request, args.timeout)
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
-
-
-def ask(session: zenoh.Session, prefix: str, request: dict, timeout_s: float) -> dict:
-    """Give an order to the service under `prefix`; its answer. See `edge.bus.asking.ask`."""
-    from edge.bus import topics
-
-    return asking.ask(session, f"{prefix}/{topics.MISSION_REQUEST}", request, timeout_s, "mission")
 
 
 def as_text(answer: dict) -> str:

@@ -1,0 +1,235 @@
+"""Work beside the loop: newest item in, newest result out, nobody waits."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from time import perf_counter_ns
+from typing import Generic, TypeVar
+
+from edge.errors import UserError
+from edge.text import one_line
+
+log = logging.getLogger(__name__)
+
+LONGEST_ERROR = 500
+MAX_DOUBLINGS, MAX_PAUSE_S = 6, 30.0
+MOST_QUEUED = 256
+BEAT_S = 0.1
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(slots=True)
+class Stats:
+    """Counts since the start; written by the worker and its user, read by anyone at any time.
+
+    Attributes:
+        submitted: items taken.
+        replaced: items that a newer one displaced before their turn.
+        unread: results that a newer one displaced before they were polled.
+        last_latency_ns: how long the newest result took.
+        last_error: the newest failure in words, one line, empty when there was none.
+        failures: type of failure → how many; replaced by another dict, never changed.
+        in_a_row: failures since the newest result.
+    """
+
+    submitted: int = 0
+    replaced: int = 0
+    done: int = 0
+    unread: int = 0
+    failed: int = 0
+    last_latency_ns: int = 0
+    last_error: str = ""
+    failures: dict[str, int] = field(default_factory=dict)
+    in_a_row: int = 0
+
+
+class Worker(Generic[Item, Result]):
+    """Does one kind of work, on a thread of its own.
+
+    What waits is displaced by what comes later, what was found by what is found later. Whoever
+    submits an item gives it away: it is worked on or dropped. A failure is counted and outlived.
+
+    Args:
+        what: it is, for the log.
+        work: called with each item; what it returns can be polled, unless it is None.
+        inline: no thread: `submit` does the work, so that a run replays the same.
+        every: inline, how many items are taken for one that is worked on.
+        rest_s: how long it takes up nothing after work that went well.
+        pause_s: how long after the first failure; twice as long after each that follows. Inline,
+            where no time passes, 2, 4, 8 … items are dropped instead.
+        drop: called with an item that is not worked on.
+        drop_result: called with a result that is not polled.
+        finishes: what waits when it is closed is worked on, not dropped.
+        beat: called after each item, and every `BEAT_S` where none comes.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        work: Callable[[Item], Result | None],
+        *,
+        inline: bool = False,
+        every: int = 1,
+        rest_s: float = 0.0,
+        pause_s: float = 0.0,
+        drop: Callable[[Item], object] = lambda item: None,
+        drop_result: Callable[[Result], object] = lambda result: None,
+        finishes: bool = False,
+        beat: Callable[[], object] | None = None,
+    ) -> None:
+        self.stats = Stats()
+        self._what, self._work, self._every = what, work, every
+        self._rest_s, self._pause_s = rest_s, pause_s
+        self._drop, self._drop_result = drop, drop_result
+        self._finishes, self._beat = finishes, beat
+        self._changed = threading.Condition()
+        self._waiting: dict[Hashable, Item] = {}
+        self._result: Result | None = None
+        self._busy = self._closed = False
+        self._serial = self._passes = 0
+        self._thread: threading.Thread | None = None
+        if not inline:
+            # A daemon: work that hangs must not keep the process from ending.
+            self._thread = threading.Thread(target=self._run, name=what, daemon=True)
+            self._thread.start()
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits, is worked on, or is rested from."""
+        with self._changed:
+            return not (self._waiting or self._busy)
+
+    def submit(self, item: Item, key: Hashable = None) -> None:
+        """Work on this, in the place of what waits under this key. Never blocks, unless inline."""
+        if self._thread is None:
+            self._at_once(item)
+            return
+        with self._changed:
+            displaced = item if self._closed else self._waiting.get(key)
+            if not self._closed:
+                self._waiting[key] = item
+                self.stats.submitted += 1
+                self.stats.replaced += displaced is not None
+                self._changed.notify_all()
+        if displaced is not None:
+            self._drop(displaced)
+
+    def queue(self, item: Item) -> None:
+        """Work on this too, after all that waits; of `MOST_QUEUED` the oldest gives way."""
+        with self._changed:
+            self._serial += 1
+            self.submit(item, self._serial)
+            queued = [key for key in self._waiting if isinstance(key, int)]
+            if len(queued) > MOST_QUEUED:
+                self.stats.replaced += 1
+                self._drop(self._waiting.pop(queued[0]))
+
+    def poll(self) -> Result | None:
+        """The newest result that was not polled yet, or None."""
+        if self._result is None:  # as in nearly every tick
+            return None
+        with self._changed:
+            result, self._result = self._result, None
+        return result
+
+    def stop(self) -> None:
+        """Take nothing more."""
+        with self._changed:
+            self._closed = True
+            dropped = [] if self._finishes else list(self._waiting.values())
+            if dropped:
+                self._waiting.clear()
+            self._changed.notify_all()
+        for item in dropped:
+            self._drop(item)
+
+    def close(self, timeout_s: float | None = None) -> bool:
+        """Stop, and let what is worked on come to its end; whether it did in time."""
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+        if (unread := self.poll()) is not None:
+            self._drop_result(unread)
+        return self._thread is None or not self._thread.is_alive()
+
+    def _at_once(self, item: Item) -> None:
+        if self._closed or self._passes > 0:
+            self._passes -= 1
+            self._drop(item)
+            return
+        self.stats.submitted += 1
+        if self._do(item) or not self._pause_s:
+            self._passes = self._every - 1
+        else:
+            self._passes = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
+
+    def _run(self) -> None:
+        while not self._closed or self._waiting:
+            for item in self._take():
+                self._rest(self._rest_s if self._do(item) else self._pause())
+            if self._beat is not None:
+                try:
+                    self._beat()
+                except Exception as error:
+                    self._failed(error)
+
+    def _take(self) -> list[Item]:
+        """What waited longest, once something waits or it is time for a beat."""
+        with self._changed:
+            self._busy = False
+            if not self._waiting and not self._closed:
+                self._changed.wait(BEAT_S if self._beat is not None else None)
+            self._busy = bool(self._waiting)
+            return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
+
+    def _do(self, item: Item) -> bool:
+        """Work on an item; whether that went well."""
+        begin_ns = perf_counter_ns()
+        try:
+            result = self._work(item)
+        except Exception as error:  # the loop must outlive whatever a model or a sink does
+            self._failed(error)
+            return False
+        self._succeeded(result, perf_counter_ns() - begin_ns)
+        return True
+
+    def _succeeded(self, result: Result | None, took_ns: int) -> None:
+        stats, unread = self.stats, result
+        with self._changed:
+            stats.done += 1
+            stats.in_a_row, stats.last_latency_ns = 0, took_ns
+            if result is not None and not self._closed:
+                unread, self._result = self._result, result
+                stats.unread += unread is not None
+        if unread is not None:
+            self._drop_result(unread)
+
+    def _rest(self, seconds: float) -> None:
+        if seconds > 0.0:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, seconds)
+
+    def _pause(self) -> float:
+        doublings = max(min(self.stats.in_a_row - 1, MAX_DOUBLINGS), 0)
+        return min(self._pause_s * 2.0**doublings, MAX_PAUSE_S)
+
+    def _failed(self, error: Exception, excused: bool = False) -> None:
+        """Count a failure; tell the first of each kind, and where a pause keeps them few, the first
+        of each row.
+
+        Args:
+            excused: it makes no row.
+        """
+        kind, stats = type(error).__name__, self.stats
+        stats.failed += 1
+        stats.in_a_row += not excused
+        text = str(error) if isinstance(error, UserError) else f"{kind}: {error}"
+        stats.last_error = one_line(text, LONGEST_ERROR)
+        stats.failures = {**stats.failures, kind: stats.failures.get(kind, 0) + 1}
+        if stats.failures[kind] == 1 or (self._pause_s and stats.in_a_row == 1):
+            log.error("%s: %s (more of these are only counted)", self._what, stats.last_error)

@@ -1,0 +1,577 @@
+"""Requests to a running service: each is answered once, and nobody waits for ever."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import pytest
+import zenoh
+from patience import PATIENCE_S, eventually
+
+from edge.bus import requests
+from edge.bus.client import RequestError, ask
+from edge.bus.requests import MAX_BYTES, Request, RequestServer, Verb
+from edge.bus.session import open_session
+from edge.config import Zenoh
+from edge.errors import UserError
+from edge.host.ports import free_port
+from edge.loop.requests import mission_verbs
+
+KEY = "edge/mission/request"
+
+
+@pytest.fixture
+def session() -> Iterator[zenoh.Session]:
+    with open_session(Zenoh(endpoint=f"tcp/127.0.0.1:{free_port()}"), "listen") as session:
+        yield session
+
+
+@pytest.fixture
+def serve(session) -> Iterator[Callable[..., RequestServer]]:
+    servers = []
+
+    def serve(
+        prepare: Callable = lambda **texts: texts, patience_s: float = PATIENCE_S
+    ) -> RequestServer:
+        """A server of missions, whose requests the test takes as the loop does."""
+        verbs = mission_verbs(prepare)
+        servers.append(RequestServer(session, KEY, verbs, broken, patience_s))
+        return servers[-1]
+
+    yield serve
+    for server in servers:
+        server.close()
+
+
+def broken(request: Request, now_ns: int) -> dict:
+    raise ZeroDivisionError("oh no")
+
+
+def taken(server: RequestServer) -> Request:
+    """The next request, once it is there."""
+    return eventually(server.poll)
+
+
+class Asking:
+    """Asks on a thread of its own."""
+
+    def __init__(self, session: zenoh.Session, **request: object) -> None:
+        self._pool = ThreadPoolExecutor(1)
+        self._answer = self._pool.submit(ask, session, KEY, request, PATIENCE_S)
+        self._pool.shutdown(wait=False)
+
+    @property
+    def done(self) -> bool:
+        return self._answer.done()
+
+    @property
+    def answer(self) -> dict:
+        return self._answer.result(PATIENCE_S)
+
+    @property
+    def outcome(self) -> dict | RequestError:
+        try:
+            return self.answer
+        except RequestError as error:
+            return error
+
+    @property
+    def refusal(self) -> str:
+        with pytest.raises(RequestError) as caught:
+            self._answer.result(PATIENCE_S)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+
+def test_an_idle_server_has_nothing_for_the_loop(serve):
+    assert serve().poll() is None
+
+
+@pytest.mark.parametrize("do", ["pause", "resume", "cancel", "status"])
+def test_a_request_is_answered_by_the_loop(session, serve, do):
+    server, asking = serve(), Asking(session, do=do)
+    request = taken(server)
+    assert (request.do, request.prepared) == (do, None)
+    request.answer({"phase": do, "é": [1, None]})
+    assert asking.answer == {"phase": do, "é": [1, None]}
+    assert server.poll() is None
+
+
+@pytest.mark.parametrize("text", [{"instruction": "the chair"}, {"formula": "F a"}])
+def test_a_new_mission_comes_to_the_loop_prepared(session, serve, text):
+    server, asking = serve(), Asking(session, do="new", **text)
+    request = taken(server)
+    assert (request.do, request.prepared) == ("new", text)
+    request.answer({"formula": "F a"})
+    assert asking.answer == {"formula": "F a"}
+
+
+def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
+    server, asking = serve(), Asking(session, do="resume")
+    request = taken(server)
+    request.refuse("not paused:\n  nothing to resume")
+    request.answer({"phase": "late"})
+    request.refuse("again")
+    assert asking.refusal == "mission: refused: not paused: nothing to resume"
+    asking = Asking(session, do="status")
+    taken(server).answer({})
+    assert asking.answer == {}
+
+
+def test_an_answer_is_what_it_was_when_it_was_given(session, serve):
+    server, asking, answer = serve(), Asking(session, do="status"), {"phase": "a"}
+    taken(server).answer(answer)
+    answer["phase"] = "b"
+    assert asking.answer == {"phase": "a"}
+
+
+@pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
+def test_an_answer_that_is_not_json_is_an_error_to_the_client_only(session, serve, answer):
+    server, asking = serve(), Asking(session, do="status")
+    taken(server).answer(answer)
+    assert "internal error" in asking.refusal
+
+
+def test_a_mission_that_cannot_be_prepared_never_comes_to_the_loop(session, serve, caplog):
+    def prepare(instruction: str) -> object:
+        raise {"x": UserError("not understood: 'x'"), "y": ZeroDivisionError("bug")}[instruction]
+
+    server = serve(prepare)
+    assert Asking(session, do="new", instruction="x").refusal.endswith("not understood: 'x'")
+    assert not caplog.records
+    with caplog.at_level(logging.CRITICAL):
+        assert "internal error: Zero" in Asking(session, do="new", instruction="y").refusal
+    assert server.poll() is None
+
+
+def test_while_one_mission_is_prepared_other_requests_pass_and_few_wait(session, serve):
+    begun, go = threading.Semaphore(0), threading.Event()
+
+    def prepare(instruction: str) -> str:
+        begun.release()
+        assert go.wait(PATIENCE_S)
+        return instruction
+
+    server = serve(prepare)
+    first = Asking(session, do="new", instruction="first")
+    assert begun.acquire(timeout=PATIENCE_S)
+    others = [Asking(session, do="new", instruction=str(n)) for n in range(8)]
+    for _ in range(3):
+        asking = Asking(session, do="status")
+        taken(server).answer({"phase": "running"})
+        assert asking.answer == {"phase": "running"}
+    eventually(lambda: sum(asking.done for asking in others) == 6)
+    go.set()
+    briefs = []
+    for _ in range(3):
+        request = taken(server)
+        briefs.append(request.prepared)
+        request.answer({"brief": request.prepared})
+    assert first.answer == {"brief": "first"}
+    assert briefs[0] == "first"
+    outcomes = [asking.outcome for asking in others]
+    assert sum("busy" in str(outcome) for outcome in outcomes) == 6
+    assert {outcome["brief"] for outcome in outcomes if isinstance(outcome, dict)} == {*briefs[1:]}
+    assert server.poll() is None
+
+
+class Preparing:
+    """What `prepare` does: understands a mission as soon as `done` is told of it, at once where
+    it is `quick`."""
+
+    def __init__(self, quick: Iterable[str] = ()) -> None:
+        self.begun: list[str] = []
+        self._done = {text: threading.Event() for text in "abcdef"}
+        for text in quick:
+            self.done(text)
+
+    def __call__(self, instruction: str) -> str:
+        self.begun.append(instruction)
+        assert self._done[instruction].wait(PATIENCE_S)
+        return instruction
+
+    def done(self, text: str) -> None:
+        self._done[text].set()
+
+
+def give(server: RequestServer, session: zenoh.Session, texts: str) -> list[Asking]:
+    """New missions that the server takes in, one after the other."""
+    asked, before = [], len(server._open)
+    for n, text in enumerate(texts, start=before + 1):
+        asked.append(Asking(session, do="new", instruction=text))
+        eventually(lambda n=n: len(server._open) == n)
+    return asked
+
+
+def begin_all(server: RequestServer, number: int) -> list[str]:
+    """Take and answer new missions, as the loop does; which they are."""
+    begun = []
+    for _ in range(number):
+        request = taken(server)
+        begun.append(request.prepared)
+        request.answer({"began": request.prepared})
+    assert server.poll() is None
+    return begun
+
+
+@pytest.mark.parametrize(
+    ("given_texts", "begun"),
+    [
+        ("a", "a"),
+        ("aaaa", "a"),
+        ("abb", "ab"),
+        ("aba", "aba"),  # b has not the last word
+        ("aabbaaa", "aba"),
+    ],
+)
+def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_texts, begun):
+    preparing = Preparing()
+    server = serve(preparing)
+    asked = give(server, session, given_texts)
+    for text in begun:
+        preparing.done(text)
+    assert "".join(begin_all(server, len(begun))) == begun
+    assert [asking.answer["began"] for asking in asked] == list(given_texts)
+    assert "".join(preparing.begun) == begun
+
+
+def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve):
+    server = serve(Preparing(quick="ab"), patience_s=1.0)
+    asked = give(server, session, "a")
+    eventually(lambda: server._second[0].ready)
+    asked += give(server, session, "ab")
+    assert begin_all(server, 2) == ["a", "b"]
+    assert [asking.answer["began"] for asking in asked] == ["a", "a", "b"]
+    late = give(server, session, "a")
+    eventually(lambda: server._second[0].ready)
+    late += give(server, session, "a")
+    assert all("the loop is not running" in asking.refusal for asking in late)
+    assert server.poll() is None
+
+
+def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monkeypatch):
+    monkeypatch.setattr("edge.bus.requests._SAME", 4)
+    preparing = Preparing()
+    server = serve(preparing)
+    give(server, session, "a")
+    eventually(lambda: preparing.begun)
+    flood = give(server, session, "aaa")
+    for _ in range(3):
+        assert "busy" in Asking(session, do="new", instruction="a").refusal
+    (other,) = give(server, session, "b")
+    flood += give(server, session, "aaaa")
+    for text in "ac":  # as many as wait for one
+        assert "busy" in Asking(session, do="new", instruction=text).refusal
+    preparing.done("a")
+    preparing.done("b")
+    assert begin_all(server, 3) == ["a", "b", "a"]
+    assert other.answer == {"began": "b"}
+    assert {asking.answer["began"] for asking in flood} == {"a"}
+
+
+def test_a_loop_that_does_not_run_is_told_of(session, serve):
+    server = serve(patience_s=0.05)
+    assert "the loop is not running" in Asking(session, do="pause").refusal
+    assert "the loop is not running" in Asking(session, do="new", formula="F a").refusal
+    assert server.poll() is None
+
+
+def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(session, serve):
+    server = serve(patience_s=0.2)
+    asked = [Asking(session, do="new", formula=f"F {name}") for name in "ab"]
+    # What goes first keeps the loop busy; it never comes to the prepared ones.
+    while not all(asking.done for asking in asked):
+        with server._lock:
+            server._first.append(Request("status"))
+        server.poll()
+    for asking in asked:
+        assert "busy with other requests: not taken within 0.2 s" in asking.refusal
+
+
+def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve, monkeypatch):
+    server = serve()
+    asking = Asking(session, do="pause")
+    request = taken(server)
+    late = SimpleNamespace(monotonic=lambda: time.monotonic() + PATIENCE_S)
+    monkeypatch.setattr("edge.bus.requests.time", late)
+    assert "taken, but not answered" in asking.refusal
+    request.answer({"phase": "late"})
+    asking = Asking(session, do="status")
+    taken(server).answer({"phase": "well"})
+    assert asking.answer == {"phase": "well"}
+
+
+def replies(session: zenoh.Session, payload: bytes | None, key: str = KEY) -> list[bytes]:
+    """Error payloads that come back."""
+    found = list(session.get(key, payload=payload, timeout=PATIENCE_S))
+    assert all(reply.err is not None for reply in found)
+    return [reply.err.payload.to_bytes() for reply in found]
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (None, "no payload"),
+        (b"", "no payload"),
+        (b"\x00\xff\xfe", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b"{" + b" " * MAX_BYTES + b"}", "at most 65536"),
+        (b"x" * 5_000_000, "at most 65536"),
+        (b'{"do": "explode"}', "do: unknown 'explode'"),
+    ],
+)
+def test_nonsense_is_answered_with_one_line(session, serve, payload, text):
+    server = serve()
+    (answer,) = replies(session, payload)
+    assert list(json.loads(answer)) == ["error"]
+    assert text in json.loads(answer)["error"]
+    assert len(answer) < 1100
+    assert server.poll() is None
+    asking = Asking(session, do="status")
+    taken(server).answer({})
+    assert asking.answer == {}
+
+
+def test_a_very_long_error_is_cut_and_drives_no_terminal(session, serve):
+    server, asking = serve(), Asking(session, do="status")
+    taken(server).refuse("long\n\x1b[2J\u202e " * 10_000)
+    assert asking.refusal.startswith("mission: refused: long [2J long")
+    assert asking.refusal.isprintable()
+    assert len(asking.refusal) < 1100
+    assert server.poll() is None
+
+
+def test_who_asks_for_everything_below_the_prefix_gets_an_answer_too(session, serve):
+    server = serve()
+    (answer,) = replies(session, None, "edge/**")
+    assert "no payload" in json.loads(answer)["error"]
+    asked = session.get("edge/**", payload=b'{"do": "status"}', timeout=PATIENCE_S)
+    taken(server).answer({"phase": "well"})
+    assert [str(reply.ok.key_expr) for reply in asked] == [KEY]
+
+
+def test_a_crowd_of_clients_gets_an_answer_each(session, serve):
+    server = serve()
+    asking = [Asking(session, do="status") for _ in range(16)]
+    answered = 0
+    while not all(a.done for a in asking):
+        if (request := server.poll()) is not None:
+            answered += 1
+            request.answer({"n": answered})
+    assert {a.answer["n"] for a in asking} == set(range(1, answered + 1))
+
+
+def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str]) -> list[Asking]:
+    """Requests that the server takes in, one after the other, and the loop has not seen."""
+    asked, before = [], len(server._open)
+    for n, verb in enumerate(verbs, start=before + 1):
+        asked.append(Asking(session, do=verb))
+        eventually(lambda n=n: len(server._open) == n)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("arrived", "done"),
+    [
+        ("", ""),
+        ("pause pause pause", "pause"),
+        ("pause cancel status pause cancel status", "pause cancel status"),
+        ("pause resume pause", "pause resume pause"),
+        ("resume resume pause resume", "resume pause resume"),
+        ("status pause status", "status pause status"),
+        ("resume cancel pause cancel status status", "resume cancel pause status"),
+    ],
+)
+def test_equal_requests_are_one_for_the_loop_and_the_last_word_stands(
+    session, serve, arrived, done
+):
+    server = serve()
+    asked = waiting(server, session, arrived.split())
+    for verb in done.split():
+        request = server.poll()
+        assert request.do == verb
+        request.answer({"did": verb})
+    assert server.poll() is None
+    assert [a.answer["did"] for a in asked] == arrived.split()
+
+
+@pytest.mark.parametrize("do", ["pause", "cancel"])
+def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session, serve, do):
+    preparing = Preparing(quick="ade")
+    server = serve(preparing)
+    before = give(server, session, "aabcc")
+    eventually(lambda: preparing.begun == ["a", "b"])  # a is ready, c waits
+    before += give(server, session, "d")
+    (status,), stop = waiting(server, session, ["status"]), Asking(session, do=do)
+    assert all("stopped meanwhile: give it again" in asking.refusal for asking in before)
+    after = give(server, session, "e")
+    requests = [server.poll() for _ in range(2)]
+    assert [(r.do, r.overtaken) for r in requests] == [("status", 0), (do, 4)]
+    assert server.poll() is None
+    for request in requests:
+        request.answer({"did": request.do})
+    assert [status.answer, stop.answer] == [{"did": "status"}, {"did": do}]
+    preparing.done("b")  # nobody waits for it
+    assert begin_all(server, 1) == ["e"]
+    assert after[0].answer == {"began": "e"}
+    assert preparing.begun == ["a", "b", "e"]
+
+
+def test_what_stops_no_robot_leaves_what_is_to_be_prepared(session):
+    new = Verb(("instruction",), prepare=lambda fields: fields["instruction"])
+    server = RequestServer(session, KEY, {"new": new, "cancel": Verb()}, broken)
+    asked = give(server, session, "a")
+    eventually(lambda: server._second[0].ready)
+    asked += waiting(server, session, ["cancel"])
+    assert [server.poll().do for _ in range(2)] == ["cancel", "new"]
+    server.close()
+    assert all("stopping" in asking.refusal for asking in asked)
+
+
+class Flood:
+    """A session, its queryable and all its queries, of which there is no end."""
+
+    payload = None
+
+    def declare_queryable(self, key: str, ring: object) -> Flood:
+        return self
+
+    def try_recv(self) -> Flood:
+        return self
+
+    def __enter__(self) -> Flood:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def reply_err(self, payload: bytes, encoding: object) -> None: ...
+
+    def undeclare(self) -> None: ...
+
+
+def test_requests_that_come_faster_than_they_are_received_are_noticed(session, serve, caplog):
+    server = serve()
+    asking = Asking(session, do="status")
+    taken(server).answer({})
+    assert (asking.answer, server.overruns) == ({}, 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("edge.bus.requests._ARRIVED", 8)
+        flooded = RequestServer(Flood(), "edge/flooded", {}, broken)
+        eventually(lambda: flooded.overruns >= 3)
+        flooded.close()
+    assert len([line for line in caplog.messages if line.startswith("edge/flooded: ")]) == 1
+
+
+def test_what_stops_the_robot_always_finds_a_place(session, serve):
+    server = serve()
+    flood = ["pause", "resume"] * 8
+    asked = waiting(server, session, flood[: requests._WAITING])
+    for verb in ("status", "status"):
+        assert "busy with other requests" in Asking(session, do=verb).refusal
+    asked += waiting(server, session, ["pause", "cancel", "pause", "cancel"])
+    done = []
+    while (request := server.poll()) is not None:
+        done.append(request.do)
+        request.answer({"did": request.do})
+    assert done == [*flood[: requests._WAITING], "pause", "cancel"]
+    assert [a.answer["did"] for a in asked[requests._WAITING :]] == ["pause", "cancel"] * 2
+
+
+def test_a_client_that_has_gone_is_no_matter(session, serve):
+    server = serve()
+    handler = session.get(KEY, payload=b'{"do": "status"}', timeout=0.01)
+    request = taken(server)
+    assert [reply.err.payload.to_bytes() for reply in handler] == [b"Timeout"]
+    request.answer({"phase": "late"})
+    asking = Asking(session, do="status")
+    taken(server).answer({})
+    assert asking.answer == {}
+
+
+def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):
+    begun, go = threading.Event(), threading.Event()
+
+    def prepare(**texts: str) -> None:
+        begun.set()
+        go.wait(PATIENCE_S)
+
+    server = serve(prepare)
+    asked = [Asking(session, do="new", formula="F a")]
+    assert begun.wait(PATIENCE_S)
+    asked += [Asking(session, do=do) for do in ("status", "resume")]
+    requests = [taken(server) for _ in range(2)]
+    server.close(0.2)
+    assert all("the service is stopping" in asking.refusal for asking in asked)
+    for request in requests:
+        request.answer({"phase": "late"})
+    go.set()
+    assert "no service answers at edge/mission/request" in Asking(session, do="status").refusal
+    server.close()
+
+
+def test_requests_that_arrive_as_the_server_closes_are_told_so(session, serve, monkeypatch):
+    monkeypatch.setattr("edge.bus.requests._RECEIVE_S", PATIENCE_S)  # it looks only when it closes
+    server = serve()
+    payloads = (b'{"do": "status"}', b'{"do": "new", "formula": "F a"}', b"nonsense")
+    asked = [session.get(KEY, payload=payload, timeout=PATIENCE_S) for payload in payloads]
+    server.close()
+    answers = [json.loads(reply.err.payload.to_bytes()) for replies in asked for reply in replies]
+    assert answers == [{"error": "the service is stopping"}] * 3
+    assert server.poll() is None
+
+
+def test_a_server_can_be_opened_where_one_was_closed(session, serve):
+    for _ in range(3):
+        server = serve()
+        asking = Asking(session, do="status")
+        taken(server).answer({})
+        assert asking.answer == {}
+        server.close()
+
+
+def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, caplog):
+    server = serve()
+    session.close()
+    eventually(lambda: caplog.messages)
+    server.close()
+    assert [line.split(":")[0] for line in caplog.messages] == [
+        "no more requests are taken, the session is closed"
+    ]
+    assert server.poll() is None
+
+
+def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
+    def handle(request: Request, now_ns: int) -> dict:
+        if request.do == "pause":
+            raise UserError("not now")
+        return broken(request, now_ns) if request.do == "cancel" else {"did": request.do}
+
+    verbs = mission_verbs(lambda **texts: texts)
+    server = RequestServer(session, KEY, verbs, handle)
+    assert server.serve(0) == 0
+    new = give(server, session, "ab")
+    eventually(lambda: not server._unready())
+    others = waiting(server, session, ["status", "resume"])
+    assert [server.serve(0) for _ in range(3)] == [3, 1, 0]
+    assert [asking.answer["did"] for asking in (*others, *new)] == [
+        "status",
+        "resume",
+        "new",
+        "new",
+    ]
+    (refused,) = waiting(server, session, ["pause"])
+    assert server.serve(0) == 1
+    assert refused.refusal.endswith("refused: not now")
+    (failed, after) = waiting(server, session, ["cancel", "status"])
+    with pytest.raises(ZeroDivisionError):
+        server.serve(0)
+    assert failed.refusal.endswith("internal error: ZeroDivisionError: oh no")
+    assert server.serve(0) == 1
+    assert after.answer == {"did": "status"}
+    server.close()

@@ -1,0 +1,147 @@
+"""What can be asked of the loop, as JSON, and what comes of it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated import simulated
+
+from edge.bus.requests import MAX_CHARS, Request, read_request
+from edge.loop.requests import MODEL_VERBS, handle_model, mission_verbs
+from edge.perception.cards import ModelError
+from edge.perception.sim_detector import SimDetector
+from edge.perception.swap.swapper import SwapError, Swapper
+from edge.perception.worker import DetectorWorker
+
+MISSION = mission_verbs(lambda **texts: texts)
+VERB = st.sampled_from([*MISSION])
+
+
+@pytest.mark.parametrize(
+    ("verbs", "data", "more"),
+    [
+        (MISSION, {"do": "new", "instruction": "find the chair"}, {}),
+        (MISSION, {"do": "new", "formula": "F chair"}, {}),
+        (MISSION, {"do": "new", "instruction": "é" * MAX_CHARS}, {}),
+        *[(MISSION, {"do": verb}, {}) for verb in MISSION if verb != "new"],
+        (MODEL_VERBS, {"do": "status"}, {}),
+        (MODEL_VERBS, {"do": "use", "model": "a"}, {"force": False}),
+        (MODEL_VERBS, {"do": "use", "model": "a", "force": True}, {}),
+    ],
+)
+def test_a_request(verbs, data, more):
+    expected = data["do"], {**{name: data[name] for name in data if name != "do"}, **more}
+    assert read_request(json.dumps(data).encode(), verbs) == expected
+    assert read_request(json.dumps(data, ensure_ascii=False).encode(), verbs) == expected
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (b"", "not JSON"),
+        (b"\xff\x00", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b"9" * 60_000, "not JSON"),
+        (b"[]", "not a JSON object"),
+        (b"null", "not a JSON object"),
+        (b"{}", "do: unknown None (choices: new, pause, resume, cancel, status)"),
+        (b'{"do": "stop"}', "do: unknown 'stop' (choices: new, "),
+        (b'{"do": ["new"]}', "do: unknown a list"),
+        (b'{"do": {"a": [[]]}}', "do: unknown a dict"),
+        (b'{"do": NaN}', "do: unknown nan"),
+        (b'{"do": "pause", "why": 1}', "'why': not taken with do: pause"),
+        (b'{"do": "pause", "formula": "F a"}', "'formula': not taken with do: pause"),
+        (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not taken with do: new"),
+        (b'{"do": "new"}', "either an instruction or a formula"),
+        (b'{"do": "new", "formula": "a", "instruction": "b"}', "either an instruction or a"),
+        (b'{"do": "new", "formula": 3}', "formula: expected text, got 3"),
+        (b'{"do": "new", "formula": null}', "formula: expected text, got None"),
+        (b'{"do": "new", "formula": ["a"]}', "formula: expected text, got a list"),
+        (b'{"do": "new", "instruction": " \\n"}', "instruction: expected text, got ' \\n'"),
+        (b'{"do": "new", "instruction": "\\ud800"}', "instruction: not Unicode text"),
+        (b'{"do": "new", "instruction": "' + b"a" * 10_001 + b'"}', "at most 10000"),
+    ],
+)
+def test_no_request_about_the_mission(payload, text):
+    refused(MISSION, payload, text)
+
+
+def refused(verbs, payload, text):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        read_request(payload, verbs)
+    assert text in str(caught.value)
+    assert len(str(caught.value)) < 200
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (b"{}", "do: unknown None (choices: use, status)"),
+        (b'{"do": ["use"]}', "do: unknown a list"),
+        (b'{"do": "use"}', "model: expected text, got None"),
+        (b'{"do": "use", "model": 3}', "model: expected text, got 3"),
+        (b'{"do": "use", "model": "' + b"a" * 201 + b'"}', "model: 201 characters, at most 200"),
+        (b'{"do": "use", "model": "a", "force": 1}', "force: expected true or false"),
+        (b'{"do": "use", "model": "a", "why": 1}', "'why': not taken with do: use"),
+        (b'{"do": "status", "model": "a"}', "'model': not taken with do: status"),
+    ],
+)
+def test_no_request_about_the_model(payload, text):
+    refused(MODEL_VERBS, payload, text)
+
+
+def parsed(payload: bytes) -> tuple[str, dict] | str:
+    try:
+        return read_request(payload, MISSION)
+    except ValueError as error:
+        return str(error)
+
+
+@given(st.binary(max_size=100))
+def test_any_bytes_are_a_request_or_a_value_error(payload):
+    assert parsed(payload)
+
+
+@given(st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | VERB,
+    lambda x: st.lists(x) | st.dictionaries(st.sampled_from(["do", "instruction", "formula"]), x),
+))  # fmt: skip
+def test_any_json_is_a_request_or_a_value_error(data):
+    request = parsed(json.dumps(data).encode())
+    if isinstance(request, tuple):
+        assert len(request[1]) == (request[0] == "new")
+    else:
+        assert "\n" not in request
+
+
+@pytest.mark.parametrize("depth", [100, 900, 990, 1000, 5000, 30_000])
+def test_a_deep_nest_is_a_value_error(depth):
+    nest = b"[" * depth + b"]" * depth
+    for payload in (b'{"do": %s}' % nest, b'{"do": "new", "formula": %s}' % nest):
+        assert isinstance(parsed(payload), str)
+
+
+def test_a_request_about_the_model_is_answered_with_how_the_swap_stands():
+    perception = simulated().perception
+    worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
+    swapper = Swapper(perception, worker, lambda text, now_ns: None)
+
+    def use(model: str) -> dict:
+        return handle_model(swapper, Request("use", {"model": model, "force": False}), 0)
+
+    assert handle_model(swapper, Request("status"), 0)["state"] == "idle"
+    with pytest.raises(SwapError, match="runs already"):
+        use(worker.detector.name)
+    begun = use("nothing")
+    assert (begun["model"], begun["number"]) == ("nothing", 1)
+    swapper.close()
+    json.dumps(begun)
+
+
+def test_a_model_without_a_card_is_refused_before_the_loop_hears_of_it():
+    with pytest.raises(ModelError, match="nothing"):
+        MODEL_VERBS["use"].prepare({"model": "nothing", "force": False})
