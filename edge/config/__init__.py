@@ -28,7 +28,7 @@ from edge.config.perception import (
 from edge.config.policy import PolicyHvl, PolicyNearest
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
-from edge.config.section import ConfigError, Section
+from edge.config.section import ConfigError, Section, own_class
 from edge.config.sim import Sim, WorldHouse, WorldMesh, WorldProcthor
 
 __all__ = [
@@ -66,5 +66,6 @@ __all__ = [
     "WorldProcthor",
     "Zenoh",
     "load",
+    "own_class",
     "parse",
 ]

@@ -14,6 +14,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.desk import PATIENCE_S, Desk, check_text, read_order
+from edge.config import Zenoh
 
 _TEXTS = ("instruction", "formula")
 
@@ -56,12 +57,12 @@ class MissionDesk(Desk):
     def __init__(
         self,
         session: zenoh.Session,
-        prefix: str,
+        settings: Zenoh,
         prepare: Callable[[str | None, str | None], object],
         patience_s: float = PATIENCE_S,
     ) -> None:
         def new(order: Order) -> object:
             return prepare(order.instruction, order.formula)
 
-        key = f"{prefix}/{topics.MISSION_REQUEST}"
+        key = settings.key(topics.MISSION_REQUEST)
         super().__init__(session, key, parse_order, {"new": new}, STOPS, patience_s)

@@ -13,6 +13,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.desk import PATIENCE_S, Desk, Request, check_text, read_order
+from edge.config import Zenoh
 from edge.errors import UserError
 from edge.perception.cards import load_detector_card
 from edge.perception.swap.swapper import Swapper
@@ -50,8 +51,10 @@ class ModelsDesk(Desk):
     """Takes orders about the model; `Request.prepared` of a `use` one is the order, whose card
     was found and is a detector's."""
 
-    def __init__(self, session: zenoh.Session, prefix: str, patience_s: float = PATIENCE_S) -> None:
-        key = f"{prefix}/{topics.MODELS_REQUEST}"
+    def __init__(
+        self, session: zenoh.Session, settings: Zenoh, patience_s: float = PATIENCE_S
+    ) -> None:
+        key = settings.key(topics.MODELS_REQUEST)
         super().__init__(session, key, parse_order, {"use": _check}, patience_s=patience_s)
 
 

@@ -34,12 +34,13 @@ from edge.mission.keeper import Keeper
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, make_detector
 from edge.perception.inline import InlineWorker
+from edge.perception.sim_detector import Truth
 from edge.perception.worker import DetectorWorker
 from edge.sinks import Sink
 from edge.sinks.zenoh import ZenohSink
+from edge.sources import make_source
 from edge.sources.base import Source
-from edge.sources.goal_status import GoalStatusInbox
-from edge.sources.zenoh import ZenohSource
+from edge.sources.truth import make_truth
 from edge.text import one_line
 from edge.types import MissionStatus, Observation
 
@@ -61,7 +62,6 @@ class Running:
     service: Service
     worker: DetectorWorker | InlineWorker
     source: Source
-    inbox: GoalStatusInbox
     desk: Desk
     models: Desk
     sinks: list[Sink] = field(default_factory=list)
@@ -111,7 +111,7 @@ def open_service(
         session = stack.enter_context(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
-        detector = _load(config, brief.targets, stop)
+        detector = _load(config, brief.targets, make_truth(config, session), stop)
         worker = (
             InlineWorker(detector, config.loop.detect_every)
             if config.loop.lockstep
@@ -123,7 +123,7 @@ def open_service(
             stack.callback(advisers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
-        source = ZenohSource(session, config)
+        source = make_source(config, session)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]
         for sink in every:
@@ -138,19 +138,20 @@ def open_service(
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
-        inbox = GoalStatusInbox(session, config.zenoh.prefix)
-        desk = MissionDesk(session, config.zenoh.prefix, partial(prepare, mission))
+        desk = MissionDesk(session, config.zenoh, partial(prepare, mission))
         stack.callback(desk.close)
-        models = ModelsDesk(session, config.zenoh.prefix)
+        models = ModelsDesk(session, config.zenoh)
         stack.callback(models.close)
-        running = Running(config, session, service, worker, source, inbox, desk, models, every)
+        running = Running(config, session, service, worker, source, desk, models, every)
         service.overruns = partial(_overruns, running)
         yield running
 
 
-def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
+def _load(
+    config: Config, targets: Sequence[str], truth: Truth | None, stop: threading.Event
+) -> Detector:
     """See `make_detector`; raises Stopped once `stop` is set."""
-    make = partial(make_detector, config.perception, targets, cancelled=stop)
+    make = partial(make_detector, config.perception, targets, cancelled=stop, truth=truth)
     if config.perception.isolation == "thread":
         return unless_stopped(make, stop)
     try:
@@ -195,7 +196,7 @@ def _overruns(running: Running) -> dict[str, int]:
     """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
     return {
         "sensors": running.source.counters["overrun"],
-        "goal_status": running.inbox.overruns,
+        "goal_status": running.source.inbox.overruns,
         "mission/request": running.desk.overruns,
         "models/request": running.models.overruns,
     }
@@ -279,7 +280,7 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
     """What the controller said, and what there is to be seen now."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in service.faults.attempt("goal_status", now_ns, running.inbox.poll) or ():
+    for answer in service.faults.attempt("goal_status", now_ns, running.source.inbox.poll) or ():
         with service.faults.outlived("goal answer", now_ns):
             service.goal_answered(answer)
     failed = service.faults.failed

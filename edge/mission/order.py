@@ -16,6 +16,8 @@ from edge.text import one_line
 if TYPE_CHECKING:
     import zenoh
 
+    from edge.config import Zenoh
+
 ANSWER_S = 5.0
 _ROW_CHARS = 1000
 NEW_S = 120.0  # a language model may be asked twice, and the mission compiled
@@ -61,16 +63,17 @@ def run(args: argparse.Namespace) -> int:
     if args.do == "new":
         request["formula" if args.formula else "instruction"] = args.text
     with asking.connect(settings, args.timeout, "mission") as session:
-        answer = ask(session, settings.prefix, request, args.timeout)
+        answer = ask(session, settings, request, args.timeout)
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
 
 
-def ask(session: zenoh.Session, prefix: str, request: dict, timeout_s: float) -> dict:
-    """Give an order to the service under `prefix`; its answer. See `edge.bus.asking.ask`."""
+def ask(session: zenoh.Session, settings: Zenoh, request: dict, timeout_s: float) -> dict:
+    """Give an order to the service that these settings name; see `edge.bus.asking.ask`."""
     from edge.bus import topics
 
-    return asking.ask(session, f"{prefix}/{topics.MISSION_REQUEST}", request, timeout_s, "mission")
+    key = settings.key(topics.MISSION_REQUEST)
+    return asking.ask(session, key, request, timeout_s, "mission")
 
 
 def as_text(answer: dict) -> str:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from edge import config
 from edge.types import Detections, Observation
+
+if TYPE_CHECKING:
+    from edge.perception.sim_detector import Truth
 
 log = logging.getLogger(__name__)
 
@@ -75,16 +78,20 @@ def log_progress(health: Health) -> None:
     log.info("%s: %s", health.state, health.detail)
 
 
-def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str], progress: Progress) -> Detector:
+def _onnx(
+    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Progress, truth: Truth | None
+) -> Detector:
     from edge.perception.onnx_detector import OnnxDetector
 
     return OnnxDetector(detector, prompts, progress)
 
 
-def _sim(detector: config.DetectorSim, prompts: Sequence[str], progress: Progress) -> Detector:
+def _sim(
+    detector: config.DetectorSim, prompts: Sequence[str], progress: Progress, truth: Truth | None
+) -> Detector:
     from edge.perception.sim_detector import SimDetector
 
-    return SimDetector(detector, prompts)
+    return SimDetector(detector, prompts, truth)
 
 
 REGISTRY = {"onnx": _onnx, "sim": _sim}
@@ -96,6 +103,7 @@ def make_detector(
     progress: Progress = log_progress,
     *,
     cancelled: threading.Event | None = None,
+    truth: Truth | None = None,
 ) -> Detector:
     """The detector that the configuration names, ready to use.
 
@@ -103,6 +111,7 @@ def make_detector(
         progress: told every few seconds while a TensorRT engine is built, which takes minutes.
         cancelled: once set, a model's process that is not ready yet is ended, which is a
             ModelError; without isolation the model is loaded to its end.
+        truth: what `kind: sim` takes for seen.
 
     Raises:
         PromptError: see `Detector.set_prompts`.
@@ -112,7 +121,7 @@ def make_detector(
         from edge.perception.process.detector import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)
-    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
+    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress, truth)
 
 
 def check_rgb(observation: Observation) -> np.ndarray:

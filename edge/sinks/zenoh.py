@@ -63,11 +63,11 @@ class ZenohSink(SinkBase):
     """
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
-        prefix, lockstep = config.zenoh.prefix, config.loop.lockstep
+        lockstep = config.loop.lockstep
         self._lockstep = lockstep
         self._publishers = {
             topic.key: declare_publisher(
-                session, replace(topic, qos="block") if lockstep else topic, prefix
+                session, replace(topic, qos="block") if lockstep else topic, config.zenoh
             )
             for topic in WRITTEN
         }

@@ -5,19 +5,35 @@ from __future__ import annotations
 from typing import Protocol
 
 from edge.geometry import SE2
-from edge.types import Observation
+from edge.types import GoalStatus, Observation
+
+
+class Inbox(Protocol):
+    """What the motion controller answered; for one thread.
+
+    Attributes:
+        overruns: looks that found more than there was room for once more.
+    """
+
+    @property
+    def overruns(self) -> int: ...
+
+    def poll(self) -> list[GoalStatus]:
+        """Answers since the last poll, oldest first; never blocks."""
 
 
 class Source(Protocol):
     """Yields what the robot sees; for one thread.
 
     Attributes:
-        counters: messages received, and drops by reason (see `edge.sources.zenoh`).
+        counters: messages received, and drops by reason (see `edge.sources.synchronizer`).
+        inbox: the controller's answers, which come the same way.
         epoch: rises when poses before and after have nothing to do with each other.
         pose: from the newest odometry; None before there was any.
     """
 
     counters: dict[str, int]
+    inbox: Inbox
 
     @property
     def epoch(self) -> int: ...

@@ -38,8 +38,8 @@ class Live:
     def __init__(self, running: Running, peer: zenoh.Session) -> None:
         self.running, self.peer = running, peer
         self.statuses: list[dict] = []
-        self._prefix = running.config.zenoh.prefix
-        self._status = peer.declare_subscriber(topics.STATUS.under(self._prefix), self._hear)
+        self._settings = running.config.zenoh
+        self._status = peer.declare_subscriber(self._settings.key(topics.STATUS.key), self._hear)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         self.statuses.append(json.loads(sample.payload.to_bytes()))
@@ -50,7 +50,7 @@ class Live:
 
     def send(self, said: Batch) -> None:
         for topic, payload in said.items():
-            self.peer.put(topic.under(self._prefix), payload)
+            self.peer.put(self._settings.key(topic.key), payload)
 
     @property
     def failures(self) -> dict[str, int]:
@@ -63,7 +63,7 @@ class Live:
     def goes_on(self, ticks: int = 3) -> None:
         """Waits until it has seen more, and answered an order."""
         self.wait(ticks)
-        assert "phase" in ask(self.peer, self._prefix, {"do": "status"}, PATIENCE_S)
+        assert "phase" in ask(self.peer, self._settings, {"do": "status"}, PATIENCE_S)
 
 
 @contextmanager
@@ -99,7 +99,7 @@ def _stand(service: Live, stop: threading.Event) -> None:
         said = batch(time.time_ns())
         if service.running.config.mapping.input == "depth":
             del said[topics.CLOUD]
-        service.send({**said, topics.OBJECT_LABELS: b'["chair"]'})
+        service.send({**said, topics.LABELS: b'["chair"]'})
 
 
 @contextmanager

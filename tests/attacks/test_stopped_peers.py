@@ -28,7 +28,7 @@ from edge.mission.order import ask
 pytestmark = pytest.mark.slow
 
 PEER = Path(__file__).with_name("viewer_peer.py")
-PREFIX = "edge"
+PREFIX, SETTINGS = "edge", Zenoh()
 BEAT_S = 0.1
 FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
 
@@ -118,7 +118,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         def order() -> None:
             while not gone.is_set():
                 do = ("pause", "resume")[len(paused) % 2]
-                paused.append(ask(asking, PREFIX, {"do": do}, PATIENCE_S)["paused"])
+                paused.append(ask(asking, SETTINGS, {"do": do}, PATIENCE_S)["paused"])
                 session.put(f"{PREFIX}/answer", b"")
 
         ordering = pool.submit(order)
@@ -154,19 +154,19 @@ def test_a_stopped_asker_holds_up_no_other_answer(endpoint, start_viewer, monkey
         open_session(Zenoh(endpoint=endpoint), "connect") as asking,
         ThreadPoolExecutor(1) as pool,
     ):
-        desk = MissionDesk(session, PREFIX, lambda *texts: texts)
+        desk = MissionDesk(session, SETTINGS, lambda *texts: texts)
         viewer = start_viewer()
         viewer.stdin.write("\n")
         viewer.stdin.flush()
         unanswered = eventually(desk.poll)
         viewer.send_signal(signal.SIGSTOP)
-        maps = declare_publisher(session, topics.MAP, PREFIX)
+        maps = declare_publisher(session, topics.MAP, SETTINGS)
         for _ in range(200):  # 200 MB: more than fits in between
             maps.put(bytes(1_000_000))
         answered.clear()
         unanswered.answer({"n": "stopped"})
         for n in range(10):
-            answer = pool.submit(ask, asking, PREFIX, {"do": "pause"}, PATIENCE_S)
+            answer = pool.submit(ask, asking, SETTINGS, {"do": "pause"}, PATIENCE_S)
             eventually(desk.poll).answer({"n": n})
             assert answer.result(PATIENCE_S) == {"n": n}
         eventually(lambda: len(answered) == 11)

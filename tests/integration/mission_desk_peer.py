@@ -14,7 +14,7 @@ from edge.loop.mission_desk import MissionDesk
 from edge.mission import order
 from edge.mission.ltl import parse, to_text
 
-PREFIX = "edge"
+SETTINGS = Zenoh()
 
 
 def prepare(instruction: str | None, formula: str | None) -> str:
@@ -46,7 +46,7 @@ def service(endpoint: str) -> None:
     """Ticks for ever; says `ready` when it takes orders."""
     state = {"formula": "F chair", "phase": "exploring", "paused": False}
     with open_session(Zenoh(endpoint=endpoint), "listen") as session:
-        desk = MissionDesk(session, PREFIX, prepare)
+        desk = MissionDesk(session, SETTINGS, prepare)
         print("ready", flush=True)
         while True:
             time.sleep(0.02)

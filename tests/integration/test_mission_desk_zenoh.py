@@ -23,7 +23,7 @@ from edge.config import Zenoh
 from edge.mission.order import add_arguments, ask
 
 PEER = Path(__file__).with_name("mission_desk_peer.py")
-PREFIX, KEY = "edge", "edge/mission/request"
+SETTINGS, KEY = Zenoh(), "edge/mission/request"
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def release(service: subprocess.Popen, n: int = 1) -> None:
 
 
 def status(session: zenoh.Session) -> dict:
-    return ask(session, PREFIX, {"do": "status"}, PATIENCE_S)
+    return ask(session, SETTINGS, {"do": "status"}, PATIENCE_S)
 
 
 def test_the_life_of_a_mission(config, service, capsys):
@@ -142,17 +142,17 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
     with pytest.raises(OrderError, match=r"edge/mission/request: no answer within 0\.3 s"):
-        ask(session, PREFIX, {"do": "pause"}, 0.3)
+        ask(session, SETTINGS, {"do": "pause"}, 0.3)
     service.send_signal(signal.SIGCONT)
     assert status(session)["phase"] == "exploring"
 
 
 def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
-    ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    ask(session, SETTINGS, {"do": "new", "formula": "F bed"}, PATIENCE_S)
     service.kill()
     service.wait()
     with pytest.raises(OrderError, match="mission: "):
-        ask(session, PREFIX, {"do": "status"}, 2.0)
+        ask(session, SETTINGS, {"do": "status"}, 2.0)
     started_service(start, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
@@ -169,19 +169,21 @@ def test_while_a_mission_is_being_understood_other_orders_pass_and_a_stop_ends_i
         return {"do": "new", "instruction": f"slow F {thing}"}
 
     with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(ask, session, PREFIX, slow("sofa"), PATIENCE_S)]
+        asked = [pool.submit(ask, session, SETTINGS, slow("sofa"), PATIENCE_S)]
         assert service.stdout.readline() == "slow\n"
         for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(pool.submit(ask, session, PREFIX, slow(thing), PATIENCE_S))
+            asked.append(pool.submit(ask, session, SETTINGS, slow(thing), PATIENCE_S))
         assert status(session)["formula"] == "F chair"
         eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert ask(session, PREFIX, {"do": "pause"}, PATIENCE_S)["paused"] is True
+        assert ask(session, SETTINGS, {"do": "pause"}, PATIENCE_S)["paused"] is True
         errors = [str(future.exception(PATIENCE_S)) for future in asked]
     assert "stopped meanwhile: give it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
     assert sum("stopped meanwhile" in error for error in errors) == 3
     release(service)
-    assert ask(session, PREFIX, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
+    assert (
+        ask(session, SETTINGS, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
+    )
     assert status(session)["formula"] == "F bed"
 
 

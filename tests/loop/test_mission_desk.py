@@ -25,7 +25,7 @@ from edge.host.ports import free_port
 from edge.loop.mission_desk import VERBS, MissionDesk, Order, parse_order
 from edge.mission.order import ask
 
-PREFIX = "edge"
+SETTINGS = Zenoh()
 KEY = "edge/mission/request"
 
 
@@ -126,7 +126,7 @@ def open_desk(session) -> Iterator[Callable[..., MissionDesk]]:
     def open_desk(
         prepare: Callable = lambda *texts: texts, patience_s: float = PATIENCE_S
     ) -> MissionDesk:
-        desks.append(MissionDesk(session, PREFIX, prepare, patience_s))
+        desks.append(MissionDesk(session, SETTINGS, prepare, patience_s))
         return desks[-1]
 
     yield open_desk
@@ -144,7 +144,7 @@ class Asking:
 
     def __init__(self, session: zenoh.Session, **request: object) -> None:
         self._pool = ThreadPoolExecutor(1)
-        self._answer = self._pool.submit(ask, session, PREFIX, request, PATIENCE_S)
+        self._answer = self._pool.submit(ask, session, SETTINGS, request, PATIENCE_S)
         self._pool.shutdown(wait=False)
 
     @property

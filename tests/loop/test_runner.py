@@ -131,7 +131,7 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
 
 def test_the_status_tells_of_every_ring_that_was_overrun():
     with open_service(config(target="bed"), []) as running:
-        running.inbox._ring.overruns = 3
+        running.source.inbox._ring.overruns = 3
         running.desk._ring.overruns = 2
         running.source.counters["overrun"] = 1
         assert running.service.status_dict()["loop"]["overruns"] == {
@@ -147,7 +147,7 @@ def test_after_a_formula_orders_are_read_by_the_configured_translator():
         open_service(settings, [], formula="F chair") as running,
     ):
         assert running.service.mission.brief.targets == ("chair",)
-        answer = pool.submit(ask, running.session, settings.zenoh.prefix, request, PATIENCE_S)
+        answer = pool.submit(ask, running.session, settings.zenoh, request, PATIENCE_S)
         answer.add_done_callback(lambda _: stop.set())
         loop(running, stop)
         assert answer.result()["formula"] == "F sofa"

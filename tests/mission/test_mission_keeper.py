@@ -30,7 +30,7 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     """Put a service that reads the checkpoint in the place of the present one."""
     keeper = Keeper(loop.config, path, None)
     brief = keeper.brief() or loop.service.mission.brief
-    worker = InlineWorker(make_detector(loop.config.perception, brief.targets))
+    worker = InlineWorker(make_detector(loop.config.perception, brief.targets, truth=loop.truth))
     loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
     return keeper
 

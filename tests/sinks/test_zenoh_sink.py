@@ -47,10 +47,10 @@ class Fake:
 class Ears:
     """A subscriber to everything that the service writes."""
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self._subscribers = {
             topic.key: session.declare_subscriber(
-                topic.under(prefix), zenoh.handlers.RingChannel(1000)
+                Zenoh().key(topic.key), zenoh.handlers.RingChannel(1000)
             )
             for topic in topics.ALL
             if topic.writer == "service"
@@ -94,7 +94,7 @@ def session():
 
 @pytest.fixture
 def ears(session):
-    return Ears(session, "edge")
+    return Ears(session)
 
 
 @pytest.fixture
@@ -195,7 +195,7 @@ def test_the_mission_reaches_those_who_come_late(sink, session, ears):
     service.status = MissionStatus("chair", "reached", "", 12.5, 3.0)
     sink.tick(service, None, 0)
     ears.hear("mission")
-    late = Ears(session, "edge")
+    late = Ears(session)
     assert json.loads(late.hear("mission"))["phase"] == "reached"
 
 
@@ -226,7 +226,7 @@ def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
     sink = ZenohSink(session, simulated({"loop": {"lockstep": True}}))
     sink.tick(Fake(), observation(77), 77)
     ears.hear("tick")
-    late = Ears(session, "edge")
+    late = Ears(session)
     assert messages.decode_occupancy_grid(late.hear("map"))[0] == 77
     assert json.loads(late.hear("tick")) == {"stamp": 77}
     sink.close()
