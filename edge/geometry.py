@@ -244,8 +244,13 @@ class CameraModel:
         return np.arctan2(np.subtract(self.cx_px, u_px, dtype=np.float64), self.fx_px)
 
 
-def camera_mount(x_m: float, z_m: float, pitch_rad: float, y_m: float = 0.0) -> np.ndarray:
-    """`T_base_camera` (optical) of a camera that looks forward, nose down by `pitch_rad`."""
-    T = se3(x_m, y_m, z_m, pitch_rad=pitch_rad)
+def optical(T: np.ndarray) -> np.ndarray:
+    """The same (4, 4) pose with a camera's optical axes in place of a body's."""
+    T = T.copy()
     T[:3, :3] = T[:3, :3] @ R_BODY_OPTICAL
     return T
+
+
+def optical_yaw_rad(T: np.ndarray) -> float:
+    """Which way a camera at the (4, 4) pose `T` (optical) looks, seen from above."""
+    return math.atan2(T[1, 2], T[0, 2])

@@ -35,10 +35,11 @@ from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
+from edge.perception.sim_detector import Truth
 from edge.perception.worker import DetectorWorker
 from edge.sinks import find_sinks
-from edge.sources.goal_status import GoalStatusInbox
-from edge.sources.zenoh import ZenohSource
+from edge.sources import make_source
+from edge.sources.truth import make_truth
 
 _SWITCH_S = 2e-4
 _CHILD_STOP_S = 5.0
@@ -98,7 +99,7 @@ def open_service(
         session = stack.enter_context(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
-        detector = _load(config, brief.targets, stop)
+        detector = _load(config, brief.targets, make_truth(config, session), stop)
         worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
         advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
@@ -106,26 +107,25 @@ def open_service(
             stack.callback(advisers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
-        source = ZenohSource(session, config)
+        source = make_source(config, session)
         stack.callback(source.close)
         every = [*(make(session) for make in make_sinks), *sinks]
         for sink in every:
             stack.callback(sink.close)
-        inbox = GoalStatusInbox(session, config.zenoh.prefix)
         servers: dict[str, RequestServer] = {}
 
         def overruns() -> dict[str, int]:
             """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
             return {
                 "sensors": source.counters["overrun"],
-                "goal_status": inbox.overruns,
+                "goal_status": source.inbox.overruns,
                 **{key: server.overruns for key, server in servers.items()},
             }
 
         service = Service(config, brief, worker, every, keeper, advisers, overruns)
         stack.callback(service.close)
         for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
-            servers[key] = RequestServer(session, f"{config.zenoh.prefix}/{key}", verbs, handle)
+            servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()
@@ -135,12 +135,14 @@ def open_service(
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
-        yield Launched(config, service, worker, source, inbox, servers, session, every)
+        yield Launched(config, service, worker, source, servers, session, every)
 
 
-def _load(config: Config, targets: Sequence[str], stop: threading.Event) -> Detector:
+def _load(
+    config: Config, targets: Sequence[str], truth: Truth | None, stop: threading.Event
+) -> Detector:
     """See `make_detector`; raises Stopped once `stop` is set."""
-    make = partial(make_detector, config.perception, targets, cancelled=stop)
+    make = partial(make_detector, config.perception, targets, cancelled=stop, truth=truth)
     if config.perception.isolation == "thread":
         return unless_stopped(make, stop)
     try:

@@ -32,8 +32,6 @@ class Observation:
         T_base_camera: (4, 4) float64, base from optical frame.
         cloud_m: (n, 3) float32 in the LiDAR's frame, or None.
         T_base_lidar: (4, 4) float64.
-        object_ids: (h, w) uint16 from a simulator, 0 = no object; else None.
-        object_labels: label of id i at index i - 1.
         slot: the pool slot that owns the arrays; None when nothing is pooled.
     """
 
@@ -46,8 +44,6 @@ class Observation:
     T_base_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
     cloud_m: np.ndarray | None = None
     T_base_lidar: np.ndarray = field(default_factory=lambda: np.eye(4))
-    object_ids: np.ndarray | None = None
-    object_labels: tuple[str, ...] = ()
     slot: Slot | None = None
 
     @property

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.geometry import SE2, CameraModel, camera_mount
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.mapping import grid, layers
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
-T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
+T_BASE_CAMERA = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
 MAPPING = config.Mapping()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge import config
-from edge.geometry import CameraModel, camera_mount
+from edge.geometry import CameraModel, optical, se3
 from edge.perception import kernels
 from edge.perception.cards import ModelError
 from edge.perception.factory import make_detector
@@ -43,7 +43,7 @@ def observe(seed=0, seq=0):
         rgb=random.integers(0, 256, (480, 640, 3), np.uint8),
         depth_m=depth,
         camera=CameraModel.from_hfov(640, 480, 1.3),
-        T_base_camera=camera_mount(0.1, 0.6, 0.0),
+        T_base_camera=optical(se3(0.1, 0.0, 0.6)),
         cloud_m=random.uniform(-8, 8, (60000, 3)).astype(np.float32),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.config import Lidar, parse
-from edge.geometry import CameraModel, camera_mount, se3
+from edge.geometry import CameraModel, optical, se3
 from edge.sim.base import Fan, World, free_poses
 from edge.sim.worlds import load_world
 
@@ -23,7 +23,7 @@ class Views:
     """Renders and casts from one free pose after another."""
 
     def __init__(self, world: World, lidar: Lidar | None = None) -> None:
-        mount = camera_mount(0.1, 0.6, math.radians(5.0))
+        mount = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5.0)))
         mast = se3(z_m=0.5, pitch_rad=math.radians(23.0))
         poses = [pose.matrix() for pose in free_poses(world, 20, seed=1, radius_m=0.2)]
         self._world, self._turn = world, 0

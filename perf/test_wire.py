@@ -10,7 +10,8 @@ from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import parse
 from edge.geometry import SE2, CameraModel, Grid
-from edge.sources.assembler import Assembler
+from edge.sources.decoder import CdrDecoder
+from edge.sources.synchronizer import TimeSynchronizer
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
 PERIOD_NS = 33_333_333
@@ -41,8 +42,9 @@ def test_decode_rgb_and_depth(benchmark, against):
 def test_ingest_a_frame(benchmark):
     """Camera, depth and two odometry samples in, one observation out, as in every tick."""
     rgb, depth = images()
-    assembler = Assembler(parse({"perception": {"detector": {"kind": "onnx"}}}))
-    assembler.offer(topics.CAMERA_INFO, messages.encode_camera_info(1, "camera", CAMERA))
+    synchronizer = TimeSynchronizer(parse({"perception": {"detector": {"kind": "onnx"}}}))
+    decoder = CdrDecoder(synchronizer)
+    decoder.offer(topics.CAMERA_INFO, messages.encode_camera_info(1, "camera", CAMERA))
 
     def arrivals():
         k = arrivals.k = arrivals.k + 1
@@ -57,12 +59,12 @@ def test_ingest_a_frame(benchmark):
 
     def ingest(frame):
         for topic, payload in frame:
-            assembler.offer(topic, payload)
-        assembler.poll().release()
+            decoder.offer(topic, payload)
+        synchronizer.poll().release()
 
     benchmark.extra_info["budget"] = "ingest_decode_320x256"
     benchmark.pedantic(ingest, setup=arrivals, rounds=500, warmup_rounds=20)
-    assert assembler.counters["observations"] == 520
+    assert synchronizer.counters["observations"] == 520
 
 
 @pytest.mark.parametrize("n", [131072])

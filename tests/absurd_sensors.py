@@ -48,7 +48,7 @@ def batch(stamp_ns: int = STAMP_NS) -> Batch:
         topics.RGB: messages.encode_image(
             stamp_ns, "camera", np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         ),
-        topics.OBJECT_IDS: messages.encode_image(stamp_ns, "camera", ids),
+        topics.SEGMENTATION: messages.encode_image(stamp_ns, "camera", ids),
         topics.CLOUD: messages.encode_point_cloud(stamp_ns, "lidar", cloud),
     }
 

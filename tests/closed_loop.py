@@ -14,6 +14,7 @@ from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.factory import make_detector
+from edge.perception.sim_detector import Segmentation
 from edge.perception.worker import DetectorWorker
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain
@@ -55,13 +56,19 @@ class ClosedLoop:
         self.rig = CameraRig(config, self.world)
         self.labels = tuple(o.label for o in self.world.objects)
         brief = prepare(config.mission)
-        worker = DetectorWorker(make_detector(config.perception, brief.targets), inline=True)
+        worker = DetectorWorker(
+            make_detector(config.perception, brief.targets, truth=self.truth), inline=True
+        )
         self.advisers = make_advisers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         self.service = Service(config, brief, worker, sinks, advisers=self.advisers)
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
+
+    def truth(self, stamp_ns: int) -> Segmentation:
+        """What the last picture shows."""
+        return Segmentation(self.rig.ids, self.labels)
 
     def observe(self) -> Observation:
         motion = self.drive.motion
@@ -70,8 +77,7 @@ class ClosedLoop:
         return Observation(
             self._seq, motion.stamp_ns, motion.odometry.matrix(),
             rgb=self.rig.rgb.copy(), depth_m=self.rig.depth_m.copy(), camera=self.rig.model,
-            T_base_camera=self.rig.T_base_camera, object_ids=self.rig.ids.copy(),
-            object_labels=self.labels,
+            T_base_camera=self.rig.T_base_camera,
         )  # fmt: skip
 
     def step(self) -> None:

@@ -86,6 +86,19 @@ FAULTS = [
         "f.yaml: policy.kind: missing (choices: hvl, nearest_frontier)",
     ),
     ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),
+    (
+        {"zenoh": {"topics": {"camera/rbg": "x"}}},
+        "f.yaml: zenoh.topics.camera/rbg: unknown 'camera/rbg' (choices: camera/rgb, camera/depth,",
+    ),
+    (
+        {"zenoh": {"topics": {"odom": "front", "camera/rgb": "front"}}},
+        "f.yaml: zenoh.topics: 'front' is the key of both camera/rgb and odom",
+    ),
+    (
+        {"zenoh": {"topics": {"odom": "goal"}}},
+        "f.yaml: zenoh.topics: 'goal' is the key of both odom and goal",
+    ),
+    ({"zenoh": {"topics": {"odom": "a b"}}}, "f.yaml: zenoh.topics.odom: string should match"),
     ({"robot": None}, "f.yaml: robot: expected a section of keys, got None"),
     ({"policy": 3}, "f.yaml: policy: expected a section of keys, got 3"),
     ({"robot": {"radius_m": "wide"}}, "f.yaml: robot.radius_m: "),

@@ -10,7 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from edge import geometry
-from edge.geometry import SE2, CameraModel
+from edge.config import Camera, Lidar
+from edge.geometry import SE2, CameraModel, wrap_angle
 
 metres = st.floats(-100, 100)
 angles = st.floats(-math.pi, math.pi)
@@ -213,21 +214,39 @@ def test_a_camera_is_what_a_camera_can_be(camera, wrong):
         CameraModel(*camera)
 
 
-@given(metres, metres, metres, st.floats(-1.5, 1.5))
-def test_camera_mount_points_the_optical_axes(x, y, z, pitch):
-    T = geometry.camera_mount(x, z, pitch, y)
-    right, down, forward = T[:3, 0], T[:3, 1], T[:3, 2]
+angles_deg = st.floats(-179.0, 179.0)
+
+
+@given(metres, metres, st.floats(0.01, 3.0), angles_deg, st.floats(-89.0, 89.0), angles_deg)
+def test_a_mount_is_the_pose_that_the_configuration_says(x, y, z, roll, pitch, yaw):
+    """There and back; the camera looks where a LiDAR of the same mount points."""
+    mount = {"x_m": x, "y_m": y, "z_m": z, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
+    T = Lidar(**mount).T_base_mount()
     assert T[:3, 3].tolist() == [x, y, z]
-    assert right == pytest.approx([0, -1, 0], abs=1e-12)
-    assert forward == pytest.approx([math.cos(pitch), 0, -math.sin(pitch)], abs=1e-12)
-    assert np.cross(forward, right) == pytest.approx(down, abs=1e-12)
+    back = (
+        math.atan2(T[2, 1], T[2, 2]), math.asin(-T[2, 0]), math.atan2(T[1, 0], T[0, 0]),
+    )  # fmt: skip
+    assert np.degrees(back) == pytest.approx([roll, pitch, yaw], abs=1e-5)
+    right, down, forward = (Camera(**mount).T_base_camera()[:3, k] for k in range(3))
+    assert np.array([forward, -right, -down]) == pytest.approx(T[:3, :3].T, abs=1e-12)
+    optical = geometry.optical_yaw_rad(Camera(**mount).T_base_camera())
+    assert wrap_angle(optical - math.radians(yaw)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_word_sensors_look_ahead():
+    camera, lidar = Camera().T_base_camera(), Lidar().T_base_mount()
+    assert camera[:3, 3].tolist() == [0.1, 0.0, 0.6]
+    forward = [math.cos(math.radians(5.0)), 0.0, -math.sin(math.radians(5.0))]
+    assert camera[:3, 2] == pytest.approx(forward, abs=1e-12)
+    assert geometry.optical_yaw_rad(camera) == 0.0
+    assert (lidar == geometry.se3(0.0, 0.0, 0.5)).all()
 
 
 @given(st.floats(0.5, 8.0), st.floats(0, 319), planar)
 def test_a_pixel_lies_where_its_bearing_says(depth, u, pose):
     """Lifting a pixel and looking at it from the robot agree (VL-Nav eq. 2)."""
     camera = CameraModel.from_hfov(320, 256, 1.3)
-    T = pose.matrix() @ geometry.camera_mount(0.0, 0.6, 0.0)
+    T = pose.matrix() @ geometry.optical(geometry.se3(0.0, 0.0, 0.6))
     optical = np.array([(u - camera.cx_px) / camera.fx_px * depth, 0.0, depth, 1.0])
     x, y, z, _ = T @ optical
     assert z == pytest.approx(0.6)

@@ -151,9 +151,11 @@ def open_session(
             raise Stopped(f"zenoh.endpoint: stopped while nobody was at {settings.endpoint}")
 
 
-def declare_publisher(session: zenoh.Session, topic: Topic, prefix: str) -> zenoh.Publisher:
+def declare_publisher(
+    session: zenoh.Session, topic: Topic, settings: config.Zenoh
+) -> zenoh.Publisher:
     """A publisher with the congestion control, reliability and priority of the topic's QoS."""
-    return session.declare_publisher(topic.under(prefix), **_QOS[topic.qos])
+    return session.declare_publisher(settings.key(topic.key), **_QOS[topic.qos])
 
 
 class Ring:

@@ -1,4 +1,7 @@
-"""Every Zenoh key that the service, the simulator and the controller read or write."""
+"""Every topic that the service, the simulator and the controller read or write over Zenoh.
+
+`edge.config.Zenoh.key` gives the key of each, below the prefix and as the configuration renames it.
+"""
 
 from __future__ import annotations
 
@@ -10,36 +13,36 @@ Qos = Literal["drop", "urgent", "block"]
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One key below the configured prefix.
+    """One topic.
 
     Attributes:
+        key: its name, and its key below the prefix where the configuration says nothing else.
         type: ROS 2 message (CDR), or `json`.
         qos: `drop`: best effort, newest wins; `urgent`: goes ahead of these, and is sent again
             until it is answered or out of date; `block`: none may be lost, whoever puts it waits,
             which only lockstep may, where time stands still meanwhile.
         rate_hz: the usual rate; 0 = on events.
-        writer: who publishes it.
+        writer: who publishes it; what only a `simulator` knows is truth, which no robot has.
     """
 
     key: str
     type: str
     qos: Qos
     rate_hz: float
-    writer: Literal["sensors", "service", "controller"]
-
-    def under(self, prefix: str) -> str:
-        return f"{prefix}/{self.key}"
+    writer: Literal["sensors", "simulator", "service", "controller"]
 
 
 RGB = Topic("camera/rgb", "sensor_msgs/Image", "drop", 30, "sensors")
 DEPTH = Topic("camera/depth", "sensor_msgs/Image", "drop", 30, "sensors")
 CAMERA_INFO = Topic("camera/info", "sensor_msgs/CameraInfo", "drop", 1, "sensors")
-OBJECT_IDS = Topic("camera/object_ids", "sensor_msgs/Image", "drop", 30, "sensors")
-OBJECT_LABELS = Topic("camera/object_labels", "json", "drop", 1, "sensors")
 CLOUD = Topic("lidar/points", "sensor_msgs/PointCloud2", "drop", 10, "sensors")
 SCAN = Topic("lidar/scan", "sensor_msgs/LaserScan", "drop", 10, "sensors")
 ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
-GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "sensors")
+
+# Of the robot; of what each picture shows (uint16, 0 = structure); and the label of id i at i - 1.
+GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "simulator")
+SEGMENTATION = Topic("sim/segmentation", "sensor_msgs/Image", "drop", 30, "simulator")
+LABELS = Topic("sim/labels", "json", "drop", 1, "simulator")
 
 GOAL = Topic("goal", "geometry_msgs/PoseStamped", "urgent", 0, "service")
 MAP = Topic("map", "nav_msgs/OccupancyGrid", "drop", 2, "service")
@@ -57,6 +60,9 @@ MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 
 ALL: tuple[Topic, ...] = (
-    RGB, DEPTH, CAMERA_INFO, OBJECT_IDS, OBJECT_LABELS, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH,
+    RGB, DEPTH, CAMERA_INFO, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH, SEGMENTATION, LABELS,
     GOAL, MAP, STATUS, LATENCY, MISSION, TICK, CMD_VEL, GOAL_STATUS,
 )  # fmt: skip
+
+PLAYED = tuple(topic for topic in ALL if topic.writer in ("sensors", "simulator"))
+"""What a robot, or the simulator in its place, sends of itself."""

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     request = {"do": args.do}
     if args.do == "new":
         request["formula" if args.formula else "instruction"] = args.text
-    key = f"{settings.prefix}/{topics.MISSION_REQUEST}"
+    key = settings.key(topics.MISSION_REQUEST)
     with client.connect(settings, args.timeout, "mission") as session:
         answer = client.ask(session, key, request, args.timeout)
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))

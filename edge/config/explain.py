@@ -18,7 +18,8 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
         path: of the file that was read.
         root: the model that was validated.
     """
-    *sections, leaf = fault["loc"] or ("",)
+    loc = [part for part in fault["loc"] if part != "[key]"]  # a fault of a key is told under it
+    *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
     key = one_line(".".join([*shown, str(leaf)])) or "it"
     kind, context = fault["type"], fault.get("ctx", {})

@@ -2,25 +2,58 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_validator
 
 from edge.config.section import Positive, Section
 
+Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
+TopicName = Literal[
+    "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
+    "sim/ground_truth", "sim/segmentation", "sim/labels",
+    "goal", "map", "status", "latency", "mission", "tick", "cmd_vel", "goal_status",
+    "mission/request", "models/request",
+]  # fmt: skip
+
 
 class Zenoh(Section):
-    """The service listens; simulator and controller connect to the same endpoint."""
+    """The service listens; simulator and controller connect to the same endpoint.
+
+    `topics` gives topics other keys below the prefix: `{camera/rgb: front/image_raw}`.
+    """
 
     endpoint: str = "tcp/127.0.0.1:7447"
-    prefix: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")] = "edge"
+    prefix: Key = "edge"
+    topics: dict[TopicName, Key] = Field(default_factory=dict)
     mode: Literal["peer", "client"] = "peer"
     shared_memory: bool = True
 
+    @field_validator("topics")
+    @classmethod
+    def _are_apart(cls, topics: dict[str, str]) -> dict[str, str]:
+        taken: dict[str, str] = {}
+        for name in get_args(TopicName):
+            key = topics.get(name, name)
+            if key in taken:
+                raise ValueError(f"{key!r} is the key of both {taken[key]} and {name}")
+            taken[key] = name
+        return topics
+
+    def key(self, name: str) -> str:
+        """The Zenoh key of a topic, or of a request, that this project calls `name`."""
+        return f"{self.prefix}/{self.topics.get(name, name)}"
+
 
 class Source(Section):
-    """Limits on what is let in; everything outside is dropped and counted."""
+    """Where observations come from, and limits on what is let in.
 
+    `kind` names a source of `edge.sources`, or a class of one's own as `module:Class`, which may
+    read `options`. Everything outside the limits is dropped and counted.
+    """
+
+    kind: str = "zenoh"
+    options: dict[str, Any] = Field(default_factory=dict)
     max_message_mb: Positive = 64.0
     max_pose_gap_s: Positive = 0.25
     max_pose_jump_m: Positive = 1.0

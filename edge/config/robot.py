@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from edge.config.section import NonNegative, Positive, Section
-from edge.geometry import CameraModel
+from edge.geometry import CameraModel, optical, se3
 
 
 class Robot(Section):
@@ -21,15 +22,35 @@ class Robot(Section):
     max_turn_accel_radps2: Positive = 3.0
 
 
-class Camera(Section):
-    """A forward camera on the robot; intrinsics serve the simulator, a real one sends its own."""
+class Mount(Section):
+    """Where a sensor sits on the robot's base: x forward, y left, z up.
 
-    width_px: Annotated[int, Field(ge=16, le=4096)] = 320
-    height_px: Annotated[int, Field(ge=16, le=4096)] = 256
-    hfov_deg: Annotated[float, Field(gt=10, lt=150)] = 75.0
+    The angles are about these axes, roll first, then pitch (positive: nose down), then yaw
+    (positive: to the left).
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: Positive = 0.5
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def T_base_mount(self) -> np.ndarray:
+        """(4, 4) float64, with the axes of a body: x where the sensor points, z up."""
+        angles_deg = self.roll_deg, self.pitch_deg, self.yaw_deg
+        return se3(self.x_m, self.y_m, self.z_m, *map(math.radians, angles_deg))
+
+
+class Camera(Mount):
+    """A camera on the robot; intrinsics serve the simulator, a real one sends its own."""
+
     x_m: float = 0.1
     z_m: Positive = 0.6
     pitch_deg: float = 5.0
+    width_px: Annotated[int, Field(ge=16, le=4096)] = 320
+    height_px: Annotated[int, Field(ge=16, le=4096)] = 256
+    hfov_deg: Annotated[float, Field(gt=10, lt=150)] = 75.0
     rate_hz: Positive = 30.0
     depth_min_m: NonNegative = 0.1
     depth_max_m: Positive = 8.0
@@ -49,16 +70,17 @@ class Camera(Section):
         """The camera as the simulator has it: square pixels, the principal point in the middle."""
         return CameraModel.from_hfov(self.width_px, self.height_px, math.radians(self.hfov_deg))
 
+    def T_base_camera(self) -> np.ndarray:
+        """(4, 4) float64, base from optical frame."""
+        return optical(self.T_base_mount())
 
-class Lidar(Section):
-    """A 2D (`rings: 1`) or 3D LiDAR; `pitch_deg` tilts it nose down (VL-Nav: 23 degrees)."""
+
+class Lidar(Mount):
+    """A 2D (`rings: 1`) or 3D LiDAR (VL-Nav's is tilted nose down by 23 degrees)."""
 
     rings: Annotated[int, Field(ge=1, le=256)] = 16
     columns: Annotated[int, Field(ge=16, le=4096)] = 720
     vfov_deg: Annotated[float, Field(gt=0, le=170)] = 60.0
-    x_m: float = 0.0
-    z_m: Positive = 0.5
-    pitch_deg: float = 0.0
     rate_hz: Positive = 10.0
     range_m: Positive = 20.0
     noise_m: NonNegative = 0.01

@@ -22,7 +22,7 @@ import zenoh
 from edge import names
 from edge.bus import topics
 from edge.bus.session import Ring
-from edge.config import Config, load
+from edge.config import Config, Zenoh, load
 from edge.errors import UserError
 from edge.eval.metrics import spl, success_rate
 from edge.host.children import python_module
@@ -138,7 +138,7 @@ def run_episode(
     stop = stop or threading.Event()
     recorder = Recorder(config)
     with open_service(config, [recorder], stop=stop) as running:
-        truth = Truth(running.session, config.zenoh.prefix)
+        truth = Truth(running.session, config.zenoh)
         with children(config, stop, ("sim", "--no-motion"), ("motion",)):
             watchdog = threading.Timer(_EPISODE_TIMEOUT_S, stop.set)
             watchdog.daemon = True
@@ -171,11 +171,11 @@ def run_episode(
 class Truth:
     """The simulator's own account of where the robot is."""
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
         self.xy_m = (math.nan, math.nan)
         self.path_m = 0.0
         self.bumps = 0
-        self._ring = Ring(session, topics.GROUND_TRUTH.under(prefix), 256)
+        self._ring = Ring(session, settings.key(topics.GROUND_TRUTH.key), 256)
 
     def update(self) -> None:
         """Take in what came since the last call."""

@@ -14,7 +14,7 @@ from edge.config import Config
 from edge.host.priority import real_time
 from edge.loop.faults import IDLE, TICK
 from edge.loop.service import DETECT, INGEST, Service
-from edge.loop.source import Answers, Source
+from edge.loop.source import Source
 from edge.loop.stages import STAGES
 from edge.perception.worker import DetectorWorker
 from edge.types import MissionStatus, Observation
@@ -32,7 +32,6 @@ class Running:
     service: Service
     worker: DetectorWorker
     source: Source
-    inbox: Answers
     servers: dict[str, RequestServer]
     epoch: int = field(default=0, init=False)
 
@@ -146,7 +145,7 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
     """What the controller said, and what there is to be seen now."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in service.faults.attempt("goal_status", now_ns, running.inbox.poll) or ():
+    for answer in service.faults.attempt("goal_status", now_ns, running.source.inbox.poll) or ():
         with service.faults.outlived("goal answer", now_ns):
             service.goal_answered(answer)
     failed = service.faults.failed

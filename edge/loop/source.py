@@ -8,16 +8,32 @@ from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
 
+class Inbox(Protocol):
+    """What the motion controller answered; for one thread.
+
+    Attributes:
+        overruns: looks that found more than there was room for once more.
+    """
+
+    @property
+    def overruns(self) -> int: ...
+
+    def poll(self) -> list[GoalStatus]:
+        """Answers since the last poll, oldest first; never blocks."""
+
+
 class Source(Protocol):
     """Yields what the robot sees; for one thread.
 
     Attributes:
-        counters: messages received, and drops by reason (see `edge.sources.zenoh`).
+        counters: messages received, and drops by reason (see `edge.sources.synchronizer`).
+        inbox: the controller's answers, which come the same way.
         epoch: rises when poses before and after have nothing to do with each other.
         pose: from the newest odometry; None before there was any.
     """
 
     counters: dict[str, int]
+    inbox: Inbox
 
     @property
     def epoch(self) -> int: ...
@@ -36,10 +52,3 @@ class Source(Protocol):
         """Block until a message arrives or time is up; False when none came."""
 
     def close(self) -> None: ...
-
-
-class Answers(Protocol):
-    """Yields what the motion controller says of the goals it was given; for one thread."""
-
-    def poll(self) -> list[GoalStatus]:
-        """What came since the last call, oldest first; never blocks."""

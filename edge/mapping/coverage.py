@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from edge.geometry import optical_yaw_rad
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
 from edge.mapping.reach import STRAIGHT, ReachField
 from edge.mapping.window import Window
@@ -96,12 +97,11 @@ class Coverage:
             return
         self._fov_rad, self._range_m = camera.hfov_rad, range_m
         self._enough = min(enough, _MOST)
-        mount, T = seen.T_base_camera, seen.T_map_base @ seen.T_base_camera
-        self.camera_yaw_rad = math.atan2(mount[1, 2], mount[0, 2])
-        heading = math.atan2(T[1, 2], T[0, 2])
+        T = seen.T_map_base @ seen.T_base_camera
+        self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
         far = range_m / self._window.resolution_m
         between, rays = sector(camera.hfov_rad, far, self._bits)
-        first = heading - 0.5 * (rays - 1) * between
+        first = optical_yaw_rad(T) - 0.5 * (rays - 1) * between
         self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
 
     def worth(self, view: View) -> bool:

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from edge.config import load
 
     settings = load(args.config).zenoh
-    key = f"{settings.prefix}/{topics.MODELS_REQUEST}"
+    key = settings.key(topics.MODELS_REQUEST)
     until_s = time.monotonic() + args.timeout
     state = ""
     with client.connect(settings, args.timeout, _WHAT) as session:

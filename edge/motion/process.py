@@ -72,17 +72,17 @@ class Bus:
     """
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
-        prefix, lockstep = config.zenoh.prefix, config.sim.lockstep
+        settings, lockstep = config.zenoh, config.sim.lockstep
         self.malformed: dict[str, int] = {}
         self.map_heard_s: float | None = None
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._rings = {
-            topic: Ring(session, topic.under(prefix), kept) for topic, kept in _RINGS.items()
+            topic: Ring(session, settings.key(topic.key), kept) for topic, kept in _RINGS.items()
         }
         # In lockstep simulator and service wait for every message: none may be dropped.
         change = {"qos": "block"} if lockstep else {}
         self._commands, self._answers = (
-            declare_publisher(session, replace(topic, **change), prefix)
+            declare_publisher(session, replace(topic, **change), settings)
             for topic in (topics.CMD_VEL, topics.GOAL_STATUS)
         )
 

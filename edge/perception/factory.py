@@ -7,18 +7,21 @@ from collections.abc import Sequence
 
 from edge import config
 from edge.perception.detector import Detector, Tell, log_progress
+from edge.perception.sim_detector import SimDetector, Truth
 
 
-def _onnx(detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell) -> Detector:
+def _onnx(
+    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell, truth: Truth | None
+) -> Detector:
     from edge.perception.onnx_detector import OnnxDetector
 
     return OnnxDetector(detector, prompts, progress)
 
 
-def _sim(detector: config.DetectorSim, prompts: Sequence[str], progress: Tell) -> Detector:
-    from edge.perception.sim_detector import SimDetector
-
-    return SimDetector(detector, prompts)
+def _sim(
+    detector: config.DetectorSim, prompts: Sequence[str], progress: Tell, truth: Truth | None
+) -> Detector:
+    return SimDetector(detector, prompts, truth)
 
 
 REGISTRY = {"onnx": _onnx, "sim": _sim}
@@ -30,6 +33,7 @@ def make_detector(
     progress: Tell = log_progress,
     *,
     cancelled: threading.Event | None = None,
+    truth: Truth | None = None,
 ) -> Detector:
     """The detector that the configuration names, ready to use.
 
@@ -37,6 +41,7 @@ def make_detector(
         progress: told every few seconds while a TensorRT engine is built, which takes minutes.
         cancelled: once set, a model's process that is not ready yet is ended, which is a
             ModelError; without isolation the model is loaded to its end.
+        truth: what `kind: sim` takes for seen.
 
     Raises:
         PromptError: see `Detector.set_prompts`.
@@ -46,4 +51,4 @@ def make_detector(
         from edge.perception.process.detector import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)
-    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress)
+    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress, truth)

@@ -1,10 +1,11 @@
-"""A detector for simulated worlds: true object ids with noise, no neural network."""
+"""A detector for simulated worlds: what the simulator says is there, with noise, and no network."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,24 @@ _MAX_JITTER = 0.05
 """Box edges are off by up to this share of the box."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Segmentation:
+    """What is truly where in a picture.
+
+    Attributes:
+        ids: (h, w) uint16, 0 = no object.
+        labels: of id i at index i - 1.
+    """
+
+    ids: np.ndarray
+    labels: tuple[str, ...]
+
+
+Truth = Callable[[int], "Segmentation | None"]
+"""The segmentation of the picture that was taken at a stamp (ns), None where there is none; called
+by whoever detects."""
+
+
 class SimDetector:
     """Boxes around the visible pixels of objects that answer to a prompt, made imperfect.
 
@@ -33,12 +52,18 @@ class SimDetector:
     name = "sim (ground-truth ids + noise, no neural network)"
     invalid_boxes = 0
 
-    def __init__(self, detector: config.DetectorSim, prompts: Sequence[str]) -> None:
+    def __init__(
+        self, detector: config.DetectorSim, prompts: Sequence[str], truth: Truth | None = None
+    ) -> None:
         """
+        Args:
+            truth: None where nobody tells.
+
         Raises:
             PromptError: no prompt, or an empty one.
         """
         self.config = detector
+        self._truth = truth
         self._labels: tuple[str, ...] = ()
         self._present: set[str] = set()
         self._resize(0)
@@ -59,23 +84,25 @@ class SimDetector:
         self._asked = (tuple(prompts), nouns)
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`; the observation must carry object ids and depth."""
+        """See `Detector.detect`; the observation must have depth, and a segmentation be there."""
         start_ns = time.perf_counter_ns()
-        ids, depth = observation.object_ids, observation.depth_m
-        if ids is None or depth is None or ids.shape != depth.shape or ids.size == 0:
+        there = self._truth(observation.stamp_ns) if self._truth is not None else None
+        depth = observation.depth_m
+        if there is None or depth is None or there.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(
-                f"observation {observation.seq}: no object ids with depth: lost on the way, or no "
-                "simulator sends them (for a real camera use perception.detector.kind: onnx)"
+                f"observation {observation.seq}: no segmentation with depth: lost on the way, or "
+                "no simulator sends it (for a real camera use perception.detector.kind: onnx)"
             )
-        if observation.object_labels != self._labels:
-            self._labels = observation.object_labels
+        ids = there.ids
+        if there.labels != self._labels:
+            self._labels = there.labels
             self._present = {names.canonical(label) for label in self._labels}
             self._resize(len(self._labels))
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
         prompts, nouns = self._asked
         exact = [names.canonical(prompt) for prompt in prompts]
         wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
-        found = self._noisy(observation, wanted, ids.shape[0] * ids.shape[1])
+        found = self._noisy(observation.seq, wanted, ids.shape)
         found.sort(key=lambda row: -row[0])
         return Detections(
             observation=observation,
@@ -100,12 +127,12 @@ class SimDetector:
         self._distance = np.empty(n, np.float32)
 
     def _noisy(
-        self, observation: Observation, nouns: tuple[str, ...], image_px: int
+        self, seq: int, nouns: tuple[str, ...], image_hw: tuple[int, int]
     ) -> list[tuple[float, int, np.ndarray]]:
         """(score, prompt, box) of everything reported, in no order."""
         c = self.config
-        random = np.random.default_rng((c.seed, observation.seq))
-        h, w = observation.object_ids.shape
+        random = np.random.default_rng((c.seed, seq))
+        h, w = image_hw
         found = []
         for i in np.flatnonzero(self._pixels >= c.min_visible_px):
             # Drawn for every visible object, so that one prompt's noise does not shift another's.
@@ -117,9 +144,9 @@ class SimDetector:
                 continue
             far = distance / c.max_range_m
             quality = (1.0 - 0.4 * far) * min(
-                1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * image_px))
+                1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * (h * w)))
             )
-            class_id = _index(nouns, names.canonical(observation.object_labels[i]))
+            class_id = _index(nouns, names.canonical(self._labels[i]))
             if class_id is None:
                 if mistaken >= c.false_positive_rate:
                     continue

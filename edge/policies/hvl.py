@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicyHvl
-from edge.geometry import SE2
+from edge.geometry import SE2, optical_yaw_rad
 from edge.loop.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.policies.kernels import hvl_scores, vl_scores
@@ -34,7 +34,8 @@ class Hvl:
             middle = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
             mu = camera.bearing_of(middle)
             vl_scores(
-                pool.xy_m, pool.kind, pool.first_seen_ns, pool.n, at.x_m, at.y_m, at.yaw_rad,
+                pool.xy_m, pool.kind, pool.first_seen_ns, pool.n, at.x_m, at.y_m,
+                at.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
                 seen.observation.stamp_ns, camera.hfov_rad, mu,
                 seen.score.astype(np.float64), seen.class_id, c.sigma_rad, pool.vl,
             )  # fmt: skip

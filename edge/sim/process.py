@@ -59,15 +59,13 @@ class Link:
     """The simulator's publishers, and the newest command."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
-        prefix = config.zenoh.prefix
         # In lockstep the service waits for every message: none may be dropped.
         change = {"qos": "block"} if config.sim.lockstep else {}
         self._publishers = {
-            topic.key: declare_publisher(session, replace(topic, **change), prefix)
-            for topic in topics.ALL
-            if topic.writer == "sensors"
+            topic.key: declare_publisher(session, replace(topic, **change), config.zenoh)
+            for topic in topics.PLAYED
         }
-        self._commands = Ring(session, topics.CMD_VEL.under(prefix), 16)
+        self._commands = Ring(session, config.zenoh.key(topics.CMD_VEL.key), 16)
         self._malformed = 0
 
     def send(self, batch: Iterable[Message]) -> None:

@@ -12,7 +12,7 @@ from edge.bus import topics
 from edge.bus.topics import Topic
 from edge.bus.wire import messages
 from edge.config import Config
-from edge.geometry import SE2, camera_mount, se3
+from edge.geometry import SE2
 from edge.sim.base import Fan, World
 from edge.sim.robot import Motion
 
@@ -26,7 +26,7 @@ class CameraRig:
     def __init__(self, config: Config, world: World) -> None:
         camera, self._world = config.sensors.camera, world
         self.model = camera.intrinsics()
-        self.T_base_camera = camera_mount(camera.x_m, camera.z_m, math.radians(camera.pitch_deg))
+        self.T_base_camera = camera.T_base_camera()
         shape = (camera.height_px, camera.width_px)
         self.rgb = np.empty((*shape, 3), np.uint8)
         self.depth_m = np.empty(shape, np.float32)
@@ -46,7 +46,7 @@ class CameraRig:
         """The last picture; colour comes last, since it completes the frame."""
         depth_mm = np.nan_to_num(self.depth_m * 1000.0, nan=0.0).clip(0, 65535).astype(np.uint16)
         yield topics.DEPTH, messages.encode_image(stamp_ns, CAMERA_FRAME, depth_mm)
-        yield topics.OBJECT_IDS, messages.encode_image(stamp_ns, CAMERA_FRAME, self.ids)
+        yield topics.SEGMENTATION, messages.encode_image(stamp_ns, CAMERA_FRAME, self.ids)
         yield topics.RGB, messages.encode_image(stamp_ns, CAMERA_FRAME, self.rgb)
 
     def description(self, stamp_ns: int) -> Iterator[Message]:
@@ -54,7 +54,7 @@ class CameraRig:
         info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, self.model)
         yield topics.CAMERA_INFO, info
         labels = [item.label for item in self._world.objects]
-        yield topics.OBJECT_LABELS, json.dumps(labels).encode()
+        yield topics.LABELS, json.dumps(labels).encode()
 
 
 class LidarRig:
@@ -64,7 +64,7 @@ class LidarRig:
         lidar = config.sensors.lidar
         assert lidar is not None
         self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
-        self.T_base_lidar = se3(lidar.x_m, 0.0, lidar.z_m, pitch_rad=math.radians(lidar.pitch_deg))
+        self.T_base_lidar = lidar.T_base_mount()
         self.ranges_m = np.empty(self._fan.directions.shape[:2], np.float32)
         self._rng = np.random.default_rng([config.sim.seed, 2])
 

@@ -52,11 +52,11 @@ class ZenohSink:
     """
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        prefix, lockstep = config.zenoh.prefix, config.loop.lockstep
+        lockstep = config.loop.lockstep
         self._lockstep = lockstep
         self._publishers = {
             topic.key: declare_publisher(
-                session, replace(topic, qos="block") if lockstep else topic, prefix
+                session, replace(topic, qos="block") if lockstep else topic, config.zenoh
             )
             for topic in WRITTEN
         }

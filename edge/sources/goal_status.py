@@ -9,6 +9,7 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.session import Ring
+from edge.config import Zenoh
 from edge.geometry import FARTHEST_M
 from edge.text import one_line
 from edge.types import GoalStatus
@@ -63,9 +64,9 @@ class GoalStatusInbox:
         malformed: how many messages were no answer.
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
         self.malformed = 0
-        self._ring = Ring(session, topics.GOAL_STATUS.under(prefix), _KEPT)
+        self._ring = Ring(session, settings.key(topics.GOAL_STATUS.key), _KEPT)
 
     @property
     def overruns(self) -> int:

@@ -13,11 +13,10 @@ class PoolSlot:
     Attributes:
         rgb: (h, w, 3) uint8, or None where the pool has no such shape; so the others.
         depth_m: (h, w) float32.
-        object_ids: (h, w) uint16.
         cloud_m: (cap, 3) float32.
     """
 
-    __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "object_ids", "rgb")
+    __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "rgb")
 
     def __init__(
         self,
@@ -25,13 +24,11 @@ class PoolSlot:
         image_hw: tuple[int, int] | None,
         cloud_points: int,
         depth: bool,
-        object_ids: bool,
     ) -> None:
         self._lock = lock
         self.holds = 0
         self.rgb = np.zeros((*image_hw, 3), np.uint8) if image_hw else None
         self.depth_m = np.zeros(image_hw, np.float32) if image_hw and depth else None
-        self.object_ids = np.zeros(image_hw, np.uint16) if image_hw and object_ids else None
         self.cloud_m = np.zeros((cloud_points, 3), np.float32) if cloud_points else None
 
     def hold(self) -> None:
@@ -51,10 +48,9 @@ class FramePool:
     """`n_slots` frames, allocated once; thread-safe.
 
     Args:
-        image_hw: size of rgb, depth and object ids; None for a robot without a camera.
+        image_hw: size of rgb and depth; None for a robot without a camera.
         cloud_points: room for points, 0 for none.
         depth: whether slots have `depth_m`.
-        object_ids: whether slots have `object_ids`.
     """
 
     def __init__(
@@ -63,15 +59,12 @@ class FramePool:
         image_hw: tuple[int, int] | None = None,
         cloud_points: int = 0,
         depth: bool = True,
-        object_ids: bool = False,
     ) -> None:
         self.image_hw = image_hw
         self.exhausted = 0
         self._lock = threading.Lock()
         self._next = 0
-        self._slots = [
-            PoolSlot(self._lock, image_hw, cloud_points, depth, object_ids) for _ in range(n_slots)
-        ]
+        self._slots = [PoolSlot(self._lock, image_hw, cloud_points, depth) for _ in range(n_slots)]
 
     def acquire(self) -> PoolSlot | None:
         """A free slot, held once for the caller; None (and counted) when all are being read."""

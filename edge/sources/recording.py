@@ -117,15 +117,13 @@ def record(
     duration_s: float,
     stop: threading.Event | None = None,
 ) -> int:
-    """Write everything under the configured prefix until time is up or `stop` is set.
+    """Write everything on the configured topics until time is up or `stop` is set.
 
     Returns:
         How many messages were written.
     """
     stop = stop or threading.Event()
-    rings = [
-        (topic, Ring(session, topic.under(config.zenoh.prefix), _RING)) for topic in topics.ALL
-    ]
+    rings = [(topic, Ring(session, config.zenoh.key(topic.key), _RING)) for topic in topics.ALL]
     deadline_s = time.monotonic() + duration_s
     try:
         with McapFile(path) as file:
@@ -185,7 +183,7 @@ class Played(NamedTuple):
 
 def play(
     session: zenoh.Session,
-    prefix: str,
+    settings: Zenoh,
     path: str | os.PathLike[str],
     rate: float = 1.0,
     loop: bool = False,
@@ -209,7 +207,7 @@ def play(
     while not stop.is_set():
         first_ns: int | None = None
         for topic, log_ns, payload in read(path):
-            if topic.writer != "sensors":
+            if topic not in topics.PLAYED:
                 continue
             if first_ns is None:
                 first_ns, begin_s, begin_ns = log_ns, time.monotonic(), time.time_ns()
@@ -219,7 +217,7 @@ def play(
             if restamp and topic.type != "json":
                 payload = _restamped(payload, first_ns, begin_ns, rate)
             if topic.key not in publishers:
-                publishers[topic.key] = declare_publisher(session, topic, prefix)
+                publishers[topic.key] = declare_publisher(session, topic, settings)
             publishers[topic.key].put(payload)
             sent, max_late_s = sent + 1, max(max_late_s, late_s)
         if not loop:
@@ -250,11 +248,11 @@ def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> byt
 
 
 def wait_for_service(
-    session: zenoh.Session, prefix: str, timeout_s: float, stop: threading.Event
+    session: zenoh.Session, settings: Zenoh, timeout_s: float, stop: threading.Event
 ) -> bool:
     """Whether somebody comes to listen to odometry (as every service does) within the time."""
     deadline_s = time.monotonic() + timeout_s
-    publisher = declare_publisher(session, topics.ODOMETRY, prefix)
+    publisher = declare_publisher(session, topics.ODOMETRY, settings)
     try:
         while not publisher.matching_status.matching:
             if time.monotonic() >= deadline_s or stop.wait(0.05):
@@ -308,9 +306,9 @@ def _play_command(args: argparse.Namespace) -> int:
     settings = Zenoh.model_validate_json(args.zenoh)
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
-        if not wait_for_service(session, settings.prefix, args.wait, stop):
+        if not wait_for_service(session, settings, args.wait, stop):
             raise UnavailableError(f"{settings.endpoint}: no service came within {args.wait:g} s")
-        played = play(session, settings.prefix, args.file, args.rate, args.loop, True, stop)
+        played = play(session, settings, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0
 

@@ -12,11 +12,12 @@ import zenoh
 
 from edge.bus import topics
 from edge.bus.session import Ring
-from edge.bus.topics import Topic
 from edge.config import Config
 from edge.geometry import SE2
-from edge.sources.assembler import Assembler
+from edge.sources.decoder import FRAMES, CdrDecoder
+from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
+from edge.sources.synchronizer import TimeSynchronizer
 from edge.types import Observation
 
 _PAUSE_S = 0.0003
@@ -29,40 +30,35 @@ class ZenohSource:
         ConfigError: a cloud is asked for and no LiDAR is described.
     """
 
-    def __init__(self, session: zenoh.Session, config: Config) -> None:
-        self._assembler = Assembler(config)
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
+        self._synchronizer = TimeSynchronizer(config)
+        self._decoder = CdrDecoder(self._synchronizer)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
+        # How many messages of each topic to keep between polls; odometry is drained first.
+        kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
+        heard = self._synchronizer.streams
+        kept |= {topic: KEPT for topic, (kind, _) in FRAMES.items() if kind.field in heard}
         self._rings = {
-            topic: Ring(session, topic.under(config.zenoh.prefix), kept)
-            for topic, kept in self._kept(config).items()
+            topic: Ring(session, config.zenoh.key(topic.key), n) for topic, n in kept.items()
         }
-
-    def _kept(self, config: Config) -> dict[Topic, int]:
-        """How many messages of each topic to keep between polls; odometry is drained first."""
-        rings = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
-        rings |= dict.fromkeys(self._assembler.streams, KEPT)
-        if topics.CLOUD in rings:
-            rings[topics.SCAN] = KEPT
-        if topics.OBJECT_IDS in rings:
-            rings[topics.OBJECT_LABELS] = 1
-        return rings
+        self.inbox = GoalStatusInbox(session, config.zenoh)
 
     @property
     def counters(self) -> dict[str, int]:
-        return self._assembler.counters
+        return self._synchronizer.counters
 
     @property
     def epoch(self) -> int:
-        return self._assembler.odometry.epoch
+        return self._synchronizer.odometry.epoch
 
     @property
     def pose(self) -> SE2 | None:
-        return self._assembler.odometry.newest_pose
+        return self._synchronizer.odometry.newest_pose
 
     def poll(self) -> Observation | None:
         """See `edge.loop.source.Source`."""
         self._drain()
-        return self._assembler.poll()
+        return self._synchronizer.poll()
 
     def wait(self, timeout_s: float) -> bool:
         """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
@@ -76,9 +72,10 @@ class ZenohSource:
     def close(self) -> None:
         for ring in self._rings.values():
             ring.close()
+        self.inbox.close()
 
     def _drain(self) -> int:
-        """Hand a ring's worth of each topic to the assembler; how many messages it was."""
+        """Hand a ring's worth of each topic to the decoder; how many messages it was."""
         n = 0
         for topic, ring in self._rings.items():
             samples = ring.take()
@@ -86,8 +83,8 @@ class ZenohSource:
             for sample in samples:
                 size = len(sample.payload)
                 if size > self._max_bytes:
-                    self._assembler.count(topic, "oversized", f"{size} bytes")
+                    self._synchronizer.count(topic.key, "oversized", f"{size} bytes")
                 else:
-                    self._assembler.offer(topic, sample.payload.to_bytes())
+                    self._decoder.offer(topic, sample.payload.to_bytes())
         self.counters["overrun"] = sum(ring.overruns for ring in self._rings.values())
         return n

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import parse
-from edge.geometry import SE2, CameraModel, camera_mount
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.perception import kernels as perception
 from edge.sim import assemblies, kernels
 from edge.sim.boxworld import BoxWorld
@@ -193,7 +193,7 @@ def _random_camera(
     pitch = math.radians(rng.normal(5.0, 5.0))
     model = CameraModel.from_hfov(WIDTH_PX, HEIGHT_PX, math.radians(hfov))
     pose = SE2(x, y, float(rng.uniform(-math.pi, math.pi)))
-    return _Camera(model, pose.matrix() @ camera_mount(0.1, z, pitch))
+    return _Camera(model, pose.matrix() @ optical(se3(0.1, 0.0, z, pitch_rad=pitch)))
 
 
 def _choose_view(

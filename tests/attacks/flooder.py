@@ -15,8 +15,6 @@ from edge.bus.session import open_session
 from edge.bus.wire import messages
 from edge.config import Zenoh
 
-PREFIX = "edge"
-
 
 def odometry() -> bytes:
     """Where `absurd_sensors.batch` says the robot stands."""
@@ -35,8 +33,9 @@ def main(endpoint: str, kind: str) -> None:
         "odometry": (topics.ODOMETRY, odometry),
         "goal_status": (topics.GOAL_STATUS, goal_status),
     }[kind]
-    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
-        publisher = session.declare_publisher(topic.under(PREFIX))
+    settings = Zenoh(endpoint=endpoint)
+    with open_session(settings, "connect") as session:
+        publisher = session.declare_publisher(settings.key(topic.key))
         while True:
             publisher.put(make())
 

@@ -39,8 +39,8 @@ class Live:
     def __init__(self, running: Launched, peer: zenoh.Session) -> None:
         self.running, self.peer = running, peer
         self.statuses: list[dict] = []
-        self._prefix = running.config.zenoh.prefix
-        self._status = peer.declare_subscriber(topics.STATUS.under(self._prefix), self._hear)
+        self._settings = running.config.zenoh
+        self._status = peer.declare_subscriber(self._settings.key(topics.STATUS.key), self._hear)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         self.statuses.append(json.loads(sample.payload.to_bytes()))
@@ -51,7 +51,7 @@ class Live:
 
     def send(self, said: Batch) -> None:
         for topic, payload in said.items():
-            self.peer.put(topic.under(self._prefix), payload)
+            self.peer.put(self._settings.key(topic.key), payload)
 
     @property
     def failures(self) -> dict[str, int]:
@@ -102,7 +102,7 @@ def _stand(service: Live, stop: threading.Event) -> None:
         said = batch(time.time_ns())
         if service.running.config.mapping.input == "depth":
             del said[topics.CLOUD]
-        service.send({**said, topics.OBJECT_LABELS: b'["chair"]'})
+        service.send({**said, topics.LABELS: b'["chair"]'})
 
 
 @contextmanager

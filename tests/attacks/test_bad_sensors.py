@@ -61,7 +61,7 @@ def test_stamps_from_the_ends_of_time_cost_neither_ticks_nor_answers(service, to
 )
 def test_a_camera_that_cannot_be_is_refused_and_the_one_before_stays(service, number, value):
     counters = service.running.source.counters
-    before, camera = counters["malformed"], service.running.source._assembler._camera
+    before, camera = counters["malformed"], service.running.source._synchronizer._camera
     payload = changed(batch()[topics.CAMERA_INFO], "d", number, value)
 
     def refused() -> bool:  # a ring of one: the sane camera's own message may displace it
@@ -69,7 +69,7 @@ def test_a_camera_that_cannot_be_is_refused_and_the_one_before_stays(service, nu
         return counters["malformed"] > before
 
     eventually(refused, "nothing was refused")
-    assert service.running.source._assembler._camera == camera
+    assert service.running.source._synchronizer._camera == camera
     service.goes_on()
 
 

@@ -7,6 +7,7 @@ import threading
 import time
 from itertools import repeat
 from types import SimpleNamespace
+from typing import get_args
 
 import pytest
 import zenoh
@@ -16,6 +17,7 @@ from patience import PATIENCE_S
 from edge.bus import session as bus
 from edge.bus import topics
 from edge.config import Zenoh
+from edge.config.loop import TopicName
 from edge.errors import Stopped
 from edge.host.ports import free_port
 
@@ -107,12 +109,18 @@ def test_every_topic_can_be_published_with_its_qos(topic):
         def declare_publisher(self, key, **qos):
             return key, qos
 
-    key, qos = bus.declare_publisher(Session(), topic, "fleet/r1")
-    assert key == f"fleet/r1/{topic.key}"
+    own = {"odom": "base/odom", "mission": "goal", "goal": "mission"}
+    key, qos = bus.declare_publisher(Session(), topic, Zenoh(prefix="fleet/r1", topics=own))
+    assert key == f"fleet/r1/{own.get(topic.key, topic.key)}"
     blocks = qos["congestion_control"] == zenoh.CongestionControl.BLOCK
     assert blocks == (topic.qos == "block")
     assert (qos["reliability"] == zenoh.Reliability.RELIABLE) == (topic.qos != "drop")
     assert (qos["priority"] == zenoh.Priority.DATA) == (topic.qos == "drop")
+
+
+def test_every_topic_can_be_renamed():
+    requests = {topics.MISSION_REQUEST, topics.MODELS_REQUEST}
+    assert set(get_args(TopicName)) == {topic.key for topic in topics.ALL} | requests
 
 
 def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():

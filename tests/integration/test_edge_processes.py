@@ -25,7 +25,10 @@ from edge.geometry import SE2
 SIGNALS = pytest.mark.parametrize(
     "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
 )
-PREFIX = "edge"
+RENAMED = {
+    "camera/rgb": "front/image_raw", "odom": "base/odom", "goal": "map", "map": "grid",
+    "goal_status": "nav/state", "sim/segmentation": "front/ids", "mission/request": "orders",
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -106,13 +109,16 @@ def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_mission_outlives_simulator_and_controller(edge, config, endpoint):
-    """Killed, back again, and a controller that comes only after the goal was sent."""
+def test_the_mission_outlives_simulator_and_controller(edge, endpoint, tmp_path):
+    """Killed, back again, and a controller that comes only after the goal was sent; all on topics
+    of other names."""
+    settings = Zenoh(endpoint=endpoint, topics=RENAMED)
+    config = write_config(tmp_path, zenoh=settings.model_dump())
     service = edge("run", config, "--once").says("ready:")
     simulator = edge("sim", config, "--no-motion")
     service.says("seen | map")
     controller = edge("motion", config)
-    with odometer(endpoint) as driven_m:
+    with odometer(settings) as driven_m:
         service.until(lambda: driven_m[0] > 0.4, "the robot never drove")
         controller.kill()
         controller = edge("motion", config)
@@ -125,7 +131,7 @@ def test_the_mission_outlives_simulator_and_controller(edge, config, endpoint):
 
 
 @contextmanager
-def odometer(endpoint: str) -> Iterator[list[float]]:
+def odometer(settings: Zenoh) -> Iterator[list[float]]:
     """Metres that the robot has moved so far, in a list of one."""
     driven_m, last = [0.0], []
 
@@ -135,8 +141,8 @@ def odometer(endpoint: str) -> Iterator[list[float]]:
             driven_m[0] += float(np.hypot(x - last[0], y - last[1]))
         last[:] = [x, y]
 
-    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
-        session.declare_subscriber(topics.ODOMETRY.under(PREFIX), take)
+    with open_session(settings, "connect") as session:
+        session.declare_subscriber(f"{settings.prefix}/base/odom", take)
         yield driven_m
 
 
@@ -160,9 +166,10 @@ def test_the_mission_outlives_nonsense_on_every_key(edge, config, endpoint):
 def talk_nonsense(endpoint: str, over: threading.Event) -> None:
     """Bytes that are no message, empty ones, and old stamps, on all keys, ten times a second."""
     old = messages.encode_odometry(1, SE2(50.0, 50.0, 0.0).matrix(), 0.0, 0.0)
-    with open_session(Zenoh(endpoint=endpoint), "connect") as session:
+    settings = Zenoh(endpoint=endpoint)
+    with open_session(settings, "connect") as session:
         while not over.wait(0.1):
             for topic in topics.ALL:
                 for payload in (b"", b"\xff" * 40, b'{"stamp": "x"}', bytes(5000)):
-                    session.put(topic.under(PREFIX), payload)
-            session.put(topics.ODOMETRY.under(PREFIX), old)
+                    session.put(settings.key(topic.key), payload)
+            session.put(settings.key(topics.ODOMETRY.key), old)

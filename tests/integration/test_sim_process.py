@@ -61,7 +61,7 @@ class Peer:
         self._all = session.declare_subscriber(
             f"{self._prefix}/**", zenoh.handlers.FifoChannel(4096)
         )
-        self._commands = declare_publisher(session, topics.CMD_VEL, self._prefix)
+        self._commands = declare_publisher(session, topics.CMD_VEL, config.zenoh)
 
     def drive(self, stamp_ns: int, v_mps: float, w_radps: float) -> None:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, v_mps, w_radps))
@@ -103,9 +103,7 @@ def run_lockstep(data: dict, steps: int) -> list[dict[str, bytes]]:
 def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
     data = settings(lockstep=True, seed=3, depth_noise=0.002, drift_m_per_m=0.02)
     first = run_lockstep(data, 12)
-    expected = {
-        topic.key for topic in topics.ALL if topic.writer == "sensors" and topic is not topics.SCAN
-    }
+    expected = {topic.key for topic in topics.PLAYED if topic is not topics.SCAN}
     assert [messages.peek_stamp_ns(instant["odom"]) for instant in first] == [
         10**9 + k * 10**8 for k in range(12)
     ]
@@ -118,7 +116,7 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
             for topic in (
                 topics.RGB,
                 topics.DEPTH,
-                topics.OBJECT_IDS,
+                topics.SEGMENTATION,
                 topics.CLOUD,
                 topics.ODOMETRY,
             )
@@ -126,7 +124,7 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
         assert stamps == {truth["stamp_ns"]}
         assert odometry.v_mps == pytest.approx(truth["v_mps"])
     assert json.loads(first[-1]["sim/ground_truth"])["path_m"] > 0.2
-    labels = json.loads(first[0]["camera/object_labels"])
+    labels = json.loads(first[0]["sim/labels"])
     assert "trash can" in labels
     header = messages.decode_image_header(first[0]["camera/depth"])
     depth = np.empty((48, 64), np.uint16)

@@ -19,12 +19,11 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.session import open_session
 from edge.bus.wire import messages
-from edge.config import Config
+from edge.config import Config, Zenoh
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host.ports import free_port
 from edge.sinks.zenoh import ZenohSink
 from edge.sources import recording
-from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 from edge.types import Goal, GoalStatus, Observation
 
@@ -72,7 +71,7 @@ def see(source: ZenohSource, n: int = 3) -> list[Observation]:
 
 def test_a_robot_that_vanishes_and_comes_back(config, start):
     with open_session(config.zenoh, "listen") as session:
-        source = ZenohSource(session, config)
+        source = ZenohSource(config, session)
         first = start("robot")
         seen = see(source)
         assert seen[-1].rgb.shape == (24, 32, 3)
@@ -93,7 +92,7 @@ def test_a_service_that_vanishes_and_comes_back(config, start):
     start("robot")
     for _ in range(2):
         with open_session(config.zenoh, "listen") as session:
-            source = ZenohSource(session, config)
+            source = ZenohSource(config, session)
             see(source)
             source.close()
 
@@ -114,14 +113,14 @@ def test_nonsense_is_counted_and_the_robot_is_still_seen(config, start):
         open_session(config.zenoh, "listen") as session,
         open_session(config.zenoh, "connect") as other,
     ):
-        source = ZenohSource(session, config)
-        inbox = GoalStatusInbox(session, config.zenoh.prefix)
+        source = ZenohSource(config, session)
+        inbox = source.inbox
 
         def nonsense() -> bool:
             for topic in (topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO):
-                other.put(topic.under("edge"), b"\xff" * 50)
-                other.put(topic.under("edge"), b"")
-                other.put(topic.under("edge"), bytes(200_000))
+                other.put(config.zenoh.key(topic.key), b"\xff" * 50)
+                other.put(config.zenoh.key(topic.key), b"")
+                other.put(config.zenoh.key(topic.key), bytes(200_000))
             other.put("edge/goal_status", b"reached!")
             other.put("edge/goal_status", b'{"stamp": 5, "state": "reached"}')
             time.sleep(0.02)
@@ -196,8 +195,11 @@ def test_a_recording_is_played_by_another_process(config, tmp_path):
     path = tmp_path / "drive.mcap"
     recording.record_messages(path, drive())
     again = tmp_path / "again.mcap"
+    # A recording has our own names, whatever they are called where it is made or played.
+    own = Zenoh(endpoint=config.zenoh.endpoint, topics={"odom": "base/odom", "camera/rgb": "odom"})
+    config = config.model_copy(update={"zenoh": own})
     with open_session(config.zenoh, "listen") as session:
-        source = ZenohSource(session, config)
+        source = ZenohSource(config, session)
         with recording.player(config, path, loop=True) as process:
             for _ in range(10):
                 seen = eventually(source.poll)

@@ -14,14 +14,14 @@ from edge.bus.wire import messages
 from edge.config import Zenoh
 from edge.geometry import SE2, CameraModel
 
-PREFIX = "edge"
+SETTINGS = Zenoh()
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
 def robot(session: zenoh.Session) -> None:
     """Stands still and sends camera and odometry at 30 Hz, for ever."""
     out = {
-        topic.key: declare_publisher(session, topic, PREFIX)
+        topic.key: declare_publisher(session, topic, SETTINGS)
         for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.RGB, topics.DEPTH)
     }
     while True:
@@ -37,8 +37,10 @@ def robot(session: zenoh.Session) -> None:
 
 def listener(session: zenoh.Session) -> None:
     """Prints the stamp of every goal it hears, and takes maps in."""
-    goals = session.declare_subscriber(topics.GOAL.under(PREFIX), zenoh.handlers.RingChannel(64))
-    maps = session.declare_subscriber(topics.MAP.under(PREFIX), zenoh.handlers.RingChannel(4))
+    goals = session.declare_subscriber(
+        SETTINGS.key(topics.GOAL.key), zenoh.handlers.RingChannel(64)
+    )
+    maps = session.declare_subscriber(SETTINGS.key(topics.MAP.key), zenoh.handlers.RingChannel(4))
     print("ready", flush=True)
     while True:
         while (sample := goals.try_recv()) is not None:

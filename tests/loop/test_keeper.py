@@ -31,7 +31,8 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     """Put a service that reads the checkpoint in the place of the present one."""
     keeper = Keeper(loop.config, path, None)
     brief = keeper.brief() or loop.service.mission.brief
-    worker = DetectorWorker(make_detector(loop.config.perception, brief.targets), inline=True)
+    detector = make_detector(loop.config.perception, brief.targets, truth=loop.truth)
+    worker = DetectorWorker(detector, inline=True)
     loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
     return keeper
 

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge import config
-from edge.geometry import SE2, CameraModel, camera_mount
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.mapping.grid import RollingMap
 
 CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
-T_BASE_CAMERA = camera_mount(0.1, 0.6, math.radians(5))
+T_BASE_CAMERA = optical(se3(0.1, 0.0, 0.6, pitch_rad=math.radians(5)))
 SMALL = config.Mapping(extent_m=9.0, range_m=3.0, inflation_m=0.2)
 ORIGIN = SE2(0.0, 0.0, 0.0)
 Box = tuple[float, float, float, float, float, float]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, complete, look, room, seen_around
 
-from edge.geometry import SE2, camera_mount
+from edge.geometry import SE2, optical, se3
 from edge.mapping import coverage as cv
 from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, View
 from edge.mapping.grid import RollingMap
@@ -180,7 +180,7 @@ def test_view_after_view_comes_to_an_end(how):
         if how == "looked from there":
             for _ in range(2):
                 ahead = SE2(view.x_m, view.y_m, view.heading_rad)
-                coverage.look(seen_from(ahead, camera_mount(0.0, 0.6, 0.0)), 1.6, 2)
+                coverage.look(seen_from(ahead, optical(se3(0.0, 0.0, 0.6))), 1.6, 2)
             assert not coverage.worth(view)
         coverage.write_off(view)
         assert np.count_nonzero(window(grid) >= 2) > before
@@ -212,7 +212,7 @@ def test_another_target_was_looked_for_nowhere():
 
 def test_a_camera_that_looks_aside_is_turned_there():
     grid = explored()
-    mount = camera_mount(0.1, 0.6, 0.0)
+    mount = optical(se3(0.1, 0.0, 0.6))
     left = SE2(0.0, 0.0, math.pi / 2).matrix() @ mount
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0), left), 3.0, 1)
     assert grid.coverage.camera_yaw_rad == pytest.approx(math.pi / 2)

@@ -37,18 +37,18 @@ class Robot:
 
     def __init__(self, config: Config) -> None:
         self.session = open_session(config.zenoh, "listen")
-        self.prefix = config.zenoh.prefix
+        self.settings = config.zenoh
         self.pose, self.v, self.w, self.stamp_ns = SE2(0.5, 1.0, 0.0), 0.0, 0.0, 10**9
         self.commands = self._hear(topics.CMD_VEL)
         self.answers = self._hear(topics.GOAL_STATUS)
 
     def _hear(self, topic: topics.Topic) -> zenoh.Subscriber:
         ring = zenoh.handlers.RingChannel(256)
-        return self.session.declare_subscriber(topic.under(self.prefix), ring)
+        return self.session.declare_subscriber(self.settings.key(topic.key), ring)
 
     def put(self, topic: topics.Topic, payload: bytes) -> None:
         self.session.put(
-            topic.under(self.prefix), payload, congestion_control=zenoh.CongestionControl.BLOCK
+            self.settings.key(topic.key), payload, congestion_control=zenoh.CongestionControl.BLOCK
         )
 
     def odometry(self) -> None:

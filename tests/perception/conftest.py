@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.geometry import CameraModel, camera_mount
+from edge.geometry import CameraModel, optical, se3
 from edge.host import resources
 from edge.types import Observation
 
@@ -48,7 +48,7 @@ def make_observation():
             stamp_ns=seq * 100_000_000 if stamp_ns is None else stamp_ns,
             T_map_base=T,
             camera=CameraModel.from_hfov(hw[1], hw[0], 1.3),
-            T_base_camera=camera_mount(0.0, 0.6, 0.0),
+            T_base_camera=optical(se3(0.0, 0.0, 0.6)),
             **arrays,
         )
 

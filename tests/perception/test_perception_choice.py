@@ -19,7 +19,7 @@ from patience import PATIENCE_S
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.geometry import SE2, CameraModel, camera_mount
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.perception.choice import scorer
 from edge.perception.choice.picture import data_url, draw, place, visible_marks
 from edge.perception.choice.question import (
@@ -146,7 +146,7 @@ def test_frontiers_are_projected_onto_the_floor(make_observation):
 def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
     """Also for a camera that is turned, pitched and beside the robot's middle."""
     camera = CameraModel.from_hfov(80, 64, 1.3)
-    T_base_camera = camera_mount(0.1, 0.6, 0.3, y_m=0.2)
+    T_base_camera = optical(se3(0.1, 0.2, 0.6, pitch_rad=0.3))
     T_map_base = SE2(2.0, -1.0, 0.7).matrix(z_m=0.4)
     seen = Observation(0, 0, T_map_base, camera=camera, T_base_camera=T_base_camera)
     points = np.random.default_rng(0).uniform(-6, 6, (300, 2))

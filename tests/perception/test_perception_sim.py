@@ -5,22 +5,29 @@ import pytest
 
 from edge import config
 from edge.perception.factory import make_detector
+from edge.perception.sim_detector import Segmentation
 from edge.perception.text import PromptError
 
 LABELS = ("ChairA", "sofa", "Trash")
 
 
-def scene(distance_m=2.0):
-    """Ids and depth: a chair left, a sofa right, a distant bin of few pixels between."""
+def ids_and_depth(distance_m=2.0):
+    """A chair left, a sofa right, a distant bin of few pixels between."""
     ids, depth = np.zeros((64, 80), np.uint16), np.full((64, 80), 4.0, np.float32)
     ids[20:50, 5:30], ids[25:55, 45:78], ids[30:34, 36:40] = 1, 2, 3
     depth[ids == 1], depth[ids == 2], depth[ids == 3] = distance_m, 3.0, 7.9
-    return {"object_ids": ids, "depth_m": depth, "object_labels": LABELS}
+    return ids, depth
 
 
-def make(prompts=("chair",), **settings):
+def scene(distance_m=2.0):
+    return {"depth_m": ids_and_depth(distance_m)[1]}
+
+
+def make(prompts=("chair",), labels=LABELS, **settings):
     quiet = {"miss_rate": 0.0, "false_positive_rate": 0.0, "score_noise": 0.0} | settings
-    return make_detector(config.Perception(detector=config.DetectorSim(**quiet)), prompts)
+    perception = config.Perception(detector=config.DetectorSim(**quiet))
+    seen = Segmentation(ids_and_depth()[0], labels)
+    return make_detector(perception, prompts, truth=lambda stamp_ns: seen)
 
 
 @pytest.mark.parametrize("prompts", [(), ("",), ("chair", " ")])
@@ -44,8 +51,8 @@ def test_it_says_what_it_is():
 def test_a_name_means_the_things_of_that_name_before_those_of_its_noun(
     make_observation, labels, boxes
 ):
-    seen = make_observation(**{**scene(), "object_labels": labels})
-    assert len(make(("dog chair",)).detect(seen)) == boxes
+    found = make(("dog chair",), labels).detect(make_observation(**scene()))
+    assert len(found) == boxes
 
 
 @pytest.mark.parametrize(
@@ -103,9 +110,20 @@ def test_misses_and_false_positives_come_at_their_rates(make_observation):
     assert max(wrong) < 0.5
 
 
-@pytest.mark.parametrize("missing", ["object_ids", "depth_m"])
+@pytest.mark.parametrize("missing", ["segmentation", "simulator", "depth_m"])
 def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
-    arrays = scene()
-    del arrays[missing]
-    with pytest.raises(ValueError, match=r"no object ids .*kind: onnx"):
-        make().detect(make_observation(**arrays))
+    truth = {"segmentation": lambda stamp_ns: None, "simulator": None}
+    sim = config.Perception(detector=config.DetectorSim())
+    detector = make() if missing == "depth_m" else make_detector(sim, ["x"], truth=truth[missing])
+    seen = {} if missing == "depth_m" else scene()
+    with pytest.raises(ValueError, match=r"no segmentation .*kind: onnx"):
+        detector.detect(make_observation(**seen))
+
+
+def test_it_asks_for_the_picture_of_that_stamp(make_observation):
+    asked = []
+    sim = config.Perception(detector=config.DetectorSim())
+    detector = make_detector(sim, ["chair"], truth=asked.append)
+    with pytest.raises(ValueError, match="no segmentation"):
+        detector.detect(make_observation(stamp_ns=77, **scene()))
+    assert asked == [77]

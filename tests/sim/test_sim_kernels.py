@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.config import Lidar
-from edge.geometry import CameraModel, camera_mount, se3
+from edge.geometry import CameraModel, optical, se3
 from edge.sim import kernels, shading
 from edge.sim.base import Fan
 
@@ -77,7 +77,7 @@ def test_an_empty_scene_gives_no_depth():
 def test_render_depth_agrees_with_the_plain_caster(seed: int):
     rng = np.random.default_rng(seed)
     shape, pose = random_scene(rng, 30)
-    T = random_pose(rng) @ camera_mount(0.0, 0.0, 0.0)
+    T = random_pose(rng) @ optical(np.eye(4))
     depth, prim = render_depth(shape, pose, T)
     u, v = np.meshgrid(np.arange(CAMERA.width_px), np.arange(CAMERA.height_px))
     rays = np.stack([(u - LENS[2]) / LENS[0], (v - LENS[3]) / LENS[1], np.ones(u.shape)], axis=-1)
@@ -128,7 +128,7 @@ def shade_one(shape: int, texture: int, color: tuple[float, float, float]):
     """A big solid 2 m ahead fills part of the picture; returns rgb, ids, prim."""
     shapes = np.array([shape], np.uint8)
     pose = np.array([[2.5, 0.0, 0.0, 0.5, 0.8, 0.6, 1.0, 0.0]])
-    T = camera_mount(0.0, 0.0, 0.0)
+    T = optical(np.eye(4))
     depth, prim = render_depth(shapes, pose, T)
     rgb, ids = np.empty((*depth.shape, 3), np.uint8), np.empty(depth.shape, np.uint16)
     shading.shade(
@@ -199,7 +199,7 @@ def test_shade_agrees_with_a_plain_one_on_untextured_solids(seed: int):
     owner = rng.integers(1, 60000, 25).astype(np.uint16)
     clearance = rng.uniform(0.0, 0.5, (80, 80)).astype(np.float32)
     floor = (clearance, np.array([-4.0, -4.0]), 0.1)
-    T = random_pose(rng) @ camera_mount(0.0, 0.0, 0.0)
+    T = random_pose(rng) @ optical(np.eye(4))
     depth, prim = render_depth(shape, pose, T)
     rgb, ids = np.empty((*depth.shape, 3), np.uint8), np.empty(depth.shape, np.uint16)
     shading.shade(

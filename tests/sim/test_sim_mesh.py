@@ -13,7 +13,7 @@ import yaml
 from simulated import simulated
 
 from edge.config import Lidar
-from edge.geometry import SE2, CameraModel, camera_mount, se3
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.sim import mesh_kernels
 from edge.sim.base import Fan, WorldError, collides
 from edge.sim.worlds import load_world
@@ -36,7 +36,7 @@ def look(world, pose: SE2, width: int = 160, height: int = 128):
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
     rgb = np.empty((height, width, 3), np.uint8)
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
-    world.render(camera, pose.matrix() @ camera_mount(0.0, 0.6, 0.0), rgb, depth, ids)
+    world.render(camera, pose.matrix() @ optical(se3(0.0, 0.0, 0.6)), rgb, depth, ids)
     return rgb, depth, ids
 
 

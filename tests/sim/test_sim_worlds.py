@@ -16,7 +16,7 @@ from simulated import simulated
 
 from edge import names
 from edge.config import Lidar, WorldHouse
-from edge.geometry import SE2, CameraModel, camera_mount, se3
+from edge.geometry import SE2, CameraModel, optical, se3
 from edge.sim import assemblies
 from edge.sim.base import Fan, WorldError, WorldObject, collides, free_poses
 from edge.sim.boxworld import CELL_M, BoxWorld
@@ -47,7 +47,8 @@ def look(world, pose: SE2, width: int = 96, height: int = 64, pitch_rad: float =
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
     rgb = np.empty((height, width, 3), np.uint8)
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
-    world.render(camera, pose.matrix() @ camera_mount(0.0, 0.6, pitch_rad), rgb, depth, ids)
+    mount = optical(se3(0.0, 0.0, 0.6, pitch_rad=pitch_rad))
+    world.render(camera, pose.matrix() @ mount, rgb, depth, ids)
     return rgb, depth, ids
 
 

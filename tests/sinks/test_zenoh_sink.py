@@ -33,10 +33,10 @@ def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
 class Ears:
     """A subscriber to everything that the service writes."""
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self._subscribers = {
             topic.key: session.declare_subscriber(
-                topic.under(prefix), zenoh.handlers.RingChannel(1000)
+                Zenoh().key(topic.key), zenoh.handlers.RingChannel(1000)
             )
             for topic in topics.ALL
             if topic.writer == "service"
@@ -80,7 +80,7 @@ def session():
 
 @pytest.fixture
 def ears(session):
-    return Ears(session, "edge")
+    return Ears(session)
 
 
 @pytest.fixture
@@ -173,7 +173,7 @@ def test_a_new_goal_takes_the_place_of_the_old(clock, sink, ears):
 def test_the_mission_reaches_those_who_come_late(sink, session, ears):
     sink.tick(result(status=MissionStatus("chair", "reached", "", 12.5, 3.0)))
     ears.hear("mission")
-    late = Ears(session, "edge")
+    late = Ears(session)
     assert json.loads(late.hear("mission"))["phase"] == "reached"
 
 
@@ -202,7 +202,7 @@ def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
     sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     sink.tick(result(77, observation=observation(77)))
     ears.hear("tick")
-    late = Ears(session, "edge")
+    late = Ears(session)
     assert messages.decode_occupancy_grid(late.hear("map"))[0] == 77
     assert json.loads(late.hear("tick")) == {"stamp": 77}
     sink.close()

@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 
 from edge.bus import topics
 from edge.bus.wire import messages
+from edge.config import Zenoh
 from edge.geometry import SE2
 from edge.sources import recording
 from edge.sources.recording import McapFile, RecordingError, read, record_messages
@@ -117,7 +118,7 @@ def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(4))
     tape = Tape()
-    played = recording.play(tape, "edge", path, rate=10.0)
+    played = recording.play(tape, Zenoh(), path, rate=10.0)
     assert played.messages == 8
     assert [key for key, _ in tape.puts[:2]] == ["edge/odom", "edge/camera/rgb"]
     stamps = [messages.peek_stamp_ns(payload) for _, payload in tape.puts]
@@ -132,7 +133,7 @@ def test_playing_as_it_was(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape()
-    recording.play(tape, "edge", path, rate=10.0, restamp=False)
+    recording.play(tape, Zenoh(), path, rate=10.0, restamp=False)
     assert [p for _, p in tape.puts] == [p for t, _, p in drive(2) if t.writer == "sensors"]
 
 
@@ -140,7 +141,7 @@ def test_a_loop_plays_until_it_is_stopped(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape(9)
-    played = recording.play(tape, "edge", path, rate=100.0, loop=True, stop=tape.full)
+    played = recording.play(tape, Zenoh(), path, rate=100.0, loop=True, stop=tape.full)
     assert played.messages == len(tape.puts) == 9
     stamps = [messages.peek_stamp_ns(payload) for key, payload in tape.puts if "odom" in key]
     assert all(np.diff(stamps) > 0)
@@ -150,4 +151,4 @@ def test_a_loop_over_nothing_is_an_error(tmp_path):
     path = tmp_path / "empty.mcap"
     record_messages(path, [])
     with pytest.raises(RecordingError, match="nothing in it"):
-        recording.play(Tape(), "edge", path, loop=True)
+        recording.play(Tape(), Zenoh(), path, loop=True)

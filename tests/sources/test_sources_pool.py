@@ -12,15 +12,14 @@ from edge.sources.pool import FramePool
 
 def test_a_pool_without_camera_has_no_images():
     slot = FramePool(1, cloud_points=16).acquire()
-    assert slot.rgb is slot.depth_m is slot.object_ids is None
+    assert slot.rgb is slot.depth_m is None
     assert (slot.cloud_m.shape, slot.cloud_m.dtype) == ((16, 3), np.float32)
 
 
 def test_shapes_and_types():
-    slot = FramePool(1, (4, 6), depth=True, object_ids=True).acquire()
+    slot = FramePool(1, (4, 6), depth=True).acquire()
     assert (slot.rgb.shape, slot.rgb.dtype) == ((4, 6, 3), np.uint8)
     assert (slot.depth_m.shape, slot.depth_m.dtype) == ((4, 6), np.float32)
-    assert (slot.object_ids.shape, slot.object_ids.dtype) == ((4, 6), np.uint16)
     assert slot.cloud_m is None
 
 

@@ -10,6 +10,7 @@ from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.bus.wire import messages
+from edge.config import Zenoh
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.zenoh import ZenohSource
 
@@ -21,7 +22,7 @@ def odometry(n: int) -> bytes:
 @pytest.mark.parametrize("ring", [64, 256])
 def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
     config = simulated({"source": {"odometry_ring": ring}, "mission": {"target": "bed"}})
-    source = ZenohSource(Flooded("edge/odom", map(odometry, count(1))), config)
+    source = ZenohSource(config, Flooded("edge/odom", map(odometry, count(1))))
     for look in range(1, 4):
         assert source.poll() is None
         assert source.counters["received"] == look * ring
@@ -33,12 +34,12 @@ def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
 
 def test_a_look_takes_no_more_answers_than_the_ring_holds():
     accepted = b'{"stamp": %d, "state": "accepted"}'
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", (accepted % n for n in count(1))), "edge")
+    inbox = GoalStatusInbox(Flooded("edge/goal_status", (accepted % n for n in count(1))), Zenoh())
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(1, 65))
     assert [answer.stamp_ns for answer in inbox.poll()] == list(range(65, 129))
 
 
 def test_a_flood_of_no_answers_is_as_bounded():
-    inbox = GoalStatusInbox(Flooded("edge/goal_status", repeat(b"[]")), "edge")
+    inbox = GoalStatusInbox(Flooded("edge/goal_status", repeat(b"[]")), Zenoh())
     assert inbox.poll() == []
     assert inbox.malformed == 64

@@ -37,10 +37,8 @@ class Sample:
 
 def sample(observation: Observation, outcome: Detections | Exception) -> Sample:
     """A sample that owns its image; nothing else of the observation is kept."""
-    copy = replace(
-        observation, rgb=observation.rgb.copy(), depth_m=None, cloud_m=None, object_ids=None,
-        slot=None,
-    )  # fmt: skip
+    rgb = observation.rgb.copy()
+    copy = replace(observation, rgb=rgb, depth_m=None, cloud_m=None, slot=None)
     failed = isinstance(outcome, Exception)
     return Sample(copy, None if failed else replace(outcome, observation=copy))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from simulated import simulated
@@ -12,7 +10,9 @@ from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
-from edge.sources.assembler import PATIENCE_NS, Assembler
+from edge.sources import messages as typed
+from edge.sources.decoder import CdrDecoder
+from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
 
 MS = 1_000_000
 FRAME_NS = 33_333_333
@@ -26,14 +26,15 @@ CLOUD = {
 
 
 class Robot:
-    """Feeds an assembler on a clock that only the test moves."""
+    """Feeds a synchronizer on a clock that only the test moves."""
 
     def __init__(self, data: dict = ONNX) -> None:
         self.now_ns = 0
-        self.assembler = Assembler(simulated(data), clock=lambda: self.now_ns)
+        self.synchronizer = TimeSynchronizer(simulated(data), clock=lambda: self.now_ns)
+        self.decoder = CdrDecoder(self.synchronizer, clock=lambda: self.now_ns)
 
     def send(self, topic, payload: bytes) -> Robot:
-        self.assembler.offer(topic, payload)
+        self.decoder.offer(topic, payload)
         return self
 
     def info(self, camera=CAMERA) -> Robot:
@@ -59,7 +60,7 @@ class Robot:
         return self.rgb(stamp_ns, value).depth(stamp_ns)
 
     def poll(self):
-        return self.assembler.poll()
+        return self.synchronizer.poll()
 
     def wait(self, ns: int = PATIENCE_NS + 1) -> Robot:
         self.now_ns += ns
@@ -67,7 +68,7 @@ class Robot:
 
     @property
     def drops(self) -> dict[str, int]:
-        drops = {k: n for k, n in self.assembler.counters.items() if n}
+        drops = {k: n for k, n in self.synchronizer.counters.items() if n}
         drops.pop("received", None)
         drops.pop("observations", None)
         return drops
@@ -90,8 +91,8 @@ def test_a_frame_with_its_interpolated_pose():
     assert observation.cloud_m is None
     assert observation.T_base_camera[2, 3] == pytest.approx(0.6)
     assert robot.poll() is None
-    assert robot.assembler.counters["observations"] == 1
-    assert robot.assembler.counters["received"] == 5
+    assert robot.synchronizer.counters["observations"] == 1
+    assert robot.synchronizer.counters["received"] == 5
     assert not robot.drops
 
 
@@ -207,7 +208,7 @@ def test_images_of_the_wrong_size(rgb_shape, depth_shape, reason):
 
 @pytest.mark.parametrize(
     "topic",
-    [topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO, topics.OBJECT_LABELS],
+    [topics.RGB, topics.DEPTH, topics.ODOMETRY, topics.CAMERA_INFO],
 )
 @pytest.mark.parametrize(
     ("payload", "reason"),
@@ -218,9 +219,7 @@ def test_junk_is_counted_and_the_next_frame_is_taken(topic, payload, reason):
     robot.send(topic, payload)
     assert robot.poll() is None
     assert robot.drops == {reason: 1}
-    ids = messages.encode_image(FRAME_NS, "camera", np.ones((3, 4), np.uint16))
-    robot.odom(FRAME_NS * 2).frame(FRAME_NS).send(topics.OBJECT_IDS, ids)
-    assert robot.poll().object_ids.tolist() == [[1] * 4] * 3
+    assert robot.odom(FRAME_NS * 2).frame(FRAME_NS).poll() is not None
 
 
 def test_pixels_that_are_cut_off_are_counted():
@@ -255,7 +254,7 @@ def test_an_exhausted_pool_is_counted_and_recovers():
 def test_a_pose_jump_raises_the_epoch():
     robot = Robot().info().odom(1000, 0.0).odom(2000, 50.0)
     assert robot.drops == {"pose_jump": 1}
-    assert robot.assembler.odometry.epoch == 1
+    assert robot.synchronizer.odometry.epoch == 1
     assert robot.frame(1500).wait().poll() is None
     assert robot.drops == {"pose_jump": 1, "stale": 1}
 
@@ -266,7 +265,7 @@ def test_a_robot_that_starts_again_is_seen_again():
         robot.odom(k * FRAME_NS).frame(k * FRAME_NS)
     robot.odom(20 * FRAME_NS)
     assert robot.poll().stamp_ns == 19 * FRAME_NS
-    assert robot.assembler.odometry.epoch == 0
+    assert robot.synchronizer.odometry.epoch == 0
 
 
 def test_another_camera_brings_another_pool():
@@ -328,19 +327,7 @@ def test_an_empty_cloud_and_one_too_large():
 
 def test_cloud_without_a_lidar_is_a_configuration_error():
     with pytest.raises(ConfigError, match=r"mapping\.input: cloud needs sensors\.lidar"):
-        Assembler(simulated({"mapping": {"input": "cloud"}}))
-
-
-def test_labels_are_remembered():
-    robot = Robot({}).info().odom(1000)
-    robot.send(topics.OBJECT_LABELS, json.dumps(["chair", "bed"]).encode())
-    robot.send(topics.OBJECT_LABELS, b'["a", 3]').send(topics.OBJECT_LABELS, b"{}")
-    for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201):
-        robot.send(topics.OBJECT_LABELS, json.dumps(["tv", no_name]).encode())
-    ids = messages.encode_image(1000, "camera", np.ones((3, 4), np.uint16))
-    observation = robot.frame(1000).send(topics.OBJECT_IDS, ids).poll()
-    assert observation.object_labels == ("chair", "bed")
-    assert robot.drops == {"malformed": 6}
+        TimeSynchronizer(simulated({"mapping": {"input": "cloud"}}))
 
 
 def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_again(monkeypatch):
@@ -362,7 +349,33 @@ def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_a
 
 def test_a_pose_too_far_for_the_map_is_dropped():
     robot = Robot().info().odom(1_000 * MS, x_m=5.4e6).odom(1_010 * MS, x_m=-5.4e6)
-    assert robot.assembler.counters["malformed"] == 2
-    assert len(robot.assembler.odometry) == 0
+    assert robot.synchronizer.counters["malformed"] == 2
+    assert len(robot.synchronizer.odometry) == 0
     robot.odom(1_020 * MS, x_m=1.0).frame(1_020 * MS)
     assert robot.poll() is not None
+
+
+def test_typed_messages_need_no_wire_and_are_opened_only_when_used():
+    """As a source on another transport hands them in."""
+    opened = []
+
+    def frame(kind, stamp_ns: int, value: float):
+        def into(out: np.ndarray) -> int:
+            opened.append((kind.field, stamp_ns))
+            out[:] = value
+            return len(out)
+
+        return kind(stamp_ns, 0, into)
+
+    synchronizer = Robot().synchronizer
+    synchronizer.offer(typed.CameraInfo(CAMERA))
+    for stamp_ns in (0, FRAME_NS, 2 * FRAME_NS, 3 * FRAME_NS):
+        synchronizer.offer(typed.Odometry(stamp_ns, SE2(1e-9 * stamp_ns, 0.0, 0.0).matrix()))
+        synchronizer.offer(frame(typed.DepthImage, stamp_ns, 2.5))
+        synchronizer.offer(frame(typed.Image, stamp_ns, 9))
+        synchronizer.offer(frame(typed.Cloud, stamp_ns, 0.0))  # nobody asked for it
+    observation = synchronizer.poll()
+    assert observation.pose.x_m == pytest.approx(3e-9 * FRAME_NS)
+    assert (observation.depth_m == 2.5).all()
+    assert (observation.rgb == 9).all()
+    assert opened == [("depth_m", 3 * FRAME_NS), ("rgb", 3 * FRAME_NS)]

@@ -1,0 +1,94 @@
+"""What the simulator says is where in its pictures, for the detector `sim`."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import deque
+
+import numpy as np
+import zenoh
+
+from edge import names
+from edge.bus import topics
+from edge.bus.session import Ring
+from edge.bus.wire import DecodeError, messages
+from edge.config import Config
+from edge.perception.sim_detector import Segmentation, Truth
+
+log = logging.getLogger("edge.sources.truth")
+
+_KEPT = 8
+
+
+class TruthInbox:
+    """The newest segmentations, by stamp; for the thread that detects.
+
+    It looks only when a picture is asked for, and a ring that is full then is no fault: not every
+    picture is searched.
+    """
+
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
+        self._max_bytes = int(config.source.max_message_mb * 1e6)
+        self._tolerance_ns = int(0.5e9 / config.sensors.camera.rate_hz)
+        self._labels: tuple[str, ...] = ()
+        self._ids = np.zeros((0, 0), np.uint16)
+        self._newest: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
+        key = config.zenoh.key(topics.SEGMENTATION.key)
+        self._arriving = session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT))
+        self._described = Ring(session, config.zenoh.key(topics.LABELS.key), 1)
+
+    def at(self, stamp_ns: int) -> Segmentation | None:
+        """What is to be seen in the picture nearest to an instant, until the next call.
+
+        Raises:
+            ValueError: what came for it is no segmentation; one line.
+        """
+        self._take()
+        nearest = min(self._newest, key=lambda kept: abs(kept[0] - stamp_ns), default=None)
+        if nearest is None or abs(nearest[0] - stamp_ns) > self._tolerance_ns:
+            return None
+        header = messages.decode_image_header(nearest[1])
+        if self._ids.shape != (header.height, header.width):
+            self._ids = np.zeros((header.height, header.width), np.uint16)
+        messages.decode_image_into(nearest[1], header, self._ids)
+        return Segmentation(self._ids, self._labels)
+
+    def _take(self) -> None:
+        for sample in self._described.take():
+            try:
+                self._labels = parse_labels(sample.payload.to_bytes())
+            except ValueError as error:
+                log.warning("%s: %s", topics.LABELS.key, error)
+        for _ in range(_KEPT):
+            if (sample := self._arriving.try_recv()) is None:
+                break
+            if len(sample.payload) > self._max_bytes:
+                continue
+            payload = sample.payload.to_bytes()
+            try:
+                self._newest.append((messages.peek_stamp_ns(payload), payload))
+            except DecodeError as error:
+                log.debug("%s: %s", topics.SEGMENTATION.key, error)
+
+
+def make_truth(config: Config, session: zenoh.Session) -> Truth | None:
+    """What the detector `sim` looks things up in; None for one that looks at pictures."""
+    return TruthInbox(config, session).at if config.perception.detector.kind == "sim" else None
+
+
+def parse_labels(payload: bytes) -> tuple[str, ...]:
+    """A JSON list of names; the one of id i at index i - 1.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    try:
+        labels = json.loads(payload)
+    except (ValueError, RecursionError):
+        raise ValueError("not JSON") from None
+    if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
+        raise ValueError("not a JSON list of words")
+    for label in labels:
+        names.normalise(label)
+    return tuple(labels)

@@ -1,0 +1,88 @@
+"""What the simulator says is to be seen: found by stamp, whatever else comes on its topics."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from fake_zenoh import Flooded
+from simulated import simulated
+
+from edge.bus.wire import messages
+from edge.perception.sim_detector import Segmentation
+from edge.sources.truth import TruthInbox, make_truth, parse_labels
+
+MS = 1_000_000
+LABELS = b'["chair", "bed"]'
+
+
+class Simulator:
+    """A session on which a simulator's words lie ready."""
+
+    def __init__(self, pictures=(), labels=()) -> None:
+        self._sent = {
+            "edge/sim/segmentation": Flooded("edge/sim/segmentation", pictures),
+            "edge/sim/labels": Flooded("edge/sim/labels", labels),
+        }
+
+    def declare_subscriber(self, key: str, ring: object) -> Flooded:
+        return self._sent[key]
+
+
+def picture(stamp_ms: int, value: int = 1) -> bytes:
+    return messages.encode_image(stamp_ms * MS, "camera", np.full((2, 3), value, np.uint16))
+
+
+def at(inbox: TruthInbox, stamp_ms: int) -> int | None:
+    found = inbox.at(stamp_ms * MS)
+    return None if found is None else int(found.ids[0, 0])
+
+
+def test_there_is_nothing_before_anything_came():
+    assert TruthInbox(simulated(), Simulator()).at(0) is None
+
+
+def test_only_the_simulators_detector_is_told():
+    onnx = simulated({"perception": {"detector": {"kind": "onnx"}}})
+    assert make_truth(onnx, Simulator()) is None
+    assert make_truth(simulated(), Simulator([picture(5)]))(5 * MS).ids.shape == (2, 3)
+
+
+def test_a_picture_is_found_by_its_stamp_and_only_near_it():
+    inbox = TruthInbox(simulated(), Simulator([picture(100, 1), picture(133, 2), picture(166, 3)]))
+    found = {133: 2, 100: 1, 166: 3, 141: 2, 116: 1, 60: None, 200: None}
+    assert {ms: at(inbox, ms) for ms in found} == found
+
+
+def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
+    inbox = TruthInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
+    assert at(inbox, 700) == 7
+    assert at(inbox, 1500) == 15
+    assert at(inbox, 700) is None
+
+
+def test_labels_and_nonsense():
+    pictures = [b"", b"junk", picture(100)[:-1], b"\0\1\0\0" + b"\xff" * 40, picture(200)]
+    inbox = TruthInbox(simulated(), Simulator(pictures, [b"{}", LABELS]))
+    assert at(inbox, 200) == 1
+    found = inbox.at(200 * MS)
+    assert isinstance(found, Segmentation)
+    assert found.labels == ("chair", "bed")
+    with pytest.raises(ValueError, match=r"outside|bytes"):
+        inbox.at(100 * MS)
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"{}", b"[" * 10**5, b'["a", 3]']
+    + [json.dumps(["tv", no_name]).encode() for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201)],
+)  # fmt: skip
+def test_what_are_no_labels(payload):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        parse_labels(payload)
+    assert str(caught.value).isprintable()
+
+
+def test_labels():
+    assert parse_labels(LABELS) == ("chair", "bed")
+    assert parse_labels(b"[]") == ()
