@@ -160,7 +160,7 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
         viewer.stdin.flush()
         unanswered = eventually(server.poll)
         viewer.send_signal(signal.SIGSTOP)
-        maps = declare_publisher(session, topics.MAP, SETTINGS)
+        maps = declare_publisher(session, topics.MAP, Zenoh())
         for _ in range(200):  # 200 MB: more than fits in between
             maps.put(bytes(1_000_000))
         answered.clear()
