@@ -22,10 +22,10 @@ from edge.host import resources
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.priority import real_time
 from edge.loop import models_desk, requests
-from edge.loop.advice import make_advisers
 from edge.loop.faults import IDLE, TICK
 from edge.loop.mission_desk import MissionDesk
 from edge.loop.models_desk import ModelsDesk
+from edge.loop.scorers import make_scorers
 from edge.loop.service import DETECT, INGEST, Service
 from edge.loop.stages import STAGES
 from edge.loop.warmup import warm_up
@@ -118,9 +118,9 @@ def open_service(
             else DetectorWorker(detector)
         )
         stack.callback(worker.close)
-        advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
-        if advisers is not None:
-            stack.callback(advisers.close)
+        scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)
+        if scorers is not None:
+            stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
         source = ZenohSource(session, config)
@@ -128,7 +128,7 @@ def open_service(
         every: list[Sink] = [ZenohSink(session, config), *sinks]
         for sink in every:
             stack.callback(sink.close)
-        service = Service(config, brief, worker, every, keeper, advisers)
+        service = Service(config, brief, worker, every, keeper, scorers)
         stack.callback(service.close)
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()

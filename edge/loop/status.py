@@ -12,17 +12,17 @@ from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.loop.advice import Advisers
+    from edge.loop.scorers import Scorers
     from edge.loop.service import Service
     from edge.mission.run import MissionRun
 
 
 def status_of(
-    service: Service, worker: DetectorWorker | InlineWorker, advisers: Advisers | None
+    service: Service, worker: DetectorWorker | InlineWorker, scorers: Scorers | None
 ) -> dict[str, object]:
     """The status message: JSON-ready, field names with units."""
     pose, goal, s, mission = service.pose, service.goal, service.status, service.mission
-    orders = service.pursuit.orders
+    goals = service.goals
     return {
         "instruction": s.instruction,
         "target": s.target,
@@ -41,9 +41,9 @@ def status_of(
             "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
             "candidate_xy_m": list(goal.candidate_xy_m),
             "score": goal.score,
-            "answer": "" if orders.answer is None else orders.answer.state,
+            "answer": "" if goals.answer is None else goals.answer.state,
         },
-        "controller": "answers" if orders.heard else "silent",
+        "controller": "answers" if goals.heard else "silent",
         "loop": {**service.faults.status(), "overruns": service.overruns()},
         "frontiers": service.grid.frontiers.n,
         "instances": [
@@ -66,7 +66,7 @@ def status_of(
             **asdict(worker.stats),
         },
         "swap": service.swapper.status(),
-        "scorers": {} if advisers is None else advisers.status(),
+        "scorers": {} if scorers is None else scorers.status(),
     }
 
 

@@ -50,6 +50,7 @@ class RollingMap:
     z = 0 of `map` is the floor that the robot starts on.
 
     Attributes:
+        layers: what updates write, to be read; see `edge.mapping.layers` for their coordinates.
         frontiers: refreshed in place by every update.
         reach: geodesic distances from the robot; its `step` is called once a tick.
         coverage: where the detector looked; its `look` is called for each image that it searched.
@@ -70,6 +71,7 @@ class RollingMap:
         cells = max(math.ceil(c.extent_m / res), 2 * self._need + 1 + ly.WORD)
         self._n = n = ly.WORD * math.ceil(cells / ly.WORD)
         self._layers = ly.make_layers(n)
+        self.layers = ly.Layers(*map(_read_only, self._layers))
         self._clusters = cl.make_clusters(n)
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
@@ -238,6 +240,17 @@ class RollingMap:
         if self._layers.near[y % n, x % n]:
             return OCCUPIED
         return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """Half-open rectangle (x0, y0, x1, y1) of the world cells that the layers hold.
+
+        World cell (x, y) lies at [y % N, x % N] of N x N cells; all zero before the first update.
+        """
+        if self._origin is None:
+            return 0, 0, 0, 0
+        (x, y), n = self._origin, self._n
+        return x, y, x + n, y + n
 
     @property
     def known_m2(self) -> float:
@@ -519,6 +532,13 @@ class RollingMap:
         self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """The same memory, for those who may not write there."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _plain(array: np.ndarray) -> np.ndarray:

@@ -177,7 +177,8 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
     person = SE2(*pose.ahead(0.4), 0.0)
     for across_m in (-0.05, 0.0, 0.05):
         service.grid._write(*service.grid._cell(person.x_m, person.y_m + across_m), ly.OCCUPIED)
-    service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
+    now_ns, place = loop.drive.motion.stamp_ns, pose.ahead(0.2)
+    service.goals._hold_up(service.grid, service.pose, place, now_ns)
     assert service.grid.bumps_m == []
     (said,) = held_up(loop)
     assert said.endswith("by what the map shows")
