@@ -66,7 +66,16 @@ def test_score_and_select_200(benchmark):
         settings, pool, InstanceTracker(settings.perception), lambda goal: None, lambda *_: None
     )
     context = Context(
-        seen.observation, m, (0, 0, 0, 0), pool.candidates, seen, Answers(), ("chair",), "chair", 2
+        seen.observation,
+        POSE,
+        m,
+        (0, 0, 0, 0),
+        pool.candidates,
+        seen,
+        Answers(),
+        ("chair",),
+        "chair",
+        2,
     )
 
     def fresh() -> None:

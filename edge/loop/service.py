@@ -226,6 +226,7 @@ class Service:
         """Stage 6: what the policy makes of the candidates, by all that it may go by."""
         self._context = Context(
             observation,
+            observation.pose,
             self.grid,
             self._changed,
             self.pool.candidates,

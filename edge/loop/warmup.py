@@ -76,6 +76,15 @@ def _warm_policy(config: Config) -> None:
     )
     nowhere, target = (0, 0, 0, 0), seen.prompts[0]
     context = Context(
-        observation, grid, nowhere, pool.candidates, seen, Answers(), seen.prompts, target, 0
+        observation,
+        observation.pose,
+        grid,
+        nowhere,
+        pool.candidates,
+        seen,
+        Answers(),
+        seen.prompts,
+        target,
+        0,
     )
     make_policy(config.policy).score(context)

@@ -91,8 +91,9 @@ class Context:
     """All that a policy may go by at one moment. It reads this, and writes to nothing in it.
 
     Attributes:
-        observation: the newest, with image, depth or cloud, camera and pose. Its arrays are good
-            until `score` returns.
+        observation: the newest, with image, depth or cloud, and camera. Its arrays are good until
+            `score` returns.
+        pose: of the robot at that observation.
         map: its reading side: `layers` and `window`, `frontiers`, `reach`, `coverage`, `state_at`,
             `unknown_ratio`; `snapshot` copies all of it, which is too dear for every tick.
         changed: half-open rectangle (x0, y0, x1, y1) of the world cells whose state this
@@ -108,6 +109,7 @@ class Context:
     """
 
     observation: Observation
+    pose: SE2
     map: RollingMap
     changed: tuple[int, int, int, int]
     candidates: Candidates
@@ -116,11 +118,6 @@ class Context:
     targets: tuple[str, ...]
     target: str
     now_ns: int
-
-    @property
-    def pose(self) -> SE2:
-        """Where the robot is."""
-        return self.observation.pose
 
     @property
     def active(self) -> int:

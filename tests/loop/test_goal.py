@@ -109,7 +109,7 @@ class Case:
     def context(self, pose: SE2 = HERE) -> Context:
         seen = Observation(0, self.now_ns, pose.matrix())
         return Context(
-            seen, self.map, (0, 0, 0, 0), self.pool.candidates, None, Answers(), ("chair",),
+            seen, pose, self.map, (0, 0, 0, 0), self.pool.candidates, None, Answers(), ("chair",),
             "chair", self.now_ns,
         )  # fmt: skip
 

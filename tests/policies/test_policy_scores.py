@@ -159,7 +159,10 @@ def context(candidates, targets=("chair",), target="chair", boxes=None, stamp_ns
             np.array([label for _, _, label in boxes], np.int32),
             targets,
         )
-    return Context(seen, Unknown(), (0, 0, 0, 0), candidates, found, Answers(), targets, target, 0)
+    nowhere = (0, 0, 0, 0)
+    return Context(
+        seen, seen.pose, Unknown(), nowhere, candidates, found, Answers(), targets, target, 0
+    )
 
 
 def test_nearest_frontier_scores_by_nearness():
