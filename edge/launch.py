@@ -25,10 +25,10 @@ from edge.host.children import python_module
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.ports import free_port
 from edge.loop import requests
-from edge.loop.advice import make_advisers
 from edge.loop.keeper import Keeper
 from edge.loop.result import Sink
 from edge.loop.runner import Running
+from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.warmup import warm_up
 from edge.mission.brief import prepare
@@ -102,9 +102,9 @@ def open_service(
         detector = _load(config, brief.targets, make_truth(config, session), stop)
         worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
-        advisers = unless_stopped(partial(make_advisers, config, brief.targets), stop)
-        if advisers is not None:
-            stack.callback(advisers.close)
+        scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)
+        if scorers is not None:
+            stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
         source = make_source(config, session)
@@ -122,7 +122,7 @@ def open_service(
                 **{key: server.overruns for key, server in servers.items()},
             }
 
-        service = Service(config, brief, worker, every, keeper, advisers, overruns)
+        service = Service(config, brief, worker, every, keeper, scorers, overruns)
         stack.callback(service.close)
         for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)

@@ -11,10 +11,12 @@ from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map
 from edge import config
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
+from edge.loop.goal import GoalTracker
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
+from edge.perception.instances import InstanceTracker
 from edge.policies import make_policy
-from edge.policies.select import GoalSelector
+from edge.policies.base import Answers, Context, scores_of
 from edge.types import Detections, Observation
 
 POSE = SE2(0.02, 0.02, 0.3)
@@ -58,18 +60,32 @@ def test_score_and_select_200(benchmark):
     )
     pool = CandidatePool(CANDIDATES, 0.01)
     pool.update(frontiers, [], 1, 1)
-    policy = make_policy(config.PolicyHvl())
-    seen = detections(stamp_ns=1)
+    settings = config.Config(perception=config.Perception(detector=config.DetectorSim()))
+    policy, seen = make_policy(settings.policy), detections(stamp_ns=1)
+    goals = GoalTracker(
+        settings, pool, InstanceTracker(settings.perception), lambda goal: None, lambda *_: None
+    )
+    context = Context(
+        seen.observation,
+        POSE,
+        m,
+        (0, 0, 0, 0),
+        pool.candidates,
+        seen,
+        Answers(),
+        ("chair",),
+        "chair",
+        2,
+    )
 
-    def fresh() -> tuple[tuple[GoalSelector], dict]:
-        pool.vl[:, :CANDIDATES] = np.nan
-        return (GoalSelector(policy),), {}
+    def fresh() -> None:
+        policy.reset("mission")
+        goals.drop()
 
-    def score_and_select(selector: GoalSelector):
-        policy.score(pool, m, seen, POSE)
-        return selector.select(pool, m, {}, POSE, 2, "chair")
+    def score_and_select():
+        return goals.choose(context, scores_of(policy, context), 0)
 
     goal = benchmark.pedantic(score_and_select, setup=fresh, rounds=500, warmup_rounds=20)
-    assert pool.n == CANDIDATES
+    assert context.candidates.n == CANDIDATES
     assert goal is not None
-    assert np.ptp(pool.score[:CANDIDATES]) > 0
+    assert np.ptp(scores_of(policy, context)) > 0

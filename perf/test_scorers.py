@@ -7,8 +7,8 @@ from test_mapping import CAMERA, T_BASE_CAMERA
 
 from edge import config
 from edge.geometry import SE2
-from edge.loop.advice import Advisers
 from edge.loop.candidates import CandidatePool
+from edge.loop.scorers import Scorers
 from edge.mapping.results import Frontiers
 from edge.perception.instances import InstanceTracker
 from edge.types import Observation
@@ -44,7 +44,7 @@ def test_ask_choice_200(benchmark):
         0, 1, SE2(0.0, 0.0, 0.3).matrix(), depth_m=depth, camera=CAMERA,
         T_base_camera=T_BASE_CAMERA,
     )  # fmt: skip
-    advisers = Advisers(None, Idle(), inline=True)
+    scorers = Scorers(None, Idle(), inline=True)
     tracker = InstanceTracker(config.Perception(detector=config.DetectorSim()))
-    benchmark(advisers.ask, seen, ("chair",), "chair", pool, tracker)
-    assert advisers.status()["choice"]["failed"] == 0
+    benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker)
+    assert scorers.status()["choice"]["failed"] == 0

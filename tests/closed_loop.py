@@ -8,8 +8,8 @@ import numpy as np
 
 from edge.config import Config
 from edge.geometry import SE2
-from edge.loop.advice import make_advisers
 from edge.loop.result import Sink, TickResult
+from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
@@ -56,12 +56,11 @@ class ClosedLoop:
         self.rig = CameraRig(config, self.world)
         self.labels = tuple(o.label for o in self.world.objects)
         brief = prepare(config.mission)
-        worker = DetectorWorker(
-            make_detector(config.perception, brief.targets, truth=self.truth), inline=True
-        )
-        self.advisers = make_advisers(config, brief.targets)
+        detector = make_detector(config.perception, brief.targets, truth=self.truth)
+        worker = DetectorWorker(detector, inline=True)
+        self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
-        self.service = Service(config, brief, worker, sinks, advisers=self.advisers)
+        self.service = Service(config, brief, worker, sinks, scorers=self.scorers)
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
@@ -107,8 +106,8 @@ class ClosedLoop:
 
     def close(self) -> None:
         """Needed where scorers run beside the loop."""
-        if self.advisers is not None:
-            self.advisers.close()
+        if self.scorers is not None:
+            self.scorers.close()
 
     def distance_m(self, label: str) -> float:
         """True distance to the nearest footprint of that label."""

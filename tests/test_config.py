@@ -79,12 +79,13 @@ FAULTS = [
     ),
     (
         {"policy": {"kind": "hvll"}},
-        "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, nearest_frontier)",
+        "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, nearest_frontier, module:Class)",
     ),
     (
         {"policy": {"w_dist": 1}},
-        "f.yaml: policy.kind: missing (choices: hvl, nearest_frontier)",
+        "f.yaml: policy.kind: missing (choices: hvl, nearest_frontier, module:Class)",
     ),
+    ({"policy": {"kind": "my:b c"}}, "f.yaml: policy.kind: expected module:Class, got 'my:b c'"),
     ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),
     (
         {"zenoh": {"topics": {"camera/rbg": "x"}}},

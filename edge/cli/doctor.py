@@ -413,17 +413,17 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
 
 def check_scorers(config: Config) -> Iterator[Finding]:
     """Configured scorers can be made; where a server is to answer, something listens."""
-    from edge.loop.advice import make_advisers
+    from edge.loop.scorers import make_scorers
 
     try:
-        advisers = make_advisers(config, _targets(config))
+        scorers = make_scorers(config, _targets(config))
     except UserError as error:
         yield Finding("fail", *_split(error))
         return
-    if advisers is None:
+    if scorers is None:
         return
-    names = advisers.names()
-    advisers.close()
+    names = scorers.names()
+    scorers.close()
     yield Finding("ok", f"scorers: {', '.join(names)}")
     choice = config.perception.choice
     if choice.kind != "none" and not _listens(choice.url):

@@ -25,7 +25,7 @@ from edge.config.perception import (
     Perception,
     Swap,
 )
-from edge.config.policy import PolicyHvl, PolicyNearest
+from edge.config.policy import PolicyHvl, PolicyNearest, PolicyOwn
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
@@ -52,6 +52,7 @@ __all__ = [
     "PlannerVitl",
     "PolicyHvl",
     "PolicyNearest",
+    "PolicyOwn",
     "Report",
     "Robot",
     "Section",

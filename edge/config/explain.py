@@ -27,10 +27,11 @@ def explain(fault: Any, path: str, root: type[BaseModel]) -> str:
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
         return f"{path}: {key}.kind: unknown {context['tag']!r:.80} (choices: {choices})"
+    no_section = kind == "union_tag_not_found" and not isinstance(fault["input"], dict)
+    if no_section or kind in ("model_type", "model_attributes_type"):
+        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
     if kind in ("missing", "union_tag_not_found"):
         return f"{path}: {key}{_missing(fault['loc'], models, root)}"
-    if kind in ("model_type", "model_attributes_type"):
-        return f"{path}: {key}: expected a section of keys, got {given!r:.80}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
         return f"{path}: {key}: unknown {given!r:.80} (choices: {choices})"

@@ -1,20 +1,41 @@
-"""How candidates are scored."""
+"""How candidates are scored, and how one of them is chosen."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Union
+from typing import Annotated, Any, Literal, Union
 
-from pydantic import Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from edge.config.section import NonNegative, Positive, Section
 
+MODULE_CLASS = "module:Class"
 
-class PolicyHvl(Section):
-    """VL-Nav eq. 2-8 and algorithm 2; the two switches are its ablations (table I).
 
-    `instances: false` leaves out the approach to what may be the target (III.C): the robot follows
-    frontiers, and goes only to what the detector confirmed in passing, for there an episode ends.
+def _names_a_class(kind: str) -> str:
+    module, _, name = kind.partition(":")
+    if not (name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+        raise ValueError(f"expected {MODULE_CLASS}")
+    return kind
+
+
+class _Selection(Section):
+    """What all policies have: how algorithm 2 of VL-Nav chooses by their scores.
+
+    A frontier nearer than `delta_reached_m` is done with; another candidate must be better than
+    the present one by `switch_margin`, as a fraction of its score; a frontier that moved less than
+    `r_assoc_m` is still the same. `instances: false` leaves out the approach to what may be the
+    target (III.C): the robot follows frontiers, and goes only to what the detector confirmed in
+    passing, for there an episode ends.
     """
+
+    delta_reached_m: NonNegative = 0.5
+    r_assoc_m: Positive = 0.6
+    switch_margin: NonNegative = 0.3
+    instances: bool = True
+
+
+class PolicyHvl(_Selection):
+    """VL-Nav eq. 2-8; `instances` and `heuristics` are its ablations (table I)."""
 
     kind: Literal["hvl"] = "hvl"
     sigma_rad: Positive = 0.1
@@ -22,20 +43,32 @@ class PolicyHvl(Section):
     w_vl: NonNegative = 1.0
     unknown_k: Positive = 2.0
     unknown_radius_m: Positive = 1.0
-    delta_reached_m: NonNegative = 0.5
-    r_assoc_m: Positive = 0.6
-    instances: bool = True
     heuristics: bool = True
-    switch_margin: NonNegative = 0.3
 
 
-class PolicyNearest(Section):
+class PolicyNearest(_Selection):
     """The nearest frontier; instances first (a baseline)."""
 
     kind: Literal["nearest_frontier"] = "nearest_frontier"
-    delta_reached_m: NonNegative = 0.5
-    r_assoc_m: Positive = 0.6
-    switch_margin: NonNegative = 0.3
 
 
-Policy = Annotated[Union[PolicyHvl, PolicyNearest], Field(discriminator="kind")]
+class PolicyOwn(_Selection):
+    """A class of one's own, on Python's path; `options` are its arguments (docs/policies.md)."""
+
+    kind: Annotated[str, AfterValidator(_names_a_class)] = MODULE_CLASS
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+def _kind_of(policy: Any) -> str | None:
+    kind = policy.get("kind") if isinstance(policy, dict) else getattr(policy, "kind", None)
+    return MODULE_CLASS if isinstance(kind, str) and ":" in kind else kind
+
+
+Policy = Annotated[
+    Union[
+        Annotated[PolicyHvl, Tag("hvl")],
+        Annotated[PolicyNearest, Tag("nearest_frontier")],
+        Annotated[PolicyOwn, Tag(MODULE_CLASS)],
+    ],
+    Discriminator(_kind_of),
+]

@@ -19,30 +19,31 @@ from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
 from edge.host import calibration
 from edge.loop import stages
-from edge.loop.advice import Advice, Advisers
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
+from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.publish import Publisher
-from edge.loop.pursuit import Pursuit
 from edge.loop.result import Event, Sink, TickResult, facts_of
+from edge.loop.scorers import Scorers
 from edge.loop.status import HealthWatch
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import Brief
 from edge.mission.planning.surveyor import Surveyor
 from edge.mission.run import MissionRun
-from edge.mission.sight import newest_ids, places
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
+from edge.policies.base import Answers, Context, scores_of
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.loop.service")
 
 INGEST, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(stages.STAGES))
+NOTHING_CHANGED = (0, 0, 0, 0)
 BLIND_S = 1.0  # or three frames, where they come less often
 
 
@@ -54,19 +55,18 @@ class Service:
         worker: detects on the side; `submit` and `poll` never wait for the model.
         sinks: take the results; their methods never block.
         keeper: has the mission's state written, and what it read taken up again.
-        advisers: scorers that are asked beside the loop, where any are configured.
+        scorers: models that are asked beside the loop, where any are configured.
         overruns: by what is listened to, how often more came than could be taken.
 
     Attributes:
         mission: the one under way, or the last one.
-        pursuit: of the present goal.
+        goals: what the robot is sent to, and what becomes of it.
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
-        advice: what the scorers said, for policies; None where there are none.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Service:
         worker: DetectorWorker,
         sinks: Sequence[Sink],
         keeper: Keeper | None = None,
-        advisers: Advisers | None = None,
+        scorers: Scorers | None = None,
         overruns: Callable[[], dict[str, int]] = dict,
     ) -> None:
         self.config = config
@@ -84,18 +84,14 @@ class Service:
         self.grid = RollingMap(config.mapping)
         self.tracker = InstanceTracker(config.perception)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
-        self.policy = make_policy(config.policy)
+        self.policy = make_policy(config.policy, config.path)
         self.pool = CandidatePool(
             config.mapping.max_frontiers + config.perception.max_instances,
             config.policy.r_assoc_m,
-            len(brief.targets),
         )
-        self.advice: Advice | None = None if advisers is None else advisers.advice
         self.latency = LatencyRing(calibration=calibration.load())
         self._publisher = Publisher(sinks)
-        self.pursuit = Pursuit(
-            config, self.policy, self.pool, self.tracker, self._tell, self._held_up, self.event
-        )
+        self.goals = GoalTracker(config, self.pool, self.tracker, self._tell, self.event)
         self.epoch = 0
         self.stamp_ns = 0
         planner = config.mission.planner
@@ -104,13 +100,14 @@ class Service:
         self.faults = Faults(self.event)
         self.stage = INGEST
         self._worker = worker
-        self._advisers = advisers
+        self._scorers = scorers
         self.swapper = Swapper(config.perception, worker, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, advisers, keeper, self.faults, overruns, self.event
+            worker, self.swapper, scorers, keeper, self.faults, overruns, self.event
         )
         self._lifter = Lifter(config.perception)
-        self._seen: Detections | None = None
+        self._changed = NOTHING_CHANGED
+        self._detections: Detections | None = None  # of this tick
         self.pose: SE2 | None = None
         self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation was dealt with
@@ -148,15 +145,15 @@ class Service:
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
-        if self._advisers is not None:
-            self._consult(self._advisers, observation)
-        self.policy.score(self.pool, self.grid, self._seen, pose)
+        if self._scorers is not None:
+            self._consult(self._scorers, observation)
+        self._score(observation, now_ns)
         self._lap(SCORE)
         self._plan(observation, now_ns)
         self._lap(PLAN)
-        goal = self._select(pose, now_ns)
+        goal = self._select()
         self._lap(SELECT)
-        self._publish(goal, observation, now_ns)
+        self._publish(observation, now_ns)
         self._lap(PUBLISH)
         self._looked_ns = now_ns
         return goal
@@ -168,19 +165,23 @@ class Service:
 
     def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
+        update = None
         self.grid.bumps.expire(now_ns)
         if self.config.mapping.input == "cloud":
             if observation.cloud_m is not None:
                 T = observation.T_map_base @ observation.T_base_lidar
-                self.grid.update_cloud(observation.cloud_m, T, pose)
+                update = self.grid.update_cloud(observation.cloud_m, T, pose)
         elif observation.depth_m is not None and observation.camera is not None:
             T = observation.T_map_base @ observation.T_base_camera
-            self.grid.update_depth(observation.depth_m, observation.camera, T, pose)
+            update = self.grid.update_depth(observation.depth_m, observation.camera, T, pose)
+        self._changed = NOTHING_CHANGED if update is None else update.changed
+        if update is not None and update.rolled:
+            self.policy.reset("map rolled")
         self.grid.reach.step(pose)
 
     def _lift(self, detections: Detections | None, now_ns: int) -> None:
         """Stage 4: boxes become instances, with the depth and pose they were seen with."""
-        self._seen = None
+        self._detections = None
         if detections is None:
             return
         try:
@@ -188,14 +189,14 @@ class Service:
             if not void and detections.prompts == self.mission.brief.targets:
                 self._take(detections, now_ns)
         finally:
-            # The arrays are only read through `_seen` in this tick; the frame may be used again.
+            # Only this tick reads the arrays; the frame may be used again.
             detections.observation.release()
 
     def _take(self, detections: Detections, now_ns: int) -> None:
         """Detections of what is looked for, in the map that there is."""
         self.latency.span(DETECT, detections.latency_ns)
-        if self._advisers is not None:
-            self._advisers.saw(detections)
+        if self._scorers is not None:
+            self._scorers.saw(detections)
         lifted = self._lifter.lift(detections)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation, detections.prompts)
@@ -203,28 +204,44 @@ class Service:
         self.grid.coverage.look(
             detections.observation, perception.confirm_range_m, perception.confirm_hits
         )
-        self._seen = _unrivalled(detections)
-        self._publisher.saw(self._seen)
+        self._detections = _unrivalled(detections)
+        self._publisher.saw(self._detections)
 
     def _instances(self) -> list[Instance]:
         """What stage 5 takes as instance candidates."""
         if self.mission.done:
             return []
-        return self.tracker.of(self.mission.target, sure=not self.policy.uses_instances)
+        return self.tracker.of(self.mission.target, sure=not self.config.policy.instances)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
 
-    def _consult(self, advisers: Advisers, observation: Observation) -> None:
+    def _consult(self, scorers: Scorers, observation: Observation) -> None:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""
         mission = self.mission
         if not (mission.done or mission.paused):
-            targets = mission.brief.targets
-            advisers.ask(observation, targets, mission.target, self.pool, self.tracker)
-        advisers.take_up()
+            targets, candidates = mission.brief.targets, self.pool.candidates
+            scorers.ask(observation, targets, mission.target, candidates, self.tracker)
+        scorers.take_up()
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
+
+    def _score(self, observation: Observation, now_ns: int) -> None:
+        """Stage 6: what the policy makes of the candidates, by all that it may go by."""
+        self._context = Context(
+            observation,
+            observation.pose,
+            self.grid,
+            self._changed,
+            self.pool.candidates,
+            self._detections,
+            Answers() if self._scorers is None else self._scorers.answers,
+            self.mission.brief.targets,
+            self.mission.target,
+            now_ns,
+        )
+        self.scores = scores_of(self.policy, self._context)
 
     def _plan(self, observation: Observation, now_ns: int) -> None:
         """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
@@ -234,20 +251,25 @@ class Service:
         if self.keeper is not None:
             self.keeper.restore_places(mission, self.tracker, observation)
         mission.observe(pose, now_ns)
-        sure = not self.policy.uses_instances
-        mission.see(newest_ids(self.tracker, mission.brief.targets, sure), now_ns)
+        mission.see(self._newest_ids(), now_ns)
         if self._surveyor is not None:
             self._survey(self._surveyor, pose, now_ns)
         if self._turns == mission.turns and not (mission.done or mission.paused):
-            self.pursuit.judge(mission, pose, now_ns, self._worker.stats.done)
-            if self.pursuit.exhausted:
+            self.goals.judge(self._context, mission, self._worker.stats.done)
+            if self.goals.exhausted:
                 mission.give_up(self._why_given_up(), now_ns)
         mission.check_limits(now_ns)
         if self._turns != mission.turns:
             self._turn(observation, now_ns)
 
+    def _newest_ids(self) -> dict[str, int]:
+        """For each target of which an instance is known, the highest id of them."""
+        sure, targets = not self.config.policy.instances, self.mission.brief.targets
+        known = {label: self.tracker.of(label, sure) for label in targets}
+        return {label: max(i.id for i in found) for label, found in known.items() if found}
+
     def _why_given_up(self) -> str:
-        target, views = self.mission.target, self.pursuit.views
+        target, views = self.mission.target, self.goals.views
         found = "no way to" if target in self.mission.detected else "found no"
         again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
         barred = _held_up_at(self.grid.bumps.known_m)
@@ -258,31 +280,30 @@ class Service:
         if (distance_m := surveyor.poll()) is not None and not self.mission.paused:
             self.mission.survey(distance_m, now_ns)
         if surveyor.due(now_ns):
-            letters = self.mission.brief.automaton.letters
-            surveyor.ask(self.grid, pose, places(self.tracker, letters), now_ns)
+            found = map(self.tracker.of, self.mission.brief.automaton.letters)
+            xy_m = [[instance.center_m[:2] for instance in instances] for instances in found]
+            known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
+            surveyor.ask(self.grid, pose, known, now_ns)
 
     def _turn(self, observation: Observation, now_ns: int) -> None:
         """The plan set out for a target: choose among its candidates, by its scores, at once."""
         self._turns = self.mission.turns
         if self.mission.done:
             return
-        self.pursuit.set_out(self.mission.target)
-        self.pool.channel = self.mission.brief.targets.index(self.mission.target)
+        self.goals.set_out()
         self._gather(observation, now_ns)
-        self.policy.score(self.pool, self.grid, self._seen, observation.pose)
+        self._score(observation, now_ns)
 
-    def _select(self, pose: SE2, now_ns: int) -> Goal | None:
+    def _select(self) -> Goal | None:
         """Stage 8: algorithm 2, or nowhere when the mission is over or paused."""
         if self.mission.done or self.mission.paused:
-            self.pursuit.rest()
+            self.goals.rest()
             return None
-        by_id = {i.id: i for i in self._instances()}
-        target, looks = self.mission.target, self._worker.stats.done
-        return self.pursuit.choose(self.grid, by_id, pose, now_ns, target, looks)
+        return self.goals.choose(self._context, self.scores, self._worker.stats.done)
 
-    def _publish(self, goal: Goal | None, observation: Observation, now_ns: int) -> None:
+    def _publish(self, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
-        self.pursuit.give(goal, self.mission, observation.pose, now_ns)
+        self.goals.tell(self.mission, observation.pose, now_ns)
         self._report(observation, now_ns)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
@@ -306,15 +327,6 @@ class Service:
     def _tell(self, goal: Goal) -> None:
         self._publisher.goals.append(goal)
 
-    def _held_up(self, place: tuple[float, float], now_ns: int) -> None:
-        """Where no sensor shows what is there only driving can tell: the map closes."""
-        where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
-        if self.grid.bumps.explained(self.pose, place, self.config.robot.radius_m):
-            self.event(f"{where} by what the map shows", now_ns)
-            return
-        self.event(f"{where}: the map closes there", now_ns)
-        self.grid.bumps.close(*place, now_ns)
-
     # -- what comes from outside --------------------------------------------------------------
 
     def begin(self, brief: Brief, now_ns: int) -> None:
@@ -331,19 +343,19 @@ class Service:
         self.mission = mission
         self.tracker.forget_verdicts()
         self.grid.coverage.forget()
-        self.pool.set_channels(len(brief.targets))
-        self._seen, self._turns = None, -1
+        self.policy.reset("mission")
+        self._detections, self._turns = None, -1
         if self._surveyor is not None:
             self._surveyor.forget()
-        if self._advisers is not None:
-            self._advisers.forget()
-        self.pursuit.forget_mission()
+        if self._scorers is not None:
+            self._scorers.forget()
+        self.goals.forget_mission()
         self.mission.start(now_ns)
 
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
         self._publisher.answers.append(answer)
-        self.pursuit.orders.answered(answer)
+        self.goals.answered(answer)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
         """No observation came: limits still hold, status still goes out, no one drives blind.
@@ -366,12 +378,11 @@ class Service:
             self._report(dropped, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
-        orders = self.pursuit.orders
-        if orders.driving:
+        if self.goals.driving:
             if not (self.mission.done or self.mission.paused):
                 self.event("nothing to be seen: standing still", now_ns)
-            orders.stand(pose, now_ns)
-        self.pursuit.drop()
+            self.goals.stand(self.mission, pose, now_ns)
+        self.goals.drop()
 
     def forget_places(self, now_ns: int) -> None:
         """The pose jumped: map, instances and goals of the old frame mean nothing now.
@@ -384,12 +395,13 @@ class Service:
         self.grid = RollingMap(self.config.mapping)
         self.tracker.clear()
         self.pool.clear()
+        self.policy.reset("pose")
         self.mission.forget_distances()
         if self._surveyor is not None:
             self._surveyor.forget()
-        if self._advisers is not None:
-            self._advisers.forget()
-        self.pursuit.forget_places()
+        if self._scorers is not None:
+            self._scorers.forget()
+        self.goals.forget_places()
         self._void_seq = self._newest_seq
 
     def event(self, text: str, now_ns: int) -> None:
@@ -411,11 +423,11 @@ class Service:
     @property
     def goal(self) -> Goal | None:
         """Where the robot is sent; None: nowhere."""
-        return self.pursuit.goal
+        return self.goals.goal
 
     @property
     def status(self) -> MissionStatus:
-        return self.mission.status(self.pursuit.phase)
+        return self.mission.status(self.goals.phase)
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
         """How all stands, and what has happened since the sinks were told.
@@ -424,15 +436,15 @@ class Service:
             now_ns: the loop's time, where the loop asks.
             observation: what was dealt with, if anything.
         """
-        orders, grid, news = self.pursuit.orders, self.grid, self._publisher
+        goals, grid, news = self.goals, self.grid, self._publisher
         return TickResult(
             now_ns=now_ns,
             observation=observation,
             pose=self.pose,
             status=self.status,
             goal=self.goal,
-            answer=orders.answer,
-            controlled=orders.heard,
+            answer=goals.answer,
+            controlled=goals.heard,
             targets=self.mission.brief.targets,
             goals=tuple(news.goals),
             answers=tuple(news.answers),

@@ -52,7 +52,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("candidates", 0.2, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
     Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
     Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission"),
-    Stage("select", 0.3, "scored Candidates", "Goal or none", "edge/policies"),
+    Stage("select", 0.3, "scored Candidates", "Goal or none", "edge/loop/goal.py"),
     Stage("publish", 0.3, "Goal, status, latency", "sinks", "edge/sinks"),
 )
 TICK_BUDGET_MS = 3.0

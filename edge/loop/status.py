@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from edge.loop.advice import Advisers
 from edge.loop.faults import DEGRADED_AFTER, Faults
 from edge.loop.keeper import Keeper
 from edge.loop.result import MissionFacts, TickResult
+from edge.loop.scorers import Scorers
 from edge.perception.detector import Health
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
@@ -73,13 +73,13 @@ class HealthWatch:
         self,
         worker: DetectorWorker,
         swapper: Swapper,
-        advisers: Advisers | None,
+        scorers: Scorers | None,
         keeper: Keeper | None,
         faults: Faults,
         overruns: Callable[[], dict[str, int]],
         event: Callable[[str, int], None],
     ) -> None:
-        self._worker, self._swapper, self._advisers = worker, swapper, advisers
+        self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
         self._event = event
         self._degraded = False  # the detector is known to be, and that was told
@@ -108,7 +108,7 @@ class HealthWatch:
                 **asdict(worker.stats),
             },
             "swap": self._swapper.status(),
-            "scorers": {} if self._advisers is None else self._advisers.status(),
+            "scorers": {} if self._scorers is None else self._scorers.status(),
         }
 
 

@@ -13,14 +13,15 @@ from time import perf_counter
 import numpy as np
 
 from edge.bus.wire.kernels import warmup as warm_messages
-from edge.config import Config
-from edge.geometry import SE2, CameraModel
+from edge.config import Config, PolicyOwn
+from edge.geometry import CameraModel
 from edge.loop.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.mapping.grid import warmup as warm_mapping
 from edge.mission.planner import warm_up as warm_planners
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
+from edge.policies.base import Answers, Context
 from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.loop.warmup")
@@ -53,10 +54,14 @@ def warm_up(config: Config) -> float:
 
 
 def _warm_policy(config: Config) -> None:
-    """One scoring pass over a map with one frontier and one box in the image."""
+    """One scoring pass over a map with one frontier and one box in the image.
+
+    One's own policy compiles what it needs when it is made.
+    """
+    if isinstance(config.policy, PolicyOwn):
+        return
     grid = RollingMap(config.mapping)
     pool = CandidatePool(8, config.policy.r_assoc_m)
-    pose = SE2(0.0, 0.0, 0.0)
     grid.frontiers.n = 1
     pool.update(grid.frontiers, [], 0, 0)
     observation = Observation(
@@ -69,6 +74,17 @@ def _warm_policy(config: Config) -> None:
         np.zeros(1, np.int32),
         ("x",),
     )
-    make_policy(config.policy).score(pool, grid, seen, pose)
-    grid.reach.step(pose)
-    grid.reach.nearest(0.0, 0.0, 0.5)
+    nowhere, target = (0, 0, 0, 0), seen.prompts[0]
+    context = Context(
+        observation,
+        observation.pose,
+        grid,
+        nowhere,
+        pool.candidates,
+        seen,
+        Answers(),
+        seen.prompts,
+        target,
+        0,
+    )
+    make_policy(config.policy).score(context)

@@ -41,7 +41,7 @@ class RollingMap:
         coverage: where the detector looked; its `look` is called for each image that it searched.
         resolution_m: side of a cell.
         window: what of the world is held; only the map moves it.
-        layers: by storage cell, for others to read only (see `edge.mapping.layers`).
+        layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
 
     def __init__(self, config: config.Mapping) -> None:
@@ -58,7 +58,8 @@ class RollingMap:
         cells = max(math.ceil(c.extent_m / res), 2 * self._need + 1 + ly.WORD)
         n = ly.WORD * math.ceil(cells / ly.WORD)
         self.window = Window(n, res)
-        self.layers = ly.make_layers(n)
+        self._layers = ly.make_layers(n)
+        self.layers = ly.Layers(*map(_read_only, self._layers))
         self._clusters = cl.make_clusters(n)
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
@@ -77,10 +78,10 @@ class RollingMap:
             np.zeros(c.max_frontiers, np.int32),
         )
         self.reach = ReachField(
-            self.layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
+            self._layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
         )
-        self.coverage = Coverage(self.layers, self.window)
-        self.bumps = Bumps(self.layers, self.window, c, self._write)
+        self.coverage = Coverage(self._layers, self.window)
+        self.bumps = Bumps(self._layers, self.window, c, self._write)
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -136,14 +137,14 @@ class RollingMap:
         if not self.window.holds(x, y):
             return UNKNOWN
         n = self.window.n
-        if self.layers.near[y % n, x % n]:
+        if self._layers.near[y % n, x % n]:
             return OCCUPIED
-        return FREE if self.layers.raw[y % n, x % n] else UNKNOWN
+        return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
 
     @property
     def known_m2(self) -> float:
         """Area that was seen; costs with the map's size, so not for every tick."""
-        return float(np.count_nonzero(self.layers.raw)) * self.resolution_m**2
+        return float(np.count_nonzero(self._layers.raw)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; costs with the map's size, so never in the steady tick.
@@ -163,7 +164,7 @@ class RollingMap:
             x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
             cells = np.empty((max(y1 - y0, 0), max(x1 - x0, 0)), np.int8)
             corner = origin[0] + x0, origin[1] + y0
-            compose(self.layers, self._body, *corner, inflated, cells)
+            compose(self._layers, self._body, *corner, inflated, cells)
             if self.window.origin == origin:
                 corner_m = (corner[0] * self.resolution_m, corner[1] * self.resolution_m)
                 return Grid(cells, corner_m, self.resolution_m)
@@ -190,7 +191,7 @@ class RollingMap:
             out[:n] = 1.0
             return
         unknown.ratios(
-            self.layers.known, self.layers.blocked, *self.window.shift, *self.window.origin,
+            self._layers.known, self._layers.blocked, *self.window.shift, *self.window.origin,
             1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
         )  # fmt: skip
 
@@ -241,7 +242,7 @@ class RollingMap:
         rolled: bool,
     ) -> MapUpdate:
         """Everything that follows once scan.xyz holds the points."""
-        c, polar, scan, layers = self.config, self._polar, self._scan, self.layers
+        c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
         sensor_z = float(T[2, 3])
         n = points.bin_points(
             n_points, T[2, 3], np.float32(c.range_m), np.float32(1.0 / self.resolution_m),
@@ -278,7 +279,7 @@ class RollingMap:
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""
-        layers, n, (ox, oy) = self.layers, self.window.n, self.window.origin
+        layers, n, (ox, oy) = self._layers, self.window.n, self.window.origin
         sx, sy, x, y = x % n, y % n, x - ox, y - oy
         before, after = layers.raw[sy, sx] >= ly.OCCUPIED, state >= ly.OCCUPIED
         layers.raw[sy, sx], layers.top[sy, sx] = state, top
@@ -296,14 +297,14 @@ class RollingMap:
         if before is None or math.dist(before, robot) > _TRAIL_STEP_CELLS:
             before = robot
         ly.mark_trail(
-            self.layers, *self.window.shift,
+            self._layers, *self.window.shift,
             before[0] - ox, before[1] - oy, robot[0] - ox, robot[1] - oy,
         )  # fmt: skip
         self._robot = robot
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Test what changed again and list the target points; returns the changed world cells."""
-        layers, window, c = self.layers, self.window, self.config
+        layers, window, c = self._layers, self.window, self.config
         x0, y0, x1, y1 = (int(v) for v in self._changed)
         world = (0, 0, 0, 0)
         if x1 > x0:
@@ -327,7 +328,7 @@ class RollingMap:
 
     def _retest(self, x0: int, y0: int, x1: int, y1: int) -> None:
         self._n_pending = cl.retest(
-            self.layers, *self.window.shift, x0, y0, x1, y1, self._clusters, self._n_pending
+            self._layers, *self.window.shift, x0, y0, x1, y1, self._clusters, self._n_pending
         )
 
     def _follow(self, x: int, y: int) -> bool:
@@ -355,7 +356,7 @@ class RollingMap:
 
     def _roll(self, axis: int, by: int) -> None:
         """Move the window along one axis by a multiple of 64 cells, forgetting a strip."""
-        window, n, layers, shift = self.window, self.window.n, self.layers, self.window.shift
+        window, n, layers, shift = self.window, self.window.n, self._layers, self.window.shift
         margin = len(self._disc) // 2
         gone = min(abs(by), n)
         out = (0, gone) if by > 0 else (n - gone, n)
@@ -381,6 +382,13 @@ class RollingMap:
         self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """The same memory, for those who may not write there."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _plain(array: np.ndarray) -> np.ndarray:

@@ -1,66 +1,172 @@
-"""What a policy is, and what all of them share: algorithm 2 of VL-Nav."""
+"""What a policy is, and what it sees."""
 
 from __future__ import annotations
 
-import math
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
 import numpy as np
 
 from edge.geometry import SE2
-from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
 from edge.mapping.grid import RollingMap
-from edge.types import Detections
+from edge.perception.choice.question import Choice
+from edge.types import Detections, Observation
+
+FRONTIER, INSTANCE = 0, 1
+
+
+class Candidates:
+    """Frontier and instance target points, parallel arrays of which the first `n` entries count.
+
+    Attributes:
+        stamp_ns: of the observation that they were gathered from.
+        xy_m: (capacity, 2) float32 in `map`.
+        kind: (capacity,) int8, `FRONTIER` or `INSTANCE`; frontiers come first.
+        id: (capacity,) int64. A frontier's is never given again once it is gone; an instance's is
+            that of the instance, and may be a frontier's as well.
+        first_seen_ns: (capacity,) int64, on the clock of `stamp_ns`.
+        confidence: (capacity,) float32 in [0, 1], the detector's; 0 for frontiers.
+        sure: (capacity,) bool, instances that the detector has confirmed.
+        blocked: (capacity,) bool, discarded for a while.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.n = self.stamp_ns = 0
+        self.xy_m = np.zeros((capacity, 2), np.float32)
+        self.kind = np.zeros(capacity, np.int8)
+        self.id = np.zeros(capacity, np.int64)
+        self.first_seen_ns = np.zeros(capacity, np.int64)
+        self.confidence = np.zeros(capacity, np.float32)
+        self.sure = np.zeros(capacity, np.bool_)
+        self.blocked = np.zeros(capacity, np.bool_)
+
+    def index_of(self, kind: int, candidate_id: int) -> int:
+        """Where a candidate stands now, or -1 when it is gone."""
+        n = self.n
+        found = np.flatnonzero((self.id[:n] == candidate_id) & (self.kind[:n] == kind))
+        return int(found[0]) if len(found) else -1
+
+    def nearest(self, kind: int, xy_m: tuple[float, float], within_m: float) -> int:
+        """The candidate of a kind that is nearest to a point, or -1 when none is so near."""
+        n = self.n
+        apart = np.hypot(self.xy_m[:n, 0] - xy_m[0], self.xy_m[:n, 1] - xy_m[1])
+        apart[self.kind[:n] != kind] = np.inf
+        if n == 0 or apart.min() > within_m:
+            return -1
+        return int(apart.argmin())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Similarity:
+    """How well one image goes with each target of the mission.
+
+    Attributes:
+        stamp_ns: of the observation, `pose` is where the robot stood then.
+        score: (n,) float32, one for each target; see `SimilarityScorer.score` for the scale.
+        round: see `edge.perception.choice.question.View.round`.
+    """
+
+    stamp_ns: int
+    pose: SE2
+    targets: tuple[str, ...]
+    score: np.ndarray
+    round: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What the scorers last said of this map and mission; None: nothing yet.
+
+    VLFM goes by `similarity`, over the whole field of view, and ViTL by `choice`, by frontier:
+    `Choice.ids` are ids of candidates, and those that are no candidates any more are stale.
+    Either may be seconds old, or never come.
+    """
+
+    similarity: Similarity | None = None
+    choice: Choice | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """All that a policy may go by at one moment. It reads this, and writes to nothing in it.
+
+    Attributes:
+        observation: the newest, with image, depth or cloud, and camera. Its arrays are good until
+            `score` returns.
+        pose: of the robot at that observation.
+        map: its reading side: `layers` and `window`, `frontiers`, `reach`, `coverage`, `state_at`,
+            `unknown_ratio`; `snapshot` copies all of it, which is too dear for every tick.
+        changed: half-open rectangle (x0, y0, x1, y1) of the world cells whose state this
+            observation changed; cell (x, y) begins at (x, y) * `map.resolution_m`. All zero where
+            none did.
+        candidates: frontiers, and instances of the active target.
+        detections: what the detector found meanwhile, boxes of targets that nothing else explains
+            better, with the observation they were found in; `class_id` counts `targets`. None
+            where nothing new came.
+        answers: of the scorers that run beside the loop.
+        targets: all of the mission's; `target` is the active one.
+        now_ns: the loop's time.
+    """
+
+    observation: Observation
+    pose: SE2
+    map: RollingMap
+    changed: tuple[int, int, int, int]
+    candidates: Candidates
+    detections: Detections | None
+    answers: Answers
+    targets: tuple[str, ...]
+    target: str
+    now_ns: int
+
+    @property
+    def active(self) -> int:
+        """Index of the active target in `targets`."""
+        return self.targets.index(self.target)
+
+
+Why = Literal["mission", "pose", "map rolled"]
 
 
 class Policy(Protocol):
-    """Scores candidates; `select` picks among them.
+    """Scores candidates; `edge.policies.select` picks among them by that."""
 
-    Attributes:
-        uses_instances: whether what may be the target is a candidate; else only what the detector
-            confirmed in passing is (ablation "w/o IBTP").
-        delta_reached_m: candidates nearer than this are discarded (VL-Nav algorithm 2).
-        switch_margin: how much better another candidate must be for the goal to change,
-            as a fraction of the present goal's score.
-    """
+    def score(self, context: Context) -> np.ndarray:
+        """How good it would be to go to each candidate; more is better.
 
-    uses_instances: bool
-    delta_reached_m: float
-    switch_margin: float
+        Called for every observation, and again for the same one when the plan has turned to
+        another target. It may not block, and is timed as the stage `score`.
 
-    def score(
-        self, pool: CandidatePool, grid: RollingMap, seen: Detections | None, pose: SE2
-    ) -> None:
-        """Fill `pool.score[: pool.n]` (and `pool.vl` of candidates seen for the first time).
+        Returns:
+            (n,) float32 or more than `n`, all finite, one for each candidate; read until the next
+            call. Instances are compared with instances only, and frontiers with frontiers.
+        """
+        ...
+
+    def reset(self, why: Why) -> None:
+        """What was remembered is void, or moved.
 
         Args:
-            seen: the newest detections, `class_id` counting the pool's channels, or None when
-                nothing new came.
-            pose: where the robot is now.
+            why: "mission": there are other targets; map and candidates stay. "pose": the pose
+                jumped, and the map begins anew. "map rolled": `map.window` moved, and what fell
+                out of it is forgotten; candidates keep their ids.
         """
         ...
 
 
-def ranked(pool: CandidatePool, pose: SE2, delta_reached_m: float) -> np.ndarray:
-    """Indices of the candidates in the order algorithm 2 would take them.
-
-    Instances come before all frontiers, confirmed ones first, each by score; frontiers within
-    `delta_reached_m` of the robot, and discarded candidates, are left out.
+def scores_of(policy: Policy, context: Context) -> np.ndarray:
+    """What a policy makes of the candidates there are.
 
     Returns:
-        (k,) int64.
+        (n,) float32.
+
+    Raises:
+        ValueError: the policy did not give one finite number for each candidate.
     """
-    n = pool.n
-    dx, dy = pool.xy_m[:n, 0] - pose.x_m, pool.xy_m[:n, 1] - pose.y_m
-    # An instance is never "too close": the mission verifies it on the spot instead.
-    far = (dx * dx + dy * dy > delta_reached_m**2) | (pool.kind[:n] == INSTANCE)
-    alive = np.flatnonzero(far & ~pool.blocked[:n])
-    order = np.lexsort(
-        (pool.id[alive], -pool.score[alive], ~pool.sure[alive], pool.kind[alive] == FRONTIER)
-    )
-    return alive[order]
-
-
-def bearing(from_x_m: float, from_y_m: float, to_x_m: float, to_y_m: float) -> float:
-    """Direction in `map` from one point to another, radians."""
-    return math.atan2(to_y_m - from_y_m, to_x_m - from_x_m)
+    score, n = np.asarray(policy.score(context), np.float32), context.candidates.n
+    if score.ndim != 1 or len(score) < n or not np.isfinite(score[:n]).all():
+        raise ValueError(
+            f"policy {type(policy).__name__}: scores of shape {score.shape} for {n} candidates, "
+            "expected one finite number for each"
+        )
+    return score[:n]

@@ -5,25 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicyNearest
-from edge.geometry import SE2
-from edge.loop.candidates import FRONTIER, CandidatePool
-from edge.mapping.grid import RollingMap
-from edge.types import Detections
+from edge.policies.base import FRONTIER, Context, Why
 
 
 class NearestFrontier:
     """Scores a frontier by eq. 5 of VL-Nav only."""
 
     def __init__(self, config: PolicyNearest) -> None:
-        self.uses_instances = True
-        self.delta_reached_m = config.delta_reached_m
-        self.switch_margin = config.switch_margin
+        pass
 
-    def score(
-        self, pool: CandidatePool, grid: RollingMap, seen: Detections | None, pose: SE2
-    ) -> None:
+    def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
-        n = pool.n
-        away = np.hypot(pool.xy_m[:n, 0] - pose.x_m, pool.xy_m[:n, 1] - pose.y_m)
-        sight = pool.vl[pool.channel, :n]
-        pool.score[:n] = np.where(pool.kind[:n] == FRONTIER, 1.0 / (1.0 + away), sight)
+        candidates, pose = context.candidates, context.pose
+        xy_m, n = candidates.xy_m, candidates.n
+        away = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
+        frontier = candidates.kind[:n] == FRONTIER
+        return np.where(frontier, 1.0 / (1.0 + away), candidates.confidence[:n])
+
+    def reset(self, why: Why) -> None:
+        """It remembers nothing."""

@@ -106,12 +106,12 @@ def test_the_robot_goes_on_when_the_server_is_killed():
                 }
             )
         )
-        while loop.advisers.advice.choice is None and not loop.service.status.done:
+        while loop.scorers.answers.choice is None and not loop.service.status.done:
             loop.step()
-            worker = loop.advisers._choice
+            worker = loop.scorers._choice
             if worker.stats.submitted:
                 eventually(lambda w=worker: w.idle)
-        assert loop.advisers.advice.choice is not None
+        assert loop.scorers.answers.choice is not None
         server.kill()
         server.wait()
         loop.run(240)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
+from edge.loop.candidates import CandidatePool
+from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import Instance
 
 
@@ -26,14 +27,14 @@ def instance(id: int, x: float, y: float, score: float = 0.5) -> Instance:
 
 
 def ids(pool: CandidatePool) -> list[int]:
-    return pool.id[: pool.n].tolist()
+    return pool.candidates.id[: pool.candidates.n].tolist()
 
 
 def test_nothing_in_nothing_out():
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers(), [], 0, 0)
-    assert pool.n == 0
-    assert pool.index_of(FRONTIER, 1) == -1
+    assert pool.candidates.n == 0
+    assert pool.candidates.index_of(FRONTIER, 1) == -1
 
 
 @pytest.mark.parametrize(
@@ -55,35 +56,16 @@ def test_identity(before, after, kept):
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers(*before), [], 0, 0)
     old = set(ids(pool))
-    pool.vl[:, : pool.n] = 0.7
     pool.update(frontiers(*after), [], 1, 1)
     assert [i in old for i in ids(pool)] == kept
-    assert [not np.isnan(v) for v in pool.vl[0, : pool.n]] == kept
-    assert len(set(ids(pool))) == pool.n
-
-
-def test_every_target_keeps_its_scores_when_the_plan_turns_to_another():
-    pool = CandidatePool(16, 0.5, channels=2)
-    pool.update(frontiers((1, 1)), [instance(3, 5, 5, 0.8)], 0, 0)
-    assert np.isnan(pool.vl[1, 1])
-    pool.vl[:, 0] = 0.2, 0.6
-    pool.channel = 1
-    pool.update(frontiers((1.1, 1)), [instance(4, 6, 6, 0.9)], 1, 1)
-    assert pool.vl[:, 0] == pytest.approx([0.2, 0.6])
-    assert pool.vl[1, 1] == pytest.approx(0.9)
-    assert np.isnan(pool.vl[0, 1])
-    first = ids(pool)
-    pool.set_channels(3)
-    assert (pool.vl.shape, pool.channel) == ((3, 16), 0)
-    assert np.isnan(pool.vl).all()
-    assert ids(pool) == first
+    assert len(set(ids(pool))) == pool.candidates.n
 
 
 def test_nothing_was_first_seen_in_the_future():
     pool = CandidatePool(16, 0.5)
     for stamp_ns, since_ns in [(10**18, 10**18), (50, 50), (60, 50)]:  # one wild stamp
         pool.update(frontiers((1, 1)), [], stamp_ns, 0)
-        assert (pool.stamp_ns, pool.first_seen_ns[0]) == (stamp_ns, since_ns)
+        assert (pool.candidates.stamp_ns, pool.candidates.first_seen_ns[0]) == (stamp_ns, since_ns)
 
 
 def test_creeping_away_from_the_first_sight_is_a_new_frontier():
@@ -101,38 +83,38 @@ def test_creeping_away_from_the_first_sight_is_a_new_frontier():
 def test_instances_carry_their_id_and_score():
     pool = CandidatePool(16, 0.5)
     pool.update(frontiers((5, 5)), [instance(42, 1, 2, 0.8)], 0, 0)
-    at = pool.index_of(INSTANCE, 42)
-    assert pool.vl[0, at] == pytest.approx(0.8)
-    assert pool.xy_m[at].tolist() == [1, 2]
+    at = pool.candidates.index_of(INSTANCE, 42)
+    assert pool.candidates.confidence[:2].tolist() == pytest.approx([0.0, 0.8])
+    assert pool.candidates.xy_m[at].tolist() == [1, 2]
     # An instance's id is no frontier's.
-    assert pool.index_of(FRONTIER, 42) == -1
+    assert pool.candidates.index_of(FRONTIER, 42) == -1
 
 
 def test_capacity_keeps_instances():
     pool = CandidatePool(2, 0.5)
     pool.update(frontiers((0, 0), (2, 0), (4, 0)), [instance(9, 1, 1)], 0, 0)
-    assert pool.n == 2
-    assert pool.index_of(INSTANCE, 9) == 1
+    assert pool.candidates.n == 2
+    assert pool.candidates.index_of(INSTANCE, 9) == 1
 
 
 def test_a_discarded_point_is_blocked_until_its_time():
     pool = CandidatePool(16, 0.5)
     pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=100)
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 50, 50)
-    assert pool.blocked[:2].tolist() == [True, False]
+    assert pool.candidates.blocked[:2].tolist() == [True, False]
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 150, 150)
-    assert pool.blocked[:2].tolist() == [False, False]
+    assert pool.candidates.blocked[:2].tolist() == [False, False]
 
 
 def test_discards_count_in_the_loops_time_and_first_sight_in_the_sensors():
     pool = CandidatePool(16, 0.5)
     pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=10_100)
     pool.update(frontiers((1.0, 1.0)), [], stamp_ns=5, now_ns=10_050)
-    assert (pool.blocked[0], pool.first_seen_ns[0]) == (True, 5)
+    assert (pool.candidates.blocked[0], pool.candidates.first_seen_ns[0]) == (True, 5)
     pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20_000, now_ns=10_060)
-    assert pool.blocked[0]
+    assert pool.candidates.blocked[0]
     pool.update(frontiers((1.0, 1.0)), [], stamp_ns=20, now_ns=10_100)
-    assert not pool.blocked[0]
+    assert not pool.candidates.blocked[0]
 
 
 @pytest.mark.parametrize(
@@ -143,7 +125,7 @@ def test_a_discard_blocks_only_its_own_kind_and_only_that_instance(kind, id, blo
     pool = CandidatePool(16, 0.5)
     pool.discard(kind, id, (1.0, 1.0), until_ns=100)
     pool.update(frontiers((1.1, 1.0)), [instance(7, 1, 1), instance(8, 1.1, 1)], 0, 0)
-    assert pool.blocked[:3].tolist() == blocked
+    assert pool.candidates.blocked[:3].tolist() == blocked
 
 
 def nearest_pairs_first(old: np.ndarray, new: np.ndarray, radius: float) -> list[int]:
@@ -182,6 +164,8 @@ def test_ids_never_repeat_and_anchors_stay_near(frames):
     pool = CandidatePool(64, 0.5)
     for now, points in enumerate(frames):
         pool.update(frontiers(*points), [], now, now)
-        assert len(set(ids(pool))) == pool.n == len(points)
-        away = np.hypot(*(pool.xy_m[: pool.n] - pool.anchor_m[: pool.n]).T)
+        assert len(set(ids(pool))) == pool.candidates.n == len(points)
+        away = np.hypot(
+            *(pool.candidates.xy_m[: pool.candidates.n] - pool.anchor_m[: pool.candidates.n]).T
+        )
         assert (away < 0.5).all()

@@ -159,8 +159,8 @@ BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
     "candidates": lambda run: (run.service, "_gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
-    "select": lambda run: (run.service.pursuit, "choose"),
-    "publish": lambda run: (run.service.pursuit, "give"),
+    "select": lambda run: (run.service.goals, "choose"),
+    "publish": lambda run: (run.service.goals, "tell"),
 }
 
 
@@ -199,7 +199,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
 @pytest.mark.parametrize("stage", ["map", "plan", "publish"])
 def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
-    while not (closed.service.pursuit.orders.driving and closed.drive.motion.v_mps > 0.2):
+    while not (closed.service.goals.driving and closed.drive.motion.v_mps > 0.2):
         closed.step()
     seen, before = blanks(closed, 20), len(closed.notes.goals)
     run = running_of(closed, seen)

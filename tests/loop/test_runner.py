@@ -104,7 +104,7 @@ def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
         assert running.service.mission.brief.translation.instruction == expected
 
 
-STEPS = ["prepare", "make_detector", "make_advisers", "warm_up"]
+STEPS = ["prepare", "make_detector", "make_scorers", "warm_up"]
 
 
 @pytest.mark.parametrize("last", STEPS)

@@ -56,7 +56,7 @@ def begin(loop: ClosedLoop, formula: str) -> ClosedLoop:
 
 def test_what_is_not_there_is_given_up_after_looking_again_at_what_was_seen_from_afar(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F (surfboard | piano)")).run(200)
-    status, views = loop.service.status, loop.service.pursuit.views
+    status, views = loop.service.status, loop.service.goals.views
     assert status.phase == "failed"
     assert views >= 2
     again = f"looked again at {views} places"
@@ -104,12 +104,12 @@ def test_a_thing_refuted_by_mistake_is_found_before_it_is_given_up(tmp_path):
 
 def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F surfboard"))
-    while loop.service.pursuit.views == 0:
+    while loop.service.goals.views == 0:
         loop.step()
     brief = prepare(loop.config.mission, formula="F piano")
     loop.service.begin(brief, loop.drive.motion.stamp_ns)
-    assert loop.service.pursuit.views == 0
-    while loop.service.pursuit.views == 0:
+    assert loop.service.goals.views == 0
+    while loop.service.goals.views == 0:
         loop.step()
     before = len(loop.notes.goals)
     loop.service.mission.pause(True)

@@ -110,8 +110,9 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
     loop = driving()
     service, pose = loop.service, loop.drive.motion.odometry
     near = (pose.x_m + away_m, pose.y_m)
-    goal = service.pursuit.goal = replace(service.goal, candidate_xy_m=near)
-    service.pursuit._follow(goal, None, pose, loop.drive.motion.stamp_ns, 0)
+    present = service.goals._present
+    present.goal = replace(present.goal, candidate_xy_m=near)
+    service.goals._follow(present, pose, loop.drive.motion.stamp_ns, 0)
     assert (service.goal is None) == done
     assert any(xy == pytest.approx(near) for xy in service.pool._discarded_xy_m) == done
 
@@ -206,13 +207,12 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])
 def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without, stops):
     loop = driving()
-    select, before = loop.service.pursuit.choose, len(loop.notes.goals)
-    loop.service.pursuit.choose = lambda *_: None
+    choose, before = loop.service.goals.choose, len(loop.notes.goals)
+    loop.service.goals.choose = lambda *_: loop.service.goals.drop()
     for _ in range(ticks_without):
         loop.step()
     assert [g.kind for g in loop.notes.goals[before:]] == ["look"] * stops
-    loop.service.pursuit.choose = select
-    loop.service.pursuit._selector.drop()
+    loop.service.goals.choose = choose
     loop.step()
     assert loop.notes.goals[-1].kind != "look"
     assert loop.service.goal is loop.notes.goals[-1]
@@ -269,9 +269,10 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
 def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    service.pursuit._selector.exhausted = service.pursuit._second_chance = True
+    service.goals._search.exhausted = service.goals._next_view.done = True
+    assert service.goals.exhausted
     service.forget_places(loop.drive.motion.stamp_ns)
-    assert (service.pursuit.exhausted, service.pursuit._second_chance) == (False, False)
+    assert not service.goals.exhausted
     assert service.goal is None
     blank = blank_observation(10**6, loop.drive.motion.stamp_ns, SE2(7, 7, 0), loop)
     service.tick(blank, blank.stamp_ns)

@@ -178,7 +178,8 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
     for across_m in (-0.05, 0.0, 0.05):
         cell = service.grid.window.cell_of(person.x_m, person.y_m + across_m)
         service.grid._write(*cell, ly.OCCUPIED)
-    service._held_up(pose.ahead(0.2), loop.drive.motion.stamp_ns)
+    now_ns, place = loop.drive.motion.stamp_ns, pose.ahead(0.2)
+    service.goals._hold_up(service.grid, service.pose, place, now_ns)
     assert service.grid.bumps.closed_m == []
     (said,) = [event.text for event in service.result().events]
     assert said.startswith("held up")

@@ -87,7 +87,7 @@ def room(half_m: float, height_m: float = 2.5) -> list[Box]:
 def window(grid: RollingMap, layer: str) -> np.ndarray:
     """A layer in window coordinates: [0, 0] is the lower-left cell."""
     shift_x, shift_y = grid.window.shift
-    array = getattr(grid.layers, layer)
+    array = getattr(grid._layers, layer)
     if array.dtype == np.uint64:
         array = np.unpackbits(array.view(np.uint8), axis=1, bitorder="little")
     return np.roll(array, (-shift_y, -shift_x), axis=(0, 1))

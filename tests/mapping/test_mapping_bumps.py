@@ -92,7 +92,7 @@ BEHIND_IT = (1.8, 0.0)
 def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, bool]:
     """raw, top and known of the cell."""
     x, y = (math.floor(v / grid.resolution_m) % grid.window.n for v in place)
-    layers = grid.layers
+    layers = grid._layers
     return int(layers.raw[y, x]), int(layers.top[y, x]), bool(ly.bit_get(layers.known, y, x))
 
 

@@ -104,7 +104,7 @@ def test_a_change_behind_the_robot_moves_the_frontier_there():
     from edge.mapping import layers
 
     for dx in range(12):
-        layers.set_free(grid.layers, *grid.window.shift, x + dx, y, grid._changed)
+        layers.set_free(grid._layers, *grid.window.shift, x + dx, y, grid._changed)
     look(grid, SE2(0, 0, 0), room(2.0))
     check(grid)
     assert any(fx < -0.4 for fx in grid.frontiers.xy_m[: grid.frontiers.n, 0])
@@ -161,7 +161,7 @@ def test_clusters_are_cut_at_their_limit(n_cells):
     from edge.mapping import layers
 
     for x in range(n_cells):
-        layers.set_free(grid.layers, *grid.window.shift, 100 + x, 300, grid._changed)
+        layers.set_free(grid._layers, *grid.window.shift, 100 + x, 300, grid._changed)
     grid._refresh_frontiers(True)
     size = grid._clusters.size
     assert size.sum() == n_cells

@@ -239,7 +239,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
     pose = SE2(0.0, 0.0, 0.0)
     T = pose.matrix() @ T_BASE_CAMERA
     depth = twins.render(camera, T, room(3.0))
-    size = sum(layer.nbytes for layer in grid.layers)
+    size = sum(layer.nbytes for layer in grid._layers)
     for _ in range(3):
         grid.update_depth(depth, camera, T, pose)
         grid.reach.step(pose)
@@ -251,7 +251,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
         assert tracemalloc.get_traced_memory()[1] < 64 * 1024
     finally:
         tracemalloc.stop()
-    assert sum(layer.nbytes for layer in grid.layers) == size < 10 * 1024 * 1024
+    assert sum(layer.nbytes for layer in grid._layers) == size < 10 * 1024 * 1024
 
 
 def signatures() -> dict[str, int]:

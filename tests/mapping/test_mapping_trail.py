@@ -113,11 +113,11 @@ def test_a_robot_that_was_carried_leaves_no_trail_between():
     grid = RollingMap(SMALL)
     for x in (0.0, 1.0):
         look(grid, SE2(x, 0.0, 0.0), [])
-    assert np.count_nonzero(bits(grid.layers.trail)) == 10
+    assert np.count_nonzero(bits(grid._layers.trail)) == 10
 
 
 def test_a_trail_is_forgotten_with_the_rest_of_the_map():
     grid = RollingMap(SMALL)
     drive(grid, np.arange(0.0, 40.0, 0.2), [])
-    trail = bits(grid.layers.trail)
+    trail = bits(grid._layers.trail)
     assert 0 < np.count_nonzero(trail) <= 3 * (grid.window.n + 2)

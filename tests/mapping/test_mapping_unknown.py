@@ -22,15 +22,15 @@ def random_map(rng: np.random.Generator) -> RollingMap:
         for dy in range(int(rng.integers(1, 12))):
             for dx in range(int(rng.integers(1, 12))):
                 sy, sx = (y + dy + shift[1]) % n, (x + dx + shift[0]) % n
-                if grid.layers.raw[sy, sx] == 0:
-                    layers.set_free(grid.layers, *shift, x + dx, y + dy, changed)
+                if grid._layers.raw[sy, sx] == 0:
+                    layers.set_free(grid._layers, *shift, x + dx, y + dy, changed)
     for _ in range(300):
         x, y = (int(v) for v in rng.integers(0, n, 2))
         sy, sx = (y + shift[1]) % n, (x + shift[0]) % n
-        if grid.layers.raw[sy, sx] < 2:
-            grid.layers.raw[sy, sx] = 2
-            layers.bit_set(grid.layers.known, sy, sx, True)
-            layers.add_disc(grid.layers, *shift, x, y, 1, grid._disc, (0, 0, n, n), changed)
+        if grid._layers.raw[sy, sx] < 2:
+            grid._layers.raw[sy, sx] = 2
+            layers.bit_set(grid._layers.known, sy, sx, True)
+            layers.add_disc(grid._layers, *shift, x, y, 1, grid._disc, (0, 0, n, n), changed)
     return grid
 
 

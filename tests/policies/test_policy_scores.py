@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.config import PolicyHvl, PolicyNearest
-from edge.geometry import SE2, wrap_angle
-from edge.loop.candidates import FRONTIER, INSTANCE, CandidatePool
+from edge.geometry import SE2, CameraModel, wrap_angle
 from edge.policies import make_policy
-from edge.policies.base import ranked
-from edge.policies.kernels import hvl_scores, vl_scores
+from edge.policies.base import FRONTIER, INSTANCE, Answers, Candidates, Context, scores_of
+from edge.policies.hvl import hvl_scores, vl_scores
+from edge.policies.select import ranked
+from edge.types import Detections, Observation
 
 FOV = math.radians(75)
 
@@ -33,10 +34,8 @@ def scored(points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None, target
     mu = np.array([b[0] for b in boxes], np.float64)
     alpha = np.array([b[1] for b in boxes], np.float64)
     label = np.array([b[2] if len(b) > 2 else 0 for b in boxes], np.int32)
-    kind, seen = np.zeros(n, np.int8), np.full(n, seen_ns, np.int64)
-    vl_scores(
-        xy, kind, seen, n, pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, label, 0.1, out
-    )
+    seen = np.full(n, seen_ns, np.int64)
+    vl_scores(xy, seen, n, pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, label, 0.1, out)
     return out
 
 
@@ -91,56 +90,133 @@ def test_an_image_from_before_the_candidate_says_nothing():
     ],
 )
 def test_hvl_score_is_eq_8(kind, vl, ratio, heuristics, expected):
-    score = np.zeros(1, np.float32)
+    score, one = np.zeros(1, np.float32), np.array([vl], np.float32)
+    sight, confidence = (
+        (np.array([np.nan], np.float32), one) if kind == INSTANCE else (one, one * 0)
+    )
     hvl_scores(
-        np.array([[2.0, 0.0]], np.float32), np.array([kind], np.int8),
-        np.array([vl], np.float32), np.array([ratio], np.float32), 1, 0.0, 0.0,
-        0.5, 2.0, 3.0, heuristics, score,
+        np.array([[2.0, 0.0]], np.float32), np.array([kind], np.int8), confidence, sight,
+        np.array([ratio], np.float32), 1, 0.0, 0.0, 0.5, 2.0, 3.0, heuristics, score,
     )  # fmt: skip
     assert score[0] == pytest.approx(expected, rel=1e-5)
 
 
-def pool_of(*entries: tuple[int, float, float, float]) -> CandidatePool:
-    """A pool of (kind, x, y, score)."""
-    pool = CandidatePool(16, 0.5)
-    pool.n = len(entries)
-    for i, (kind, x, y, score) in enumerate(entries):
-        pool.kind[i], pool.xy_m[i], pool.score[i], pool.id[i] = kind, (x, y), score, i + 1
-    return pool
+def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
+    """Candidates of (kind, x, y), with ids that count from 1 and confidence 0.6."""
+    candidates = Candidates(16)
+    candidates.n = len(entries)
+    candidates.confidence[:] = 0.6
+    for i, (kind, x, y) in enumerate(entries):
+        candidates.kind[i], candidates.xy_m[i], candidates.id[i] = kind, (x, y), i + 1
+    return candidates
 
 
 @pytest.mark.parametrize(
-    ("entries", "expected"),
+    ("entries", "score", "expected"),
     [
-        ([], []),
-        ([(FRONTIER, 2, 0, 0.1), (FRONTIER, 3, 0, 0.9)], [1, 0]),
+        ([], [], []),
+        ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.1, 0.9], [1, 0]),
         # Instances come first, whatever a frontier scores.
-        ([(FRONTIER, 2, 0, 0.9), (INSTANCE, 3, 0, 0.1)], [1, 0]),
+        ([(FRONTIER, 2, 0), (INSTANCE, 3, 0)], [0.9, 0.1], [1, 0]),
         # Too close to be a goal; an instance there is for the mission to verify.
-        ([(FRONTIER, 0.2, 0, 0.9), (FRONTIER, 3, 0, 0.1)], [1]),
-        ([(INSTANCE, 0.2, 0, 0.9), (FRONTIER, 3, 0, 0.1)], [0, 1]),
+        ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
+        ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
         # Ties go to the older identity.
-        ([(FRONTIER, 2, 0, 0.5), (FRONTIER, 3, 0, 0.5)], [0, 1]),
+        ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
     ],
 )
-def test_ranking_is_algorithm_2(entries, expected):
-    assert ranked(pool_of(*entries), SE2(0, 0, 0), 0.5).tolist() == expected
+def test_ranking_is_algorithm_2(entries, score, expected):
+    order = ranked(candidates_of(*entries), np.array(score, np.float32), SE2(0, 0, 0), 0.5)
+    assert order.tolist() == expected
 
 
 def test_blocked_candidates_are_left_out():
-    pool = pool_of((FRONTIER, 2, 0, 0.9), (FRONTIER, 3, 0, 0.1))
-    pool.blocked[0] = True
-    assert ranked(pool, SE2(0, 0, 0), 0.5).tolist() == [1]
+    candidates = candidates_of((FRONTIER, 2, 0), (FRONTIER, 3, 0))
+    candidates.blocked[0] = True
+    assert ranked(candidates, np.ones(2, np.float32), SE2(0, 0, 0), 0.5).tolist() == [1]
+
+
+CAMERA = CameraModel.from_hfov(320, 256, FOV)
+
+
+class Unknown:
+    """A map of which nothing is known."""
+
+    def unknown_ratio(self, xy_m, n, radius_m, out) -> None:
+        out[:n] = 1.0
+
+
+def context(candidates, targets=("chair",), target="chair", boxes=None, stamp_ns=0) -> Context:
+    """Boxes are (bearing, confidence, target) in an image taken at the origin."""
+    seen = Observation(0, stamp_ns, np.eye(4), camera=CAMERA)
+    found = None
+    if boxes is not None:
+        middle = [CAMERA.cx_px - CAMERA.fx_px * math.tan(mu) for mu, _, _ in boxes]
+        found = Detections(
+            seen,
+            np.array([[u - 1, 0, u + 1, 9] for u in middle], np.float32).reshape(-1, 4),
+            np.array([alpha for _, alpha, _ in boxes], np.float32),
+            np.array([label for _, _, label in boxes], np.int32),
+            targets,
+        )
+    nowhere = (0, 0, 0, 0)
+    return Context(
+        seen, seen.pose, Unknown(), nowhere, candidates, found, Answers(), targets, target, 0
+    )
 
 
 def test_nearest_frontier_scores_by_nearness():
-    pool = pool_of((FRONTIER, 4, 0, 0), (FRONTIER, 2, 0, 0), (INSTANCE, 9, 0, 0))
-    pool.vl[0, 2] = 0.6
-    make_policy(PolicyNearest()).score(pool, None, None, SE2(0, 0, 0))
-    assert pool.score[:3] == pytest.approx([0.2, 1 / 3, 0.6])
+    candidates = candidates_of((FRONTIER, 4, 0), (FRONTIER, 2, 0), (INSTANCE, 9, 0))
+    got = scores_of(make_policy(PolicyNearest()), context(candidates))
+    assert got == pytest.approx([0.2, 1 / 3, 0.6])
+    assert got.dtype == np.float32
 
 
-def test_the_registry_knows_every_policy_of_the_configuration():
-    for section in (PolicyHvl(), PolicyNearest()):
-        policy = make_policy(section)
-        assert policy.delta_reached_m == section.delta_reached_m
+# By S_VL alone: what is remembered of a frontier is its score.
+BY_SIGHT = PolicyHvl(heuristics=False)
+BOTH = ("chair", "sofa")
+
+
+def test_what_was_seen_first_stays_with_the_frontier_wherever_it_stands_in_the_list():
+    policy = make_policy(BY_SIGHT)
+    first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
+    bearing = math.atan2(1, 2)
+    boxes = [(0.0, 0.5, 0), (bearing, 0.8, 0), (-bearing, 0.3, 1)]
+    chair = scores_of(policy, context(first, BOTH, "chair", boxes)).copy()
+    assert (chair[1] > 0.1, chair[2] < 0.01) == (True, True)
+    # Another order, one gone, one new in sight of nothing, an instance, and a later image without
+    # any box: it says nothing of what was looked at before.
+    later = candidates_of((FRONTIER, 0, 9), (FRONTIER, 2, -1), (FRONTIER, 2, 0), (INSTANCE, 1, 0))
+    later.id[:4] = 7, 3, 1, 3
+    later.first_seen_ns[0] = 5
+    got = scores_of(policy, context(later, BOTH, "chair", [], stamp_ns=9)).copy()
+    assert got.tolist() == [0.0, chair[2], chair[0], np.float32(0.6)]
+    # The other target's scores are from the same look.
+    sofa = scores_of(policy, context(later, BOTH, "sofa"))
+    assert sofa[1] > 0.05 > sofa[2]
+
+
+@pytest.mark.parametrize(
+    ("why", "kept"), [("mission", False), ("pose", False), ("map rolled", True)]
+)
+def test_what_was_seen_is_forgotten_with_its_mission_or_map(why, kept):
+    policy, one = make_policy(BY_SIGHT), candidates_of((FRONTIER, 2, 0))
+    before = float(scores_of(policy, context(one, boxes=[(0.0, 0.5, 0)]))[0])
+    assert before == pytest.approx(0.5)
+    policy.reset(why)
+    assert scores_of(policy, context(one)).tolist() == [before if kept else 0.0]
+
+
+@pytest.mark.parametrize(
+    "given", [[1.0], [[1.0, 2.0]], 3.0, [1.0, math.nan], [math.inf, 0.0]], ids=str
+)
+def test_a_policy_that_does_not_score_every_candidate_is_named(given):
+    class Odd:
+        def score(self, context):
+            return given
+
+        def reset(self, why):
+            pass
+
+    with pytest.raises(ValueError, match=r"^policy Odd: scores of shape .* for 2 candidates"):
+        scores_of(Odd(), context(candidates_of((FRONTIER, 2, 0), (FRONTIER, 3, 0))))

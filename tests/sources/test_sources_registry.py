@@ -12,8 +12,8 @@ from edge.sources.zenoh import ZenohSource
 
 
 class Mine:
-    def __init__(self, session, config) -> None:
-        self.rate_hz = config.source.options["rate_hz"]
+    def __init__(self, config, session, rate_hz: int) -> None:
+        self.rate_hz = rate_hz
 
 
 def configured(kind: str, **options):
@@ -36,12 +36,13 @@ def test_a_source_of_ones_own():
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("zenho", r"unknown \(choices: zenoh, module:Class of your own\), got 'zenho'"),
-        ("no_such_module:A", "no_such_module:A: ModuleNotFoundError: .*; is it on PYTHONPATH"),
-        ("edge.sources:Nothing", "edge.sources:Nothing: AttributeError"),
+        ("zenho", r"kind: unknown 'zenho' \(choices: zenoh, or module:Class\)"),
+        ("no_such_module:A", "kind: 'no_such_module:A': ModuleNotFoundError: .*on PYTHONPATH"),
+        ("edge.sources:Nothing", "kind: 'edge.sources:Nothing': AttributeError"),
+        (f"{__name__}:Mine", r"options: missing a required argument: 'rate_hz'"),
     ],
 )
 def test_what_is_no_source_is_told_in_one_line(kind, says):
-    with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.kind: {says}") as caught:
+    with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}") as caught:
         make_source(configured(kind), None)
     assert "\n" not in str(caught.value)

@@ -15,7 +15,7 @@ from simulated import simulated
 
 from edge.config import Config
 from edge.geometry import SE2
-from edge.loop.advice import SIGHTED_NS, Advisers, make_advisers, sightings
+from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
@@ -56,17 +56,17 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
 def test_without_scorers_nothing_runs():
     loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "sim": {"lockstep": True}}))
     loop.step()
-    assert loop.service.advice is None
+    assert loop.scorers is None
     assert status_of(loop.service.result())["scorers"] == {}
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_what_the_scorer_says_becomes_the_advice(lockstep):
+def test_what_the_scorer_says_is_taken_up(lockstep):
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep)))
         if lockstep:  # at once, or a run would not replay the same
-            assert loop.service.advice.choice.stamp_ns == loop.service.stamp_ns
-        choice = eventually(lambda: loop.step() or loop.service.advice.choice)
+            assert loop.scorers.answers.choice.stamp_ns == loop.service.stamp_ns
+        choice = eventually(lambda: loop.step() or loop.scorers.answers.choice)
         status = status_of(loop.service.result())["scorers"]["choice"]
         loop.close()
     assert set(choice.ids) <= set(range(1, 1000))
@@ -76,7 +76,7 @@ def test_what_the_scorer_says_becomes_the_advice(lockstep):
     assert choice.scene == pytest.approx(0.75)
     assert status["model"] == f"m at {server.url}"
     assert status["scene"] == pytest.approx(0.75)
-    assert list(status["frontiers"]) == [str(i) for i in loop.service.advice.choice.ids]
+    assert list(status["frontiers"]) == [str(i) for i in loop.scorers.answers.choice.ids]
     assert status["answered"] >= 1
     assert "surfboard" in server.requests[0][2]["messages"][1]["content"]
 
@@ -86,7 +86,7 @@ def test_the_robot_goes_on_when_the_server_never_answers():
     with serving(lambda handler: handler.stopping.wait()) as server:
         loop = ClosedLoop(settings(server.url, target="television")).run(240)
         assert loop.service.status.phase == "reached", loop.service.status
-        assert loop.service.advice.choice is None
+        assert loop.scorers.answers.choice is None
         status = status_of(loop.service.result())["scorers"]["choice"]
         assert status["asked"] > status["answered"] == 0
         assert status["frontiers"] == {}
@@ -96,7 +96,7 @@ def test_the_robot_goes_on_when_the_server_never_answers():
 def test_a_server_that_lies_is_counted_and_the_loop_goes_on(caplog):
     with serving(lambda h: send(h, likeliest({"A": float("nan")}))) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url)))
-        scorers = loop.advisers.status
+        scorers = loop.scorers.status
         eventually(lambda: loop.step() or scorers()["choice"]["failed"])
         loop.close()
     assert "a logprob that is none" in scorers()["choice"]["last_error"]
@@ -106,17 +106,17 @@ def test_a_server_that_lies_is_counted_and_the_loop_goes_on(caplog):
 def test_after_a_jump_of_the_pose_nothing_said_before_counts():
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url)))
-        eventually(lambda: loop.step() or loop.service.advice.choice)
-        eventually(lambda: loop.advisers._choice.idle)
+        eventually(lambda: loop.step() or loop.scorers.answers.choice)
+        eventually(lambda: loop.scorers._choice.idle)
         loop.step()  # asks again
-        eventually(lambda: loop.advisers._choice.idle)
+        eventually(lambda: loop.scorers._choice.idle)
         loop.service.forget_places(loop.drive.motion.stamp_ns)
-        assert loop.service.advice.choice is None
-        loop.advisers.take_up()  # what was asked about the old frame
-        assert loop.service.advice.choice is None
-        eventually(lambda: loop.step() or loop.service.advice.choice)
+        assert loop.scorers.answers.choice is None
+        loop.scorers.take_up()  # what was asked about the old frame
+        assert loop.scorers.answers.choice is None
+        eventually(lambda: loop.step() or loop.scorers.answers.choice)
         loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)
-        assert loop.service.advice.choice is None
+        assert loop.scorers.answers.choice is None
         loop.close()
 
 
@@ -145,20 +145,23 @@ class FakeSimilarity:
 
 def test_similarity_is_for_every_target(monkeypatch):
     loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
-    advisers = Advisers(FakeSimilarity(), None, inline=True)
+    scorers = Scorers(FakeSimilarity(), None, inline=True)
     seen = loop.observe()
-    advisers.ask(seen, ("bed", "chair"), "bed", loop.service.pool, loop.service.tracker)
-    advisers.take_up()
-    similarity = advisers.advice.similarity
+    candidates, tracker = loop.service.pool.candidates, loop.service.tracker
+    scorers.ask(seen, ("bed", "chair"), "bed", candidates, tracker)
+    scorers.take_up()
+    similarity = scorers.answers.similarity
     np.testing.assert_allclose(similarity.score, seen.rgb.mean() + np.array([0, 1]), rtol=1e-6)
     assert similarity.targets == ("bed", "chair")
     assert (similarity.stamp_ns, similarity.pose) == (seen.stamp_ns, seen.pose)
-    status = advisers.status()["similarity"]
+    status = scorers.status()["similarity"]
     assert set(status["scores"]) == {"bed", "chair"}
     assert status["model"] == "fake"
-    advisers.ask(replace(seen, rgb=None), ("bed",), "bed", loop.service.pool, loop.service.tracker)
-    assert advisers.status()["similarity"]["asked"] == 1
-    advisers.close()
+    scorers.ask(
+        replace(seen, rgb=None), ("bed",), "bed", loop.service.pool.candidates, loop.service.tracker
+    )
+    assert scorers.status()["similarity"]["asked"] == 1
+    scorers.close()
 
 
 def test_the_running_detectors_scores_are_taken_from_its_detections():
@@ -166,13 +169,13 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
     config = simulated({**lockstep, "perception": {"similarity": name}})
     loop = ClosedLoop(config).run(3)
-    similarity = loop.service.advice.similarity
+    similarity = loop.scorers.answers.similarity
     assert similarity.targets == ("chair",)
     assert similarity.score.shape == (1,)
     status = status_of(loop.service.result())["scorers"]
     assert status["similarity"]["model"].startswith(f"{name} (sim")
     assert "choice" not in status
-    assert loop.advisers.names() == [name]
+    assert loop.scorers.names() == [name]
 
 
 def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
@@ -199,8 +202,8 @@ def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
 )
 def test_bad_cards_are_one_line_at_the_start(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
-        make_advisers(simulated({"perception": perception}), ("chair",))
+        make_scorers(simulated({"perception": perception}), ("chair",))
 
 
 def test_nothing_configured_makes_nothing():
-    assert make_advisers(simulated(), ("chair",)) is None
+    assert make_scorers(simulated(), ("chair",)) is None

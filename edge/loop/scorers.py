@@ -1,18 +1,19 @@
-"""What slow models say about where to go: asked beside the loop, taken up when they answer."""
+"""What slow models say about where to go: asked beside the loop, taken up when they answer.
+
+The status message tells it, and policies may go by it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from edge.config import ChoiceNone, Config
-from edge.geometry import SE2
-from edge.loop.candidates import FRONTIER, CandidatePool
 from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import Choice, Sighting, View
+from edge.perception.choice.question import Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice
 from edge.perception.instances import InstanceTracker
 from edge.perception.similarity import (
@@ -23,64 +24,34 @@ from edge.perception.similarity import (
     similarity_card,
 )
 from edge.perception.worker import ScorerWorker
+from edge.policies.base import FRONTIER, Answers, Candidates, Similarity
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # what was seen longer ago is not in view any more
 MAX_SIGHTINGS = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Similarity:
-    """How well one image goes with each target of the mission.
-
-    Attributes:
-        stamp_ns: of the observation, `pose` is where the robot stood then.
-        score: (n,) float32, one for each target; see `SimilarityScorer.score` for the scale.
-        round: see `View.round`.
-    """
-
-    stamp_ns: int
-    pose: SE2
-    targets: tuple[str, ...]
-    score: np.ndarray
-    round: int
-
-
-@dataclass(slots=True)
-class Advice:
-    """What the scorers last said of this map and mission; None: nothing yet.
-
-    The service has it as its `advice` and its status message tells it; no policy reads it yet.
-    VLFM goes by `similarity`, over the whole field of view, and ViTL by `choice`, by frontier:
-    `Choice.ids` are ids of the pool's candidates, and those that the pool has no longer are stale.
-    Either may be seconds old, or never come.
-    """
-
-    similarity: Similarity | None = None
-    choice: Choice | None = None
-
-
-class _Look(NamedTuple):
-    """A question to a similarity scorer."""
+class _Question(NamedTuple):
+    """What a similarity scorer is asked."""
 
     observation: Observation
     targets: tuple[str, ...]
     round: int
 
 
-class _SimilarityAsker:
+class _SimilarityAnswers:
     """A similarity scorer with the interface that workers run."""
 
     def __init__(self, scorer: SimilarityScorer) -> None:
         self.name = scorer.name
         self._scorer = scorer
 
-    def look(self, question: _Look) -> tuple[_Look, np.ndarray]:
+    def look(self, question: _Question) -> tuple[_Question, np.ndarray]:
         """A copy of the image costs less than a frame that is held while a model runs."""
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
-    def answer(self, looked: tuple[_Look, np.ndarray]) -> Similarity:
+    def answer(self, looked: tuple[_Question, np.ndarray]) -> Similarity:
         question, rgb = looked
         seen, targets = question.observation, question.targets
         score = self._scorer.score(rgb, targets)
@@ -90,11 +61,11 @@ class _SimilarityAsker:
         self._scorer.close()
 
 
-class Advisers:
+class Scorers:
     """The configured scorers, each with at most one question under way.
 
     Attributes:
-        advice: the newest answers.
+        answers: the newest ones.
     """
 
     def __init__(
@@ -111,12 +82,12 @@ class Advisers:
             rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
         """
-        self.advice = Advice()
+        self.answers = Answers()
         self._from_detections = from_detections
         self._detector = ""
         self._round = 0
-        asker = None if similarity is None else _SimilarityAsker(similarity)
-        self._similarity = None if asker is None else ScorerWorker("similarity", asker, 0.0, inline)
+        asked = None if similarity is None else _SimilarityAnswers(similarity)
+        self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
         self._choice = None if choice is None else ScorerWorker("choice", choice, rest_s, inline)
 
     def ask(
@@ -124,22 +95,23 @@ class Advisers:
         observation: Observation,
         targets: tuple[str, ...],
         target: str,
-        pool: CandidatePool,
+        candidates: Candidates,
         tracker: InstanceTracker,
     ) -> None:
         """Put this moment to the scorers that are idle. Never blocks, unless inline.
 
         Args:
             targets: of the mission; `target` is the active one.
-            pool: its frontiers are the directions to choose among.
+            candidates: the frontiers among them are the directions to choose from.
             tracker: has what was detected.
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            similarity.submit(_Look(observation, targets, self._round))
+            similarity.submit(_Question(observation, targets, self._round))
         if choice is not None and choice.idle:
-            open_ = np.flatnonzero((pool.kind[: pool.n] == FRONTIER) & ~pool.blocked[: pool.n])
-            marks = visible_marks(observation, pool.xy_m[open_], pool.id[open_])
+            c = candidates
+            open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
+            marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
                 seen = sightings(tracker, observation)
                 choice.submit(View(observation, target, marks, seen, self._round))
@@ -149,25 +121,23 @@ class Advisers:
         if self._from_detections is not None:
             seen = detections.observation
             self._detector = detections.model
-            self.advice.similarity = Similarity(
-                seen.stamp_ns, seen.pose, detections.prompts, best_scores(detections), self._round
-            )
+            score = best_scores(detections)
+            said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score, self._round)
+            self.answers = replace(self.answers, similarity=said)
 
     def take_up(self) -> None:
-        """Answers that came meanwhile become the advice, unless they are of another round."""
-        if self._similarity is not None:
-            similarity = self._similarity.poll()
-            if similarity is not None and similarity.round == self._round:
-                self.advice.similarity = similarity
-        if self._choice is not None:
-            choice = self._choice.poll()
-            if choice is not None and choice.round == self._round:
-                self.advice.choice = choice
+        """Answers that came meanwhile are the newest, unless they are of another round."""
+        similarity = None if self._similarity is None else self._similarity.poll()
+        if similarity is not None and similarity.round == self._round:
+            self.answers = replace(self.answers, similarity=similarity)
+        choice = None if self._choice is None else self._choice.poll()
+        if choice is not None and choice.round == self._round:
+            self.answers = replace(self.answers, choice=choice)
 
     def forget(self) -> None:
         """Another map or mission: what was said, and what is being asked, is void."""
         self._round += 1
-        self.advice.similarity = self.advice.choice = None
+        self.answers = Answers()
 
     def names(self) -> list[str]:
         """What runs, for people."""
@@ -178,7 +148,7 @@ class Advisers:
     def status(self) -> dict[str, object]:
         """For the status message: model, counts and newest answer of each scorer that runs."""
         said: dict[str, object] = {}
-        similarity, choice = self.advice.similarity, self.advice.choice
+        similarity, choice = self.answers.similarity, self.answers.choice
         if self._similarity is not None or self._from_detections is not None:
             said["similarity"] = {
                 **(
@@ -220,7 +190,7 @@ def sightings(tracker: InstanceTracker, observation: Observation) -> tuple[Sight
     return tuple(sorted(found, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
 
 
-def make_advisers(config: Config, targets: Sequence[str]) -> Advisers | None:
+def make_scorers(config: Config, targets: Sequence[str]) -> Scorers | None:
     """The scorers that the configuration names; None where there are none.
 
     Args:
@@ -242,10 +212,10 @@ def make_advisers(config: Config, targets: Sequence[str]) -> Advisers | None:
         "rest_s": 0.0 if isinstance(choice, ChoiceNone) else choice.rest_s,
     }
     if card is None:
-        return Advisers(None, asked, **how)
+        return Scorers(None, asked, **how)
     if is_running_detector(card, perception):
-        return Advisers(None, asked, from_detections=card.name, **how)
-    return Advisers(make_similarity(card, perception, targets), asked, **how)
+        return Scorers(None, asked, from_detections=card.name, **how)
+    return Scorers(make_similarity(card, perception, targets), asked, **how)
 
 
 def _by(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:

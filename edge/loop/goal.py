@@ -1,0 +1,445 @@
+"""The present goal, from its choice to the controller's answer and what follows from that.
+
+Here alone is kept what the robot is sent to, what the controller said of it, and what was tried
+in vain. A controller drives to the last goal that it heard until it is there, so a goal that is
+given up is taken back: by one at the place where the robot is.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import SE2, wrap_angle
+from edge.loop.candidates import CandidatePool
+from edge.loop.search import LASTING_NS, TURNS, NextBestView, Search
+from edge.mapping.coverage import View
+from edge.mapping.grid import RollingMap
+from edge.mission.run import MissionRun
+from edge.motion.stuck import StuckDetector
+from edge.perception.instances import InstanceTracker
+from edge.policies.base import FRONTIER, INSTANCE, Context
+from edge.policies.select import Held, choose, ranked
+from edge.types import Goal, GoalStatus, Instance, MissionPhase
+
+log = logging.getLogger("edge.loop.goal")
+
+# A detector that stands still refutes nothing: so many images have to be searched on the spot.
+MIN_IMAGES = 5
+# A goal that is dropped in one tick and chosen again in one of the next is not taken back.
+GRACE_NS = 300_000_000
+SILENT_NS = 3_000_000_000
+# A controller that says that the robot is held up farther away than this mistakes the frame.
+_HELD_UP_M = 2.0
+Verdict = Literal["reached", "refuted", "out of reach"]
+
+
+@dataclass(slots=True, eq=False)
+class _Present:
+    """The goal being driven to, and all that ends with it.
+
+    Attributes:
+        peak: the best score of its candidate so far.
+        view: what is to be seen from there, where that is what it is for.
+        told: whether it was sent.
+        answer: the controller's newest; `blocked`: where it said that the robot was held up.
+        verifying_since_ns: when the robot was there and near enough to verify the instance;
+            `images_before`: how many the detector had searched by then.
+    """
+
+    goal: Goal
+    peak: float = 0.0
+    view: View | None = None
+    told: bool = False
+    answer: GoalStatus | None = None
+    blocked: tuple[float, float] | None = None
+    verifying_since_ns: int | None = None
+    images_before: int = 0
+
+
+class GoalTracker:
+    """Follows one goal after another; for one thread.
+
+    Args:
+        pool: the candidates; those that were tried in vain are discarded there.
+        tracker: the instances; those that were reached or refuted are marked there.
+        send: hands a goal to those who transmit it.
+        event: tells of something that a person would want to know.
+
+    Attributes:
+        phase: what the robot is at: searching, approaching or verifying.
+        driving: whether the controller has a goal that it has not finished with.
+        heard: whether a controller answers.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        pool: CandidatePool,
+        tracker: InstanceTracker,
+        send: Callable[[Goal], None],
+        event: Callable[[str, int], None],
+    ) -> None:
+        self.phase: MissionPhase = "searching"
+        self.driving = False
+        self.heard = False
+        self._config, self._pool, self._tracker = config, pool, tracker
+        self._send, self._event = send, event
+        self._present: _Present | None = None
+        self._search = Search()
+        self._next_view = NextBestView(config.perception.confirm_hits)
+        self._stuck, self._stuck_far = (
+            StuckDetector(config.mission.stuck_s, config.motion.stuck_m) for _ in range(2)
+        )
+        self._warned_of: set[int] = set()
+        self._without_since_ns: int | None = None
+        self._unanswered_since_ns: int | None = None
+        self._grace_ns = GRACE_NS
+        self._silence_told = False
+
+    # -- what others read -------------------------------------------------------------------
+
+    @property
+    def goal(self) -> Goal | None:
+        """Where the robot is sent; None: nowhere."""
+        return None if self._present is None else self._present.goal
+
+    @property
+    def answer(self) -> GoalStatus | None:
+        """The controller's newest answer to the present goal; None before it came."""
+        return None if self._present is None else self._present.answer
+
+    @property
+    def exhausted(self) -> bool:
+        """Nothing is left to go to, nor to look at again."""
+        return self._search.exhausted and self._next_view.done
+
+    @property
+    def views(self) -> int:
+        """How many views of what had been seen badly it has seen, in this mission."""
+        return self._next_view.views
+
+    # -- choosing ---------------------------------------------------------------------------
+
+    def choose(self, context: Context, score: np.ndarray, images: int) -> Goal | None:
+        """Algorithm 2 of VL-Nav over the scored candidates: the goal of this tick.
+
+        With none left the robot turns on the spot. Then those that were given up come once more,
+        and the ways on which the robot was held up, as soon as the reach field leads there; then
+        what the detector has seen badly is looked at again.
+
+        Args:
+            score: (n,) float32, of the context's candidates.
+            images: how many the detector has searched so far.
+
+        Returns:
+            A goal on a free cell that the robot can reach, facing its candidate, the same object
+            as before while it stands; or None.
+        """
+        self._leave_vanished(context)
+        chosen = self._towards_best(context, score) or self._turn(context)
+        if chosen is not None or not self._search.exhausted:
+            self._next_view.drop()
+        elif not self._search.trying_again(context, self._pool, self._tracker):
+            chosen = self._look_again(context, images)
+        self._present = chosen
+        return self.goal
+
+    def _towards_best(self, context: Context, score: np.ndarray) -> _Present | None:
+        """To the best candidate; the present goal, where that serves it still."""
+        c, policy, search = context.candidates, self._config.policy, self._search
+        present, held = self._present, None
+        order = ranked(c, score, context.pose, policy.delta_reached_m)
+        if search.exhausted:
+            lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
+            order = order[lasting | (c.kind[order] == INSTANCE)]
+        if present is not None:
+            fickle = partial(search.fickle, present.goal.candidate_xy_m)
+            held = Held(present.goal, present.peak, fickle)
+        chosen = choose(context, score, order, held, policy.switch_margin, self._tracker.get)
+        goal, peak, stays = chosen or (None, 0.0, False)
+        if present is not None and present.goal.kind == "frontier" and not stays:
+            search.left.append(present.goal.candidate_xy_m)
+        if goal is None:
+            return None
+        search.found()
+        if present is None or goal is not present.goal:
+            return _Present(goal, peak)
+        present.peak = peak
+        return present
+
+    def _turn(self, context: Context) -> _Present | None:
+        """With nowhere to go, on the spot."""
+        turning = self.goal is not None and self.goal.kind == "look"
+        if not self._search.may_turn(turning, context.now_ns):
+            return None
+        if turning:
+            return self._present
+        at = context.pose
+        yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
+        return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
+
+    def _look_again(self, context: Context, images: int) -> _Present | None:
+        """To where something can be seen that was seen badly."""
+        view, present = self._next_view.choose(context.map, images), self._present
+        if view is None:
+            return None
+        if present is not None and present.view is view:
+            return present
+        yaw_rad = wrap_angle(view.heading_rad - context.map.coverage.camera_yaw_rad)
+        pose = SE2(view.x_m, view.y_m, yaw_rad)
+        return _Present(_look(pose, context.now_ns, context.target), view=view)
+
+    def _leave_vanished(self, context: Context) -> None:
+        """A frontier that shows from afar alone would have the robot come and go without end."""
+        goal, search = self.goal, self._search
+        if goal is None or goal.kind != "frontier":
+            return
+        gone = context.candidates.index_of(FRONTIER, goal.candidate_id) < 0
+        if gone and (search.exhausted or search.fickle(goal.candidate_xy_m)):
+            self._discard(context.now_ns)
+
+    # -- sending ----------------------------------------------------------------------------
+
+    def tell(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
+        """Send the present goal, if that was not done; without one the last is taken back."""
+        self._notice_silence(now_ns)
+        present = self._present
+        if present is not None:
+            self._without_since_ns = None
+            if not present.told:
+                self._tell(present.goal, now_ns)
+                present.told = self.driving = True
+                self._warn_of_neighbours(present.goal, mission, now_ns)
+            return
+        if self._without_since_ns is None:
+            self._without_since_ns = now_ns
+        if self.driving and now_ns - self._without_since_ns >= self._grace_ns:
+            self.stand(mission, pose, now_ns)
+
+    def stand(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
+        """Have the robot stay where it is; the goal for that is nobody's to follow up."""
+        self._present = None
+        self._tell(_look(pose, now_ns, mission.target), now_ns)
+        self.driving = False
+
+    def answered(self, answer: GoalStatus) -> None:
+        """The controller said something; what it says of old goals only shows that it is there."""
+        self.heard = True
+        self._unanswered_since_ns = None
+        present = self._present
+        if present is not None and present.told and answer.stamp_ns == present.goal.stamp_ns:
+            present.answer = answer
+            present.blocked = answer.blocked or present.blocked
+            self.driving = answer.state == "accepted"
+
+    def _tell(self, goal: Goal, now_ns: int) -> None:
+        self._grace_ns = GRACE_NS
+        if self._unanswered_since_ns is None:
+            self._unanswered_since_ns = now_ns
+        self._send(goal)
+
+    def _notice_silence(self, now_ns: int) -> None:
+        """Notice, and say once, that nobody answers."""
+        since_ns = self._unanswered_since_ns
+        if since_ns is None or now_ns - since_ns < SILENT_NS:
+            return
+        self.heard = False
+        if not self._silence_told:
+            self._silence_told = True
+            log.warning("no motion controller answers on goal_status")
+
+    def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
+        """Report, before the robot stops there, a goal beside what must not be reached now.
+
+        Each thing is told once, until a goal is not beside it.
+        """
+        near: set[int] = set()
+        for label in mission.forbidden:
+            for instance in self._tracker.of(label):
+                away_m = instance.distance_m(goal.pose.x_m, goal.pose.y_m)
+                if away_m > self._config.mission.reach_m:
+                    continue
+                near.add(instance.id)
+                if instance.id not in self._warned_of:
+                    text = f"goal {away_m:.1f} m from {label}, which must not be reached now"
+                    mission.warn(label, text, now_ns)
+        self._warned_of = near
+
+    # -- following up -----------------------------------------------------------------------
+
+    def judge(self, context: Context, mission: MissionRun, images: int) -> None:
+        """What has become of the present goal.
+
+        Args:
+            images: how many the detector has searched so far.
+        """
+        present, pose, now_ns = self._present, context.pose, context.now_ns
+        if present is not None:
+            blocked, present.blocked = present.blocked, None
+            if blocked is not None and pose.distance_to(*blocked) <= _HELD_UP_M:
+                self._hold_up(context.map, pose, blocked, now_ns)
+        instance = None
+        if present is not None and present.goal.kind == "instance":
+            instance = self._tracker.get(present.goal.candidate_id)
+        if instance is None:
+            self.phase = "searching"
+            verdict = None
+        else:
+            verdict = self._verdict(present, instance, pose, now_ns, images)
+        if verdict is not None:
+            self._act_on(verdict, instance, mission, now_ns)
+        elif present is not None:
+            self._follow(present, pose, now_ns, images)
+        self._notice_standstill(context.map, pose, now_ns)
+
+    def _verdict(
+        self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
+    ) -> Verdict | None:
+        """Is the instance that the robot goes to the thing, and is the robot near it?
+
+        `reached` is declared only when the robot stopped on a goal of its own choosing within
+        `reach_m` of the instance's nearest surface point and the detector confirmed it
+        (DESIGN.md, "Reached means").
+        """
+        config = self._config.mission
+        if present.answer is None or present.answer.state != "reached":
+            present.verifying_since_ns, self.phase = None, "approaching"
+            return None
+        if instance.distance_m(pose.x_m, pose.y_m) > config.reach_m:
+            return "out of reach"
+        self.phase = "verifying"
+        if present.verifying_since_ns is None:
+            present.verifying_since_ns, present.images_before = now_ns, images
+        if self._tracker.confirmed(instance):
+            return "reached"
+        long_enough = (now_ns - present.verifying_since_ns) * 1e-9 > config.verify_s
+        if long_enough and images - present.images_before >= MIN_IMAGES:
+            return "refuted"
+        return None
+
+    def _act_on(
+        self, verdict: Verdict, instance: Instance, mission: MissionRun, now_ns: int
+    ) -> None:
+        if verdict == "reached":
+            self._tracker.mark_reached(instance.id)
+            label = mission.target
+            mission.arrive(f"confirmed, seen in {instance.hits} images", now_ns)
+            if mission.target == label and not mission.done:
+                # A second visit to a thing of this kind: another one, or later.
+                self._discard(now_ns)
+            return
+        if verdict == "refuted":
+            self._tracker.refute(instance.id)
+            self.drop()
+        else:
+            self._discard(now_ns)
+        x, y, _ = instance.center_m
+        self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
+
+    def _follow(self, present: _Present, pose: SE2, now_ns: int, images: int) -> None:
+        """Take up the controller's answers about frontiers, turns and views."""
+        goal, answer = present.goal, present.answer
+        state = None if answer is None else answer.state
+        if present.view is not None:
+            if state == "failed":
+                self._next_view.give_up()
+            elif state == "reached":
+                self._next_view.came(images)
+        elif goal.kind == "look":
+            if state in ("reached", "failed"):
+                self._discard(now_ns)
+        elif answer is not None and state == "failed":
+            self._event(f"goal failed: {answer.reason}", now_ns)
+            self._discard(now_ns)
+        elif goal.kind == "frontier" and (
+            state == "reached"
+            or pose.distance_to(*goal.candidate_xy_m) <= self._config.policy.delta_reached_m
+        ):
+            # Been there. Algorithm 2 leaves out what is this near; were that all, the robot would
+            # turn to another frontier, and back as soon as it is a little farther away.
+            self._discard(now_ns)
+
+    def _notice_standstill(self, grid: RollingMap, pose: SE2, now_ns: int) -> None:
+        """Whichever goals they are: a robot that is held up may be given one after another.
+
+        Where no controller answers, it is no candidate's fault that the robot stands; and a robot
+        that was only to turn on the spot is not held up by what is ahead.
+        """
+        goal, radius_m = self.goal, self._config.robot.radius_m
+        told = goal is not None and self.heard and self.driving
+        far = told and pose.distance_to(goal.pose.x_m, goal.pose.y_m) > radius_m
+        stuck = self._stuck.update(pose, told, now_ns)
+        if self._stuck_far.update(pose, far, now_ns):
+            self._hold_up(grid, pose, pose.ahead(radius_m), now_ns)
+        if stuck:
+            self._event("stuck: goal discarded", now_ns)
+            self._discard(now_ns)
+
+    def _hold_up(
+        self, grid: RollingMap, pose: SE2, place: tuple[float, float], now_ns: int
+    ) -> None:
+        """Where no sensor shows what is there only driving can tell: the map closes."""
+        where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
+        if grid.bumps.explained(pose, place, self._config.robot.radius_m):
+            self._event(f"{where} by what the map shows", now_ns)
+            return
+        self._event(f"{where}: the map closes there", now_ns)
+        grid.bumps.close(*place, now_ns)
+
+    # -- leaving ----------------------------------------------------------------------------
+
+    def drop(self) -> None:
+        """Leave the present goal; its candidate may be chosen again, and answers to it are void."""
+        self._present = None
+        self._next_view.drop()
+
+    def rest(self) -> None:
+        """There is nothing to be done: the robot is to stand, unless something turns up at once."""
+        self.drop()
+        self._grace_ns = 0
+
+    def set_out(self) -> None:
+        """For another target: nothing that held for the last one does."""
+        self.drop()
+        self._search = Search()
+
+    def forget_mission(self) -> None:
+        """Another mission has other goals, and forbids other things."""
+        self._warned_of = set()
+        self.drop()
+        self._next_view.start_over()
+
+    def forget_places(self) -> None:
+        """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
+        self.rest()
+        self._search = Search()
+        self._stuck.reset()
+        self._stuck_far.reset()
+
+    def _discard(self, now_ns: int) -> None:
+        """Leave the present goal's candidate alone for a while and choose another."""
+        present = self._present
+        if present is not None and present.view is not None:
+            self._next_view.give_up()
+            return
+        if present is not None and present.goal.kind == "look":
+            self._search.turned(now_ns)
+        elif present is not None:
+            goal = present.goal
+            kind = INSTANCE if goal.kind == "instance" else FRONTIER
+            until_ns = now_ns + int(self._config.mission.discard_s * 1e9)
+            self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
+        self.drop()
+
+
+def _look(pose: SE2, now_ns: int, target: str) -> Goal:
+    """A goal that is for no candidate: to turn on the spot, to see a view, or to stand."""
+    return Goal(now_ns, pose, "look", 0, (pose.x_m, pose.y_m), 0.0, target)

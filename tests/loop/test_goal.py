@@ -1,0 +1,544 @@
+"""Which goal it is, for how long it stands and what follows, on a map that the test makes up."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from edge.geometry import SE2
+from edge.loop.candidates import CandidatePool
+from edge.loop.goal import GoalTracker
+from edge.mapping.coverage import View
+from edge.mapping.results import Frontiers
+from edge.policies.base import FRONTIER, INSTANCE, Answers, Context
+from edge.types import Goal, GoalStatus, Instance, Observation
+
+S = 1_000_000_000
+HERE = SE2(0.0, 0.0, 0.0)
+Entry = tuple[int, int, float, float, float]
+
+
+class Map:
+    """All cells are free and can be reached, but for those near to a point in `walled`."""
+
+    def __init__(self) -> None:
+        self.walled: list[tuple[float, float]] = []
+        self.closed: list[tuple[float, float]] = []
+        self.generation, self.opened = 7, False
+        self.camera_yaw_rad, self.view = 0.0, None
+        self.reach = self.coverage = self.bumps = self
+
+    def nearest(self, x: float, y: float, within_m: float) -> tuple[float, float, float] | None:
+        if any(math.hypot(x - wx, y - wy) < 0.5 for wx, wy in self.walled):
+            return None
+        return x, y, math.hypot(x, y)
+
+    def state_at(self, x: float, y: float) -> int:
+        return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
+
+    def open_all(self) -> bool:
+        return self.opened
+
+    def start_over(self) -> None:
+        """Nothing was seen badly, but for `view`."""
+
+    def search(self, reach) -> bool:
+        return True
+
+    def worth(self, view: View) -> bool:
+        return True
+
+    def write_off(self, view: View) -> None:
+        self.view = None
+
+
+class Things(dict):
+    """As much of the instances as a goal asks for."""
+
+    sure: tuple[int, ...] = ()
+
+    def confirmed(self, instance: Instance) -> bool:
+        return instance.id in self.sure
+
+    def mark_reached(self, instance_id: int) -> None:
+        self[instance_id].state = "reached"
+
+    def refute(self, instance_id: int) -> None:
+        self[instance_id].state = "refuted"
+
+    def forget_refuted(self, label: str) -> None:
+        """Nothing is found again here."""
+
+
+class Mission:
+    """Stays at its target, as one that asks for two chairs."""
+
+    target, forbidden, done = "chair", (), False
+
+    def __init__(self) -> None:
+        self.arrivals: list[str] = []
+
+    def arrive(self, evidence: str, now_ns: int) -> None:
+        self.arrivals.append(evidence)
+
+
+class Case:
+    """A goal tracker, and the world in which it chooses."""
+
+    def __init__(self, sensors_ahead_ns: int = 0) -> None:
+        config = simulated({"mission": {"verify_s": 2.0}})
+        self.pool, self.things = CandidatePool(16, 0.5), Things()
+        self.sent: list[Goal] = []
+        self.events: list[str] = []
+        self.goals = GoalTracker(
+            config,
+            self.pool,
+            self.things,
+            self.sent.append,
+            lambda text, _: self.events.append(text),
+        )
+        self.map, self.mission = Map(), Mission()
+        self.now_ns, self._ahead_ns = 0, sensors_ahead_ns
+        self.score = np.zeros(16, np.float32)
+        self.goals.set_out()
+
+    def context(self, pose: SE2 = HERE) -> Context:
+        seen = Observation(0, self.now_ns, pose.matrix())
+        return Context(
+            seen, pose, self.map, (0, 0, 0, 0), self.pool.candidates, None, Answers(), ("chair",),
+            "chair", self.now_ns,
+        )  # fmt: skip
+
+    def choose(
+        self, *entries: Entry, pose: SE2 = HERE, sure=(), after_s: float = 0.1, since_s: float = 0.0
+    ):
+        """One tick with candidates of (kind, id, x, y, score), seen for the first time before
+        `since_s`."""
+        c = self.pool.candidates
+        c.n = len(entries)
+        for i, (kind, id, x, y, score) in enumerate(entries):
+            c.kind[i], c.id[i], c.xy_m[i], self.score[i] = kind, id, (x, y), score
+            c.sure[i] = id in sure
+            c.first_seen_ns[i] = int(since_s * S) + self._ahead_ns
+            if kind == INSTANCE:
+                points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
+                self.things[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
+        self.now_ns += int(after_s * S)
+        c.stamp_ns = self.now_ns + self._ahead_ns
+        return self._tick(pose, 0)
+
+    def tick(self, *frontiers: tuple[float, float], after_s: float = 0.1, images: int = 0):
+        """One tick with frontiers at these places, which last by where they are."""
+        self.now_ns += int(after_s * S)
+        xy = np.array(frontiers, np.float32).reshape(-1, 2)
+        counts = np.ones(len(xy), np.int32)
+        self.pool.update(Frontiers(len(xy), xy, counts, counts), [], self.now_ns, self.now_ns)
+        return self._tick(HERE, images)
+
+    def _tick(self, pose: SE2, images: int):
+        goal = self.goals.choose(self.context(pose), self.score, images)
+        self.goals.tell(self.mission, pose, self.now_ns)
+        return goal
+
+    def answer(self, state: str, reason: str = "") -> None:
+        self.goals.answered(GoalStatus(self.goals.goal.stamp_ns, state, reason))
+
+    def judge(self, images: int = 0, pose: SE2 = HERE, after_s: float = 0.0) -> None:
+        self.now_ns += int(after_s * S)
+        self.goals.judge(self.context(pose), self.mission, images)
+
+    def turn(self, pose: SE2 = HERE) -> Goal:
+        """The next turn on the spot, which comes after a second without anything to choose."""
+        assert self.choose(pose=pose) is None
+        goal = self.choose(pose=pose, after_s=1.1)
+        assert goal.kind == "look"
+        assert self.choose(pose=pose) is goal
+        return goal
+
+    def turn_round(self) -> None:
+        """Turn on the spot until nothing is left."""
+        for _ in range(3):
+            self.turn()
+            self.answer("reached")
+            self.judge()
+        assert self.choose(after_s=1.1) is None
+
+
+def frontier(id: int, x: float, score: float, y: float = 0.0) -> Entry:
+    return (FRONTIER, id, x, y, score)
+
+
+def chair(id: int, x: float, score: float, y: float = 0.0) -> Entry:
+    return (INSTANCE, id, x, y, score)
+
+
+def who(goal: Goal | None) -> tuple[str, int] | None:
+    return None if goal is None else (goal.kind, goal.candidate_id)
+
+
+# -- choosing ---------------------------------------------------------------------------------
+
+
+def test_nothing_to_choose_from():
+    case = Case()
+    assert case.choose() is None
+    assert case.sent == []
+    assert not case.goals.exhausted
+
+
+def test_a_goal_faces_its_candidate_and_stays_the_same_object():
+    case = Case()
+    case.map.nearest = lambda x, y, within_m: (x, y - 1.0, 3.0)
+    goal = case.choose(frontier(1, 3.0, 0.5))
+    assert (goal.pose.x_m, goal.pose.y_m) == (3.0, -1.0)
+    assert goal.pose.yaw_rad == pytest.approx(math.pi / 2)
+    assert (goal.stamp_ns, goal.candidate_xy_m, goal.target) == (case.now_ns, (3.0, 0.0), "chair")
+    assert case.choose(frontier(1, 3.0, 0.4)) is goal
+    assert case.sent == [goal]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        # Another frontier has to be better by more than the margin of 30 %.
+        ([frontier(1, 3, 0.5)], [frontier(1, 3, 0.5), frontier(2, -3, 0.6)], ("frontier", 1)),
+        ([frontier(1, 3, 0.5)], [frontier(1, 3, 0.5), frontier(2, -3, 0.7)], ("frontier", 2)),
+        ([frontier(1, 3, 0.5)], [frontier(1, 3, 0.2), frontier(2, -3, 0.3)], ("frontier", 2)),
+        # An instance needs no margin over a frontier, and no frontier beats it.
+        ([frontier(1, 3, 0.5)], [frontier(1, 3, 0.5), chair(9, -3, 0.1)], ("instance", 9)),
+        ([chair(9, -3, 0.1)], [frontier(1, 3, 5.0), chair(9, -3, 0.1)], ("instance", 9)),
+        # An instance is seen through: its best score counts, not the one of now.
+        ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.7)], ("instance", 9)),
+        ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.8)], ("instance", 8)),
+        # What was chosen has gone.
+        ([frontier(1, 3, 0.5)], [frontier(2, -3, 0.1)], ("frontier", 2)),
+        ([chair(9, 3, 0.6)], [chair(8, -3, 0.1)], ("instance", 8)),
+        ([frontier(1, 3, 0.5)], [], None),
+    ],
+)
+def test_when_the_goal_changes(before, after, expected):
+    case = Case()
+    assert case.choose(*before) is not None
+    assert who(case.choose(*after)) == expected
+
+
+def test_a_confirmed_instance_beats_one_that_is_not():
+    case = Case()
+    case.choose(chair(9, 3, 0.6))
+    assert who(case.choose(chair(9, 3, 0.6), chair(8, -3, 0.4), sure=(8,))) == ("instance", 8)
+
+
+@pytest.mark.parametrize(
+    ("heir_x", "kept"),
+    [
+        # A redrawn frontier takes the place of the one that went; one far off does not.
+        (3.9, True),
+        (4.1, False),
+    ],
+)
+def test_a_redrawn_frontier_is_heir_to_the_goal(heir_x, kept):
+    case = Case()
+    goal = case.choose(frontier(1, 3.0, 0.5))
+    after = case.choose(frontier(2, heir_x, 0.5), frontier(3, -3.0, 0.6))
+    assert (after is goal) == kept
+    assert who(after) == ("frontier", 1 if kept else 3)
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "same"),
+    [(0.2, True), (0.29, True), (0.9, True), (1.1, False)],
+)
+def test_a_goal_far_ahead_may_shift_a_quarter_of_the_way(moved_m, same):
+    case = Case()
+    goal = case.choose(frontier(1, 4.0, 0.5))
+    assert (case.choose(frontier(1, 4.0, 0.5, y=moved_m)) is goal) == same
+
+
+def test_a_goal_whose_cell_was_closed_is_published_anew():
+    case = Case()
+    goal = case.choose(frontier(1, 3.0, 0.5))
+    case.map.closed.append((3.0, 0.0))
+    anew = case.choose(frontier(1, 3.0, 0.5))
+    assert (who(anew), anew is goal) == (("frontier", 1), False)
+    assert case.sent == [goal, anew]
+
+
+def test_what_cannot_be_reached_is_passed_over():
+    case = Case()
+    case.map.walled = [(3.0, 0.0)]
+    assert who(case.choose(frontier(1, 3.0, 0.9), frontier(2, -3.0, 0.1))) == ("frontier", 2)
+    # And given up when it is the present goal.
+    case.map.walled = [(-3.0, 0.0)]
+    assert who(case.choose(frontier(1, 3.0, 0.1), frontier(2, -3.0, 0.9))) == ("frontier", 1)
+
+
+def test_an_instance_is_approached_at_its_nearest_point():
+    goal = Case().choose(chair(9, 3.0, 0.5), pose=SE2(6.0, 0.0, 0.0))
+    assert goal.pose.x_m == 4.0
+
+
+@pytest.mark.parametrize("gone", ["refuted", "forgotten"])
+def test_an_instance_that_is_none_any_more_is_passed_over(gone):
+    case = Case()
+    case.choose(chair(9, 3.0, 0.5))
+    case.goals.drop()
+    if gone == "refuted":
+        case.things.refute(9)
+    else:
+        del case.things[9]
+    assert case.goals.choose(case.context(), case.score, 0) is None
+
+
+def test_a_dropped_goal_is_chosen_afresh():
+    case = Case()
+    first = case.choose(frontier(1, 3.0, 0.5))
+    case.goals.drop()
+    again = case.choose(frontier(1, 3.0, 0.5))
+    assert (who(again), again is first) == (("frontier", 1), False)
+
+
+def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
+    """Two far frontiers, each the better one from where the way to the other leads."""
+    case, chosen = Case(), []
+    for k in range(12):
+        here, there = (0.9, 0.3) if k % 2 else (0.3, 0.9)
+        chosen.append(who(case.choose(frontier(1, 3, here), frontier(2, -3, there)))[1])
+    assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
+    # Another place has its own count, and another target starts over.
+    assert who(case.choose(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
+    case.goals.set_out()
+    assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
+    assert who(case.choose(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
+
+
+def test_a_frontier_that_the_robot_came_to_was_not_left():
+    case = Case()
+    for x in (3.0, -3.0) * 5:
+        case.choose(frontier(1 if x > 0 else 2, x, 0.9))
+        case.goals.drop()
+    case.choose(frontier(1, 3, 0.3))
+    assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
+
+
+# -- with nothing to go to ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sensors_ahead_ns", [0, 10**18, -(10**18)])
+def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_last(
+    sensors_ahead_ns,
+):
+    case, pose = Case(sensors_ahead_ns), HERE
+    for _ in range(3):
+        goal = case.turn(pose)
+        turned = (goal.pose.yaw_rad - pose.yaw_rad) % (2 * math.pi)
+        assert turned == pytest.approx(2 * math.pi / 3)
+        assert goal.pose.distance_to(0.0, 0.0) == 0.0
+        case.answer("reached")
+        case.judge(pose=pose)
+        pose = goal.pose
+    assert case.choose(pose=pose, after_s=1.1) is None
+    assert not case.goals.exhausted
+    # What turns up later is gone to, and no reason to turn once more.
+    late_s = case.now_ns / S
+    assert who(case.choose(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
+    assert case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
+    assert who(case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
+    assert case.choose(pose=pose, after_s=5.0) is None
+    assert case.goals.exhausted
+    case.goals.set_out()
+    assert not case.goals.exhausted
+    assert case.turn().kind == "look"
+
+
+def test_something_to_go_to_ends_turning():
+    case = Case()
+    for turns in (2, 3):
+        for _ in range(turns):
+            case.turn()
+            case.answer("failed")
+            case.judge()
+        assert who(case.choose(frontier(1, 3.0, 0.5))) == ("frontier", 1)
+        case.goals.drop()
+
+
+def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
+    case = Case()
+    case.turn_round()
+    assert not case.goals.exhausted
+    case.tick()
+    assert case.goals.exhausted
+    assert case.goals.views == 0
+
+
+@pytest.mark.parametrize("reach_s", [0.2, 5.0], ids=["small map", "large map"])
+def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_frontier_lasts(reach_s):
+    case = Case()
+    case.map.opened = True
+    case.turn_round()
+    opened_ns = case.now_ns
+    while case.now_ns < opened_ns + max(reach_s, 2.5) * S:
+        case.map.generation = 7 + int((case.now_ns - opened_ns) / (0.6 * reach_s * S))
+        assert case.tick() is None
+        assert not case.goals.exhausted
+    case.map.generation = 9
+    case.tick(after_s=0.5)
+    assert case.goals.exhausted
+
+
+def test_what_was_seen_badly_is_looked_at_again_from_one_view():
+    case = Case()
+    case.map.view, case.map.camera_yaw_rad = View(1.0, 2.0, 0.5), math.pi / 2
+    case.turn_round()
+    goal = case.tick()
+    # A camera that looks aside is turned to the view.
+    assert (goal.pose.x_m, goal.pose.y_m, goal.kind) == (1.0, 2.0, "look")
+    assert goal.pose.yaw_rad == pytest.approx(0.5 - math.pi / 2)
+    assert case.tick(images=50) is goal
+    case.answer("reached")
+    case.judge(images=60)
+    assert case.tick(images=60) is goal
+    assert case.tick(images=60 + simulated().perception.confirm_hits) is None
+    assert (case.goals.views, case.goals.exhausted) == (1, True)
+
+
+def test_a_view_that_was_left_is_another_goal_when_it_is_sought_again():
+    case = Case()
+    case.map.view = View(1.0, 2.0, 0.5)
+    case.turn_round()
+    goal = case.tick()
+    case.goals.rest()
+    again = case.tick()
+    assert (again.pose, again is goal) == (goal.pose, False)
+    # It is given up where the robot does not get there.
+    case.answer("failed")
+    case.judge()
+    assert (case.tick(), case.goals.views, case.goals.exhausted) == (None, 0, True)
+
+
+@pytest.mark.parametrize(("explored", "chances"), [(False, 4), (True, 1)])
+def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances):
+    """Four times while exploring, once where all was explored: it shows from afar alone."""
+    case = Case()
+    if explored:
+        case.turn_round()
+    for _ in range(chances):
+        case.tick((3.0, 0.0))
+        goal = case.tick((3.0, 0.0), after_s=2.5)
+        assert (goal.kind, goal.candidate_xy_m) == ("frontier", (3.0, 0.0))
+        assert case.tick() is None
+    case.tick((3.0, 0.0))
+    goal = case.tick((3.0, 0.0), after_s=2.5)
+    assert goal is None or goal.kind == "look"
+    case.tick((3.0, 0.0), (-3.0, 0.0))
+    goal = case.tick((3.0, 0.0), (-3.0, 0.0), after_s=2.5)
+    assert goal.candidate_xy_m == (-3.0, 0.0)  # other places are not affected
+    assert case.tick((3.0, 0.0), after_s=60.0) is not None  # nor is this one for ever
+
+
+def test_what_was_discarded_gets_another_chance_before_the_end():
+    case = Case()
+    case.tick((3.0, 0.0))
+    case.answer("failed", "no way")
+    case.judge()
+    assert (case.goals.goal, case.events) == (None, ["goal failed: no way"])
+    case.pool.discard(FRONTIER, 1, (3.0, 0.0), case.now_ns + 1000 * S)
+    assert case.tick((3.0, 0.0)) is None
+    case.turn_round()
+    assert not case.goals.exhausted
+    case.tick((3.0, 0.0))
+    assert case.tick((3.0, 0.0), after_s=2.5).candidate_xy_m == (3.0, 0.0)
+
+
+# -- arriving -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("away_m", "state", "confirmed", "phase", "came_to"),
+    [
+        (0.5, "", True, "approaching", ""),
+        (0.5, "accepted", True, "approaching", ""),
+        # Passing or stopping beside it is not reaching it: the controller must say so.
+        (0.5, "failed", True, "approaching", "goal failed: "),
+        (0.5, "reached", True, "verifying", "confirmed, seen in 3 images"),
+        (0.5, "reached", False, "verifying", ""),
+        (1.5, "reached", True, "searching", "out of reach: chair #9 at (3.0, 0.0)"),
+    ],
+)
+def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
+    case = Case()
+    case.judge()
+    assert case.goals.phase == "searching"
+    case.choose(chair(9, 3.0, 0.8))
+    case.things.sure = (9,) if confirmed else ()
+    if state:
+        case.answer(state)
+    case.judge(pose=SE2(3.0 - away_m, 0.0, 0.0))
+    assert case.goals.phase == phase
+    assert (case.mission.arrivals + case.events) == ([came_to] if came_to else [])
+    assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
+    # What was settled is left alone, here by a mission that asks for a second chair.
+    assert (case.goals.goal is None) == bool(came_to)
+
+
+@pytest.mark.parametrize(
+    ("looks", "refuted"),
+    [
+        # (seconds since arrival, images that the detector has searched so far)
+        ([(0, 40), (1, 45), (3, 50)], True),
+        ([(0, 40), (1, 50), (1.9, 60)], False),
+        # A detector that stalls, or has looked a few times only, refutes nothing.
+        ([(0, 40), (3, 40), (60, 40)], False),
+        ([(0, 40), (3, 44), (9, 44)], False),
+        ([(0, 40), (3, 44), (9, 45)], True),
+    ],
+)
+def test_an_instance_is_refuted_by_images_and_time(looks, refuted):
+    case, there = Case(), SE2(2.5, 0.0, 0.0)
+    case.choose(chair(9, 3.0, 0.8))
+    case.answer("reached")
+    start_ns = case.now_ns
+    for t_s, images in looks:
+        case.now_ns = start_ns + int(t_s * S)
+        case.judge(images, there)
+    assert (case.things[9].state == "refuted") == refuted
+    assert case.goals.phase == "verifying"
+
+
+@pytest.mark.parametrize("between", ["dropped", "another"])
+def test_every_arrival_is_verified_afresh(between):
+    case, there = Case(), SE2(2.5, 0.0, 0.0)
+    case.choose(chair(9, 3.0, 0.8))
+    case.answer("reached")
+    case.judge(0, there)
+    if between == "dropped":
+        case.goals.drop()
+        case.choose(chair(9, 3.0, 0.8), after_s=3.0)
+    else:
+        case.choose(chair(9, 3.0, 0.1), chair(8, 3.0, 0.8, y=0.1), sure=(8,), after_s=3.0)
+    case.answer("reached")
+    case.judge(60, there)
+    assert case.goals.phase == "verifying"
+    assert "refuted" not in [thing.state for thing in case.things.values()]
+    case.judge(90, there, after_s=3.0)
+    assert "refuted" in [thing.state for thing in case.things.values()]
+
+
+def test_a_stop_beside_what_must_not_be_reached_is_told_once_before():
+    case, told = Case(), []
+    point = np.array([[3.4, 0.0, 0.5]], np.float32)
+    lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)
+    case.things.of = {"lamp": [lamp]}.__getitem__
+    case.mission = SimpleNamespace(
+        target="chair", forbidden=("lamp",), warn=lambda label, text, _: told.append((label, text))
+    )
+    for x in (3.0, 3.5, -3.0, 3.0):
+        case.choose(frontier(int(abs(x) * 10), x, 0.5))
+    text = "goal 0.4 m from lamp, which must not be reached now"
+    assert [said for _, said in told] == [text, text]
+    case.goals.forget_mission()
+    case.choose(frontier(30, 3.0, 0.5))
+    assert len(told) == 3

@@ -1,0 +1,141 @@
+"""A policy of one's own: the code of docs/policies.md, and what is said when it is wrong."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from closed_loop import ClosedLoop
+from simulated import simulated
+
+from edge.config import ConfigError
+from edge.loop.warmup import warm_up
+from edge.policies import make_policy
+from edge.policies.base import INSTANCE
+
+PAGE = (Path(__file__).parents[2] / "docs" / "policies.md").read_text(encoding="utf-8")
+LOCKSTEP = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+
+
+def block(language: str) -> str:
+    (found,) = re.findall(rf"```{language}\n(.*?)```", PAGE, re.S)
+    return found
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """Writes a module where it can be imported."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_policy", raising=False)
+    yield lambda code: (tmp_path / "my_policy.py").write_text(code)
+    sys.modules.pop("my_policy", None)
+
+
+def test_the_page_adds_a_policy_without_touching_another_file(written):
+    code = block("python")
+    assert len(code.splitlines()) <= 40
+    written(code)
+    data = {**LOCKSTEP, **yaml.safe_load(block("yaml")), "mission": {"target": "sofa"}}
+    config = simulated(data)
+    warm_up(config)
+    loop = ClosedLoop(config)
+    assert (loop.service.policy.turning, config.policy.switch_margin) == (0.8, 0.2)
+    loop.run(60)
+    assert loop.service.status.phase == "reached", loop.service.status
+    assert len(loop.service.policy.been) > 1
+    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    assert len(loop.service.policy.been) == 0
+
+
+SEES = """
+import numpy as np
+class Spy:
+    def __init__(self): self.seen, self.resets = [], []
+    def reset(self, why): self.resets.append(why)
+    def score(self, context):
+        self.seen.append((context, context.candidates.id[: context.candidates.n].copy()))
+        return np.ones(context.candidates.n)
+"""
+
+
+def test_what_a_policy_sees(written):
+    written(SEES)
+    small = {"extent_m": 8.0, "range_m": 2.5}
+    instruction = {"instruction": "F television & F bed", "translator": {"kind": "ltl"}}
+    data = {**LOCKSTEP, "policy": {"kind": "my_policy:Spy"}, "mapping": small}
+    config = simulated({**data, "mission": instruction})
+    loop = ClosedLoop(config)
+    policy, states = loop.service.policy, {}
+    while loop.service.goal is None or loop.service.goal.kind != "instance":
+        before, window = dict(states), loop.service.grid.window.origin
+        loop.step()
+        context, _ = policy.seen[-1]
+        grid, res = context.map, context.map.resolution_m
+        assert context.observation.rgb is not None
+        assert context.targets[context.active] == context.target == loop.service.mission.target
+        # Cells whose state became another lie in the rectangle that is said to have changed.
+        x0, y0, x1, y1 = context.changed
+        for x in range(-40, 40, 3):
+            for y in range(-40, 40, 3):
+                states[x, y] = grid.state_at((x + 0.5) * res, (y + 0.5) * res)
+                if grid.window.origin == window and states[x, y] != before.get((x, y), -1):
+                    assert (x0 <= x < x1, y0 <= y < y1) == (True, True)
+    assert any(context.detections is not None for context, _ in policy.seen)
+    x, y = grid.window.cell_of(context.pose.x_m, context.pose.y_m)
+    cell = y % grid.window.n, x % grid.window.n
+    assert grid.layers.raw[cell] == 1  # free, where the robot stands
+    with pytest.raises(ValueError, match="read-only"):
+        grid.layers.raw[cell] = 0
+    c = context.candidates
+    assert (c.confidence[: c.n] > 0).tolist() == (c.kind[: c.n] == INSTANCE).tolist()
+    new = np.setdiff1d(policy.seen[-1][1], policy.seen[-2][1])
+    assert len(new) < c.n  # candidates last
+
+
+def test_it_is_told_what_is_void(written):
+    from edge.mission.brief import prepare
+
+    written(SEES)
+    data = {**LOCKSTEP, "policy": {"kind": "my_policy:Spy"}}
+    small = {"extent_m": 8.0, "range_m": 2.5}
+    loop = ClosedLoop(simulated({**data, "mapping": small, "mission": {"target": "refrigerator"}}))
+    resets, now_ns = loop.service.policy.resets, loop.drive.motion.stamp_ns
+    loop.step()
+    assert resets == []
+    loop.service.begin(prepare(loop.config.mission, "go to the refrigerator"), now_ns)
+    loop.service.forget_places(now_ns)
+    assert resets == ["mission", "pose"]
+    loop.run(60)
+    assert "map rolled" in resets
+
+
+@pytest.mark.parametrize(
+    ("code", "policy", "message"),
+    [
+        ("", {"kind": "my_policy:Gone"}, "policy.kind: 'my_policy:Gone': AttributeError: "),
+        ("1 / 0", {"kind": "my_policy:P"}, "policy.kind: 'my_policy:P': ZeroDivisionError: "),
+        ("", {"kind": "no_such.module:P"}, "policy.kind: 'no_such.module:P': ModuleNotFoundError"),
+        ("class P: pass", {"kind": "my_policy:P"}, "policy.kind: my_policy:P is no policy: "),
+        (SEES, {"kind": "my_policy:Spy", "options": {"x": 1}}, "policy.options: "),
+        (
+            "class P:\n    def __init__(self, x): raise RuntimeError('a\\nb')",
+            {"kind": "my_policy:P", "options": {"x": 1}},
+            "policy.options: my_policy:P: RuntimeError: ",
+        ),
+    ],
+)
+def test_what_is_wrong_with_it_is_one_line(written, code, policy, message):
+    written(code)
+    with pytest.raises(ConfigError) as caught:
+        make_policy(simulated({"policy": policy}).policy, "f.yaml")
+    assert str(caught.value).startswith(f"f.yaml: {message}")
+    assert str(caught.value).isprintable()
+
+
+def test_ours_are_made_by_their_kind():
+    for kind in ("hvl", "nearest_frontier"):
+        assert make_policy(simulated({"policy": {"kind": kind}}).policy)
