@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 
@@ -49,6 +50,7 @@ def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:
     return depth.astype(np.float32)
 
 
+@functools.cache
 def frames() -> list[tuple[np.ndarray, np.ndarray, SE2]]:
     """A turn on the spot while drifting: new views all the time."""
     out = []

@@ -71,6 +71,7 @@ def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, tmp_path, n
     check_report(tmp_path / "here", "searching")
 
 
+@pytest.mark.slow
 @SIGNALS
 def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_path, number):
     service = edge("run", config, "--report", tmp_path / "report").says("ready:")
@@ -78,6 +79,7 @@ def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_p
     assert (tmp_path / "report" / "report.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 @SIGNALS
 def test_a_simulator_that_waits_for_the_service_stops(edge, config, number):
     simulator = edge("sim", config).says("waiting for somebody")

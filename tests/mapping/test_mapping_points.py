@@ -117,7 +117,7 @@ def test_skipping_pixels_misses_no_obstacle_of_a_decimetre(camera, low_m, height
     rng = np.random.default_rng(2)
     pose = SE2(0.0, 0.0, 0.0)
     T = pose.matrix() @ twins.T_BASE_CAMERA
-    for _ in range(40):
+    for _ in range(15):
         r, bearing = rng.uniform(1.2, 4.85), rng.uniform(-0.55, 0.55)
         x, y = 0.1 + r * math.cos(bearing), r * math.sin(bearing)
         cube = (x - 0.05, y - 0.05, 0.0, x + 0.05, y + 0.05, height_m)

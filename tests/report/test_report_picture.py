@@ -94,19 +94,21 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
     assert 800 < image.shape[1] < 1500
 
 
-@pytest.mark.parametrize("text", ["$x^", "a $b$ c", "Stühle für 2", "x" * 200, "\\frac", "a_{b"])
-def test_any_text_can_be_a_title_or_a_label(run, text):
-    named = replace(run.instances[0], label=text)
-    mission = replace(run.mission, phase="failed", reason=text)
-    changed = replace(run, title=text, instances=(named,), mission=mission)
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_any_text_can_be_a_title_or_a_label(run, first):
+    texts = ("$x^", "a $b$ c", "x" * 200, "\\frac", "a_{b", "Stühle für 2")
+    title, reason, label = (texts[(first + 2 * k) % 6] for k in range(3))
+    named = replace(run.instances[0], label=label)
+    mission = replace(run.mission, phase="failed", reason=reason)
+    changed = replace(run, title=title, instances=(named,), mission=mission)
     assert picture.png(changed).startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("kind", ["frontier", "instance", "look"])
-def test_every_kind_of_goal_is_drawn(run, kind):
-    goal = Goal(0, SE2(8.0, 8.5, 0.0), kind, 1, (8.0, 8.5), 0.5, "chair")
+def test_every_kind_of_goal_is_drawn(run):
     without = picture.png(replace(run, goals=()))
-    assert picture.png(replace(run, goals=(goal,))) != without
+    for kind in ("frontier", "instance", "look"):
+        goal = Goal(0, SE2(8.0, 8.5, 0.0), kind, 1, (8.0, 8.5), 0.5, "chair")
+        assert picture.png(replace(run, goals=(goal,))) != without
 
 
 def test_points_that_are_not_finite_do_not_stretch_the_picture(run):
