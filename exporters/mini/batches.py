@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +29,8 @@ WHOLE = 0.9
 """The size of a thing of which less is left cannot be told, and is not taught."""
 THINGS = 32
 ZOOM = (0.8, 1.6)
+AHEAD = 6
+"""Batches that are made before they are wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,35 +163,23 @@ def batches(
     Each has a generator of its own, so that training goes on from a checkpoint as if it had
     never stopped.
     """
-    ahead: queue.Queue[Batch | BaseException | None] = queue.Queue(6)
-    stop = threading.Event()
 
-    def work() -> None:
-        try:
-            for step in range(first, len(steps)):
-                rng = np.random.default_rng([9, seed, step])
-                indices = rng.choice(len(frames), batch, replace=len(frames) < batch)
-                made = make_batch(frames, indices, steps[step][0], rng, steps[step][1])
-                while not stop.is_set():
-                    try:
-                        ahead.put(made, timeout=0.5)
-                        break
-                    except queue.Full:
-                        continue
-                if stop.is_set():
-                    return
-            ahead.put(None)
-        except BaseException as error:  # handed to the reader, who raises it
-            ahead.put(error)
+    def make(step: int) -> Batch:
+        rng = np.random.default_rng([9, seed, step])
+        indices = rng.choice(len(frames), batch, replace=len(frames) < batch)
+        return make_batch(frames, indices, steps[step][0], rng, steps[step][1])
 
-    threading.Thread(target=work, name="batches", daemon=True).start()
+    ahead: deque[Future[Batch]] = deque()
+    pool = ThreadPoolExecutor(1, "batches")
     try:
-        while (made := ahead.get()) is not None:
-            if isinstance(made, BaseException):
-                raise made
-            yield made
+        for step in range(first, len(steps)):
+            ahead.append(pool.submit(make, step))
+            if len(ahead) > AHEAD:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
     finally:
-        stop.set()
+        pool.shutdown(cancel_futures=True)
 
 
 def tint(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -23,6 +23,7 @@ from onnxruntime import InferenceSession
 from edge.config import Perception
 from edge.models.bench.boxes import overlaps
 from exporters.files import ExportError
+from exporters.images import as_input
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
 from exporters.mini.views import Frames, make_frames, whole
@@ -100,11 +101,6 @@ class Report:
 def held_out_frames(folder: Path) -> Frames:
     """The test set; rendered the first time."""
     return make_frames(SEEDS, PER_HOUSE, folder)
-
-
-def as_input(rgb: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 → (1, 3, h, w) float32 in 0..1."""
-    return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255.0)
 
 
 def measure(model: Path, text: Path, frames: Frames) -> Report:

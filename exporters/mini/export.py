@@ -24,6 +24,7 @@ from torch import nn
 
 from exporters.calibration import Feed
 from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.images import as_input
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import evaluate, looks
 from exporters.mini.batches import PAD
@@ -84,9 +85,7 @@ def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list
     feeds = []
     for rgb in frames.rgb:
         phrases = torch.from_numpy(rng.integers((1, 0, 0), highs, (8, 3)))
-        feeds.append(
-            {"images": evaluate.as_input(rgb), "txt_feats": encoder(phrases)[None].numpy()}
-        )
+        feeds.append({"images": as_input(rgb), "txt_feats": encoder(phrases)[None].numpy()})
     return feeds
 
 

@@ -146,12 +146,7 @@ class _Builder:
                 continue
             along = self.rng.uniform(0.5 * width + 0.1, span - 0.5 * width - 0.1)
             off = 0.5 * depth + 0.07 + self.rng.uniform(0, 0.08)
-            x, y, yaw = (
-                (room.x0 + off, room.y0 + along, 0.0),
-                (room.x0 + along, room.y0 + off, 90.0),
-                (room.x1 - off, room.y0 + along, 180.0),
-                (room.x0 + along, room.y1 - off, -90.0),
-            )[side]
+            x, y, yaw = _at_wall(room, side, along, off)
             if self._place(category, x, y, yaw + self.rng.uniform(-4, 4), look, load):
                 return True
         return False
@@ -223,12 +218,7 @@ class _Builder:
             return
         along = self.rng.uniform(0.5 * look[0][1] + 0.1, span - 0.5 * look[0][1] - 0.1)
         off = 0.06 + 0.5 * look[0][0] + 0.01
-        x, y, yaw = (
-            (room.x0 + off, room.y0 + along, 0.0),
-            (room.x0 + along, room.y0 + off, 90.0),
-            (room.x1 - off, room.y0 + along, 180.0),
-            (room.x0 + along, room.y1 - off, -90.0),
-        )[side]
+        x, y, yaw = _at_wall(room, side, along, off)
         self.add("picture", (x, y), yaw, look, z_m=float(self.rng.uniform(1.0, 1.55)))
 
     def put(self, category: str, room: _Rect) -> None:
@@ -254,6 +244,16 @@ class _Builder:
         at = (hinge[0] + 0.5 * size[1] * math.cos(t), hinge[1] + 0.5 * size[1] * math.sin(t))
         # The leaf's width runs along its own y, so its front looks along the wall's normal.
         self.add("door", at, math.degrees(t) - 90.0, (size, color, style))
+
+
+def _at_wall(room: _Rect, side: int, along: float, off: float) -> tuple[float, float, float]:
+    """x and y of a place at one of the four walls, and the yaw in degrees that faces the room."""
+    return (
+        (room.x0 + off, room.y0 + along, 0.0),
+        (room.x0 + along, room.y0 + off, 90.0),
+        (room.x1 - off, room.y0 + along, 180.0),
+        (room.x0 + along, room.y1 - off, -90.0),
+    )[side]
 
 
 def random_house(seed: int) -> tuple[House, list[Look]]:
