@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import csv
 import pickle
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from edge.mission.ltl import (
     MAX_CHARS,
     FormulaError,
     parse,
-    parse_prefix,
     propositions,
     to_text,
 )
@@ -131,51 +129,6 @@ def test_parse_error(text, column, says):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "infix"),
-    [
-        ("F a", "F a"),
-        ("& F a F b", "F a & F b"),
-        ("& & a b & c d", "a & b & c & d"),
-        ("| & a b | c d", "a & b | c | d"),
-        ("G i a X ! b", "G (a -> X !b)"),
-        ("G e a X b", "G (a <-> X b)"),
-        ("& U ! b a F b", "!b U a & F b"),
-        ("M & a F b | ! a b", "(a & F b) M (!a | b)"),
-        ("true", "true"),
-        ('F "potted plant"', 'F "potted plant"'),
-    ],
-)
-def test_parse_prefix(text, infix):
-    assert parse_prefix(text) == parse(infix)
-
-
-@pytest.mark.parametrize(
-    ("text", "column", "says"),
-    [
-        ("", 1, "found the end"),
-        ("& a", 4, "found the end"),
-        ("a b", 3, "complete before 'b'"),
-        ("F a F", 5, "complete before 'F'"),
-        ("& ( a b", 3, "found '('"),
-    ],
-)
-def test_parse_prefix_error(text, column, says):
-    with pytest.raises(FormulaError, match=rf"column {column}: .*{says.replace('(', '[(]')}"):
-        parse_prefix(text)
-
-
-@pytest.mark.skipif(not LANG2LTL.exists(), reason="../shared/nl2ltl is not there")
-def test_every_lang2ltl_formula_is_read():
-    with LANG2LTL.open(newline="") as file:
-        texts = [row["ltl_formula"] for row in csv.DictReader(file)]
-    assert len(texts) > 1000
-    for text in set(texts):
-        f = parse_prefix(text)
-        assert parse(to_text(f)) == f
-        assert set(propositions(f)) <= set("abcdh")
-
-
 @given(formulas(("a", "potted plant", "F", 'x"\\', "true")))
 def test_text_is_read_back(f):
     assert parse(to_text(f)) == f
@@ -191,8 +144,7 @@ def column_of_error(read, text: str) -> int | None:
 
 @given(st.text() | st.binary().map(lambda b: b.decode("utf-8", "surrogateescape")))
 def test_any_text_gives_a_formula_or_a_column(text):
-    for read in (parse, parse_prefix):
-        assert (column_of_error(read, text) or 1) in range(1, len(text) + 2)
+    assert (column_of_error(parse, text) or 1) in range(1, len(text) + 2)
 
 
 @given(
@@ -230,10 +182,6 @@ def test_depth_is_no_obstacle(text):
     assert propositions(ltl.renamed(f, str.upper)) == ("A",)
     assert holds(f, ["a"]) in (True, False)
     assert pickle.loads(pickle.dumps(f)) == copy.deepcopy(f) == f
-
-
-def test_deep_prefix_text():
-    assert len(parse_prefix("& a " * DEEP + "a").args) == DEEP + 1
 
 
 def test_unclosed_parentheses_and_long_texts_are_refused():
