@@ -110,11 +110,6 @@ def implies(a: Formula, b: Formula) -> Formula:
     return Formula("->", (a, b))
 
 
-def iff(a: Formula, b: Formula) -> Formula:
-    """a <-> b"""
-    return Formula("<->", (a, b))
-
-
 def next_(f: Formula) -> Formula:
     """X f: there is a next step, and f holds there."""
     return Formula("X", (f,))
@@ -143,16 +138,6 @@ def until(a: Formula, b: Formula) -> Formula:
 def weak_until(a: Formula, b: Formula) -> Formula:
     """a W b: a U b, or a at every step ("not a until b" of speech is `!a W b`)."""
     return Formula("W", (a, b))
-
-
-def release(a: Formula, b: Formula) -> Formula:
-    """a R b: b holds up to and including the first step at which a does, if any."""
-    return Formula("R", (a, b))
-
-
-def strong_release(a: Formula, b: Formula) -> Formula:
-    """a M b: a R b, and a does hold at some step."""
-    return Formula("M", (a, b))
 
 
 def postorder(f: Formula) -> Iterator[Formula]:

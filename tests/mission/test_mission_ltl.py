@@ -26,19 +26,22 @@ LANG2LTL = (
 A, B, C, D = (ltl.ap(name) for name in "abcd")
 
 
+def binary(op: str):
+    """The formula of two others."""
+    return lambda a, b: ltl.Formula(op, (a, b))
+
+
 def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
     """Any formula over some propositions."""
     leaves = st.sampled_from([*map(ltl.ap, names), ltl.TRUE, ltl.FALSE])
     unary = st.sampled_from([ltl.neg, ltl.next_, ltl.weak_next, ltl.eventually, ltl.always])
-    binary = st.sampled_from(
-        [ltl.implies, ltl.iff, ltl.until, ltl.weak_until, ltl.release, ltl.strong_release]
-    )
+    joined = st.sampled_from(list(map(binary, ("->", "<->", "U", "W", "R", "M"))))
     nary = st.sampled_from([ltl.conj, ltl.disj])
 
     def grow(inner):
         return st.one_of(
             st.builds(lambda op, f: op(f), unary, inner),
-            st.builds(lambda op, f, g: op(f, g), binary, inner, inner),
+            st.builds(lambda op, f, g: op(f, g), joined, inner, inner),
             st.builds(lambda op, fs: op(*fs), nary, st.lists(inner, min_size=2, max_size=3)),
         )
 
@@ -63,18 +66,18 @@ def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
         ("F a U b", ltl.until(ltl.eventually(A), B)),
         ("!a U b", ltl.until(ltl.neg(A), B)),
         ("a U b U c", ltl.until(A, ltl.until(B, C))),
-        ("a W b R c M d", ltl.weak_until(A, ltl.release(B, ltl.strong_release(C, D)))),
+        ("a W b R c M d", ltl.weak_until(A, binary("R")(B, binary("M")(C, D)))),
         ("(a U b) U c", ltl.until(ltl.until(A, B), C)),
         ("a U b & c", ltl.conj(ltl.until(A, B), C)),
         ("a & b | c & d", ltl.disj(ltl.conj(A, B), ltl.conj(C, D))),
         ("a & (b & c) & d", ltl.conj(A, B, C, D)),
         ("a | b -> c | d", ltl.implies(ltl.disj(A, B), ltl.disj(C, D))),
         ("a -> b -> c", ltl.implies(A, ltl.implies(B, C))),
-        ("a <-> b -> c", ltl.iff(A, ltl.implies(B, C))),
-        ("a <-> b <-> c", ltl.iff(A, ltl.iff(B, C))),
+        ("a <-> b -> c", binary("<->")(A, ltl.implies(B, C))),
+        ("a <-> b <-> c", binary("<->")(A, binary("<->")(B, C))),
         ("a && b || c", ltl.disj(ltl.conj(A, B), C)),
         ("a => b", ltl.implies(A, B)),
-        ("a <=> b", ltl.iff(A, B)),
+        ("a <=> b", binary("<->")(A, B)),
         ("<> a | [] b", ltl.disj(ltl.eventually(A), ltl.always(B))),
         ("◇(a ∧ □ ¬b) ∨ ○c", parse("F (a & G !b) | X c")),
         ("a → b ↔ c", parse("a -> b <-> c")),
