@@ -32,11 +32,6 @@ def wilson(successes: int, n: int) -> Interval:
     return Interval(share, max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share)))
 
 
-def mean(values: np.ndarray) -> Interval:
-    """A mean of independent values, with the normal approximation's interval."""
-    return ratio(values, np.ones(len(values)))
-
-
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     """A ratio of sums over independent pairs, its interval by the delta method.
 

@@ -80,13 +80,10 @@ def _writable(directory: Path) -> Path:
     Raises:
         UserError: they cannot.
     """
-    from edge.host.files import write_atomically
+    from edge.host.files import make_writable
 
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe = directory / ".results"
-        write_atomically(probe, b"")
-        probe.unlink()
+        make_writable(directory)
     except OSError as error:
         reason = error.strerror
         raise FileError(f"--out {directory}: {reason}; name another directory") from None

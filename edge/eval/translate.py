@@ -26,7 +26,7 @@ from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.task_templates import generate
 from edge.host.bars import counted
 from edge.host.files import open_regular
-from edge.mission.ltl import Formula, FormulaError, parse_prefix, to_text
+from edge.mission.ltl import STRENGTH, UNARY, Formula, FormulaError, ap, conj, disj, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
 from edge.text import one_line
 
@@ -86,14 +86,38 @@ def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     try:
         with open_regular(path) as file:
             for row in csv.DictReader(io.TextIOWrapper(file, encoding="utf-8", newline="")):
-                formula = parse_prefix(row["ltl_formula"])
+                formula = from_prefix(row["ltl_formula"])
                 if satisfiable(formula, silent_end=True):
                     cases.append(Case(row["pattern_type"], row["utterance"], formula, True))
                 else:
                     left_out[row["pattern_type"]] += 1
-    except (OSError, UnicodeDecodeError, csv.Error, KeyError, FormulaError) as error:
+    except (OSError, ValueError, csv.Error, KeyError) as error:
         raise UserError(f"{path}: not readable as Lang2LTL's table: {error!r}") from error
     return cases, left_out
+
+
+def from_prefix(text: str) -> Formula:
+    """The formula that prefix text writes, as Lang2LTL's data does: `& F a U ! b c`.
+
+    `i` is implication and `e` equivalence; a word that is no operator is a proposition.
+
+    Raises:
+        ValueError: the text is no formula.
+    """
+    done: list[Formula] = []
+    for word in reversed(text.split()):
+        op = {"i": "->", "e": "<->"}.get(word, word)
+        n = 1 if op in UNARY else 2 if op in STRENGTH else 0
+        if n > len(done):
+            raise ValueError(f"{text!r}: an operator lacks an operand")
+        args = [done.pop() for _ in range(n)]
+        if op in ("&", "|"):
+            done.append(conj(*args) if op == "&" else disj(*args))
+        else:
+            done.append(Formula(op, tuple(args)) if n else ap(op))
+    if len(done) != 1:
+        raise ValueError(f"{text!r}: it is {len(done)} formulas")
+    return done[0]
 
 
 def score(case: Case, translator: Translator) -> Score:

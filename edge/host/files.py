@@ -58,3 +58,15 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         os.unlink(name)
         raise
+
+
+def make_writable(directory: Path) -> None:
+    """Make a directory if need be, and see that files can be written there.
+
+    Raises:
+        OSError: they cannot.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    probe = directory / ".writable"
+    write_atomically(probe, b"")
+    probe.unlink()

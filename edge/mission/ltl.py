@@ -110,11 +110,6 @@ def implies(a: Formula, b: Formula) -> Formula:
     return Formula("->", (a, b))
 
 
-def iff(a: Formula, b: Formula) -> Formula:
-    """a <-> b"""
-    return Formula("<->", (a, b))
-
-
 def next_(f: Formula) -> Formula:
     """X f: there is a next step, and f holds there."""
     return Formula("X", (f,))
@@ -143,16 +138,6 @@ def until(a: Formula, b: Formula) -> Formula:
 def weak_until(a: Formula, b: Formula) -> Formula:
     """a W b: a U b, or a at every step ("not a until b" of speech is `!a W b`)."""
     return Formula("W", (a, b))
-
-
-def release(a: Formula, b: Formula) -> Formula:
-    """a R b: b holds up to and including the first step at which a does, if any."""
-    return Formula("R", (a, b))
-
-
-def strong_release(a: Formula, b: Formula) -> Formula:
-    """a M b: a R b, and a does hold at some step."""
-    return Formula("M", (a, b))
 
 
 def postorder(f: Formula) -> Iterator[Formula]:
@@ -245,7 +230,6 @@ _SPELLINGS = {
     "&&": "&", "∧": "&", "||": "|", "∨": "|", "=>": "->", "→": "->", "<=>": "<->", "↔": "<->",
     "¬": "!", "<>": "F", "◇": "F", "[]": "G", "□": "G", "○": "X",
 }  # fmt: skip
-_PREFIX_SPELLINGS = _SPELLINGS | {"i": "->", "e": "<->"}
 _TOKEN = re.compile(
     rf"""(?P<space>\s+)
     | (?P<word>{WORD})
@@ -298,62 +282,12 @@ def parse(text: str) -> Formula:
     values: list[Formula] = []
     ops: list[_Token] = []
     operand_next = True
-    for token in _tokens(text, _SPELLINGS):
+    for token in _tokens(text):
         if operand_next:
             operand_next = _operand(token, values, ops)
         else:
             operand_next = _operator(token, values, ops)
     return values[0]
-
-
-def parse_prefix(text: str) -> Formula:
-    """The formula that a prefix text writes, as Lang2LTL's data does: `& F a U ! b c`.
-
-    `i` is implication and `e` equivalence; every other word that is no operator of `parse` is a
-    proposition.
-
-    Raises:
-        FormulaError: the text is no formula, or longer than `MAX_CHARS`.
-    """
-    waiting: list[_Waiting] = []
-    done: Formula | None = None
-    for token in _tokens(text, _PREFIX_SPELLINGS):
-        if done is not None:
-            if token.kind == "end":
-                return done
-            raise FormulaError(token.column, f"the formula is complete before {token.shown}")
-        if token.kind == "op":
-            if token.text in _NARY and waiting and waiting[-1].op == token.text:
-                waiting[-1].missing += 1
-            else:
-                waiting.append(_Waiting(token.text, 1 if token.text in UNARY else 2))
-        elif token.kind in ("name", "constant"):
-            done = _close(waiting, _leaf(token))
-        else:
-            raise FormulaError(token.column, _wants_operand(token))
-    raise AssertionError("the end token is always handled")
-
-
-@dataclass(slots=True)
-class _Waiting:
-    """A prefix operator and how many operands it still lacks."""
-
-    op: str
-    missing: int
-    args: list[Formula] = field(default_factory=list)
-
-
-def _close(waiting: list[_Waiting], value: Formula) -> Formula | None:
-    """Hand a value to the innermost operator that waits; the whole formula once none does."""
-    while waiting:
-        inner = waiting[-1]
-        inner.args.append(value)
-        inner.missing -= 1
-        if inner.missing:
-            return None
-        waiting.pop()
-        value = _apply(inner.op, inner.args)
-    return value
 
 
 def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
@@ -413,7 +347,7 @@ def _wants_operand(token: _Token) -> str:
     return f"expected a proposition, '(' or one of ! X WX F G, found {token.shown}"
 
 
-def _tokens(text: str, spellings: dict[str, str]) -> Iterator[_Token]:
+def _tokens(text: str) -> Iterator[_Token]:
     if len(text) > MAX_CHARS:
         raise FormulaError(MAX_CHARS + 1, f"{len(text)} characters; at most {MAX_CHARS} are read")
     at = 0
@@ -428,7 +362,7 @@ def _tokens(text: str, spellings: dict[str, str]) -> Iterator[_Token]:
         elif kind == "paren":
             yield _Token(found, found, column)
         elif kind != "space":
-            op = spellings.get(found, found)
+            op = _SPELLINGS.get(found, found)
             if op in STRENGTH:
                 yield _Token("op", op, column)
             elif op in _CONSTANTS:

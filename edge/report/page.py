@@ -15,7 +15,7 @@ import yaml
 import edge
 from edge.errors import FileError
 from edge.host import resources
-from edge.host.files import write_atomically
+from edge.host.files import make_writable, write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, raster, story
 from edge.report.record import Frame, RunRecord
@@ -46,10 +46,7 @@ def prepare(directory: Path | str) -> Path:
     """
     directory = resources.expand(directory)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe = directory / ".report"
-        write_atomically(probe, b"")
-        probe.unlink()
+        make_writable(directory)
     except OSError as error:
         raise _unwritable(directory, error) from None
     return directory

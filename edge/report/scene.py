@@ -8,6 +8,7 @@ nothing, and the drawing still says all that the automaton does.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -21,6 +22,7 @@ MAX_WHOLE = 40  # states that are drawn without leaving any out
 MAX_PART = 26
 MAX_ARROWS = 160  # more cannot be followed by eye
 LABEL_LENGTH, CAPTION_LENGTH, MAX_LINES = 22, 15, 3  # characters, lines
+_NO_BREAK = "\u00a0"
 
 Role = Literal["other", "visited", "plan"]
 
@@ -237,19 +239,9 @@ def wrap(words: str, length: int = LABEL_LENGTH) -> tuple[str, ...]:
     >>> wrap("potted plant, television, sofa")
     ('potted plant,', 'television, sofa')
     """
-    items = words.split(", ")
-    lines = [shorten(items[0], length)]
-    for k, item in enumerate(items[1:], start=1):
-        item = shorten(item, length)
-        more = f", + {len(items) - k} more"
-        last = len(lines) == MAX_LINES
-        room = length - (len(more) if last and k < len(items) - 1 else 0)
-        if len(lines[-1]) + 2 + len(item) <= room:
-            lines[-1] += f", {item}"
-        elif last:
-            lines[-1] += more
-            break
-        else:
-            lines[-1] += ","
-            lines.append(item)
-    return tuple(lines)
+    items = [shorten(item, length).replace(" ", _NO_BREAK) for item in words.split(", ")]
+    lines = textwrap.wrap(
+        ", ".join(items), length + 1, max_lines=MAX_LINES, placeholder=" …",
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
+    return tuple(line.replace(_NO_BREAK, " ") for line in lines)

@@ -111,6 +111,28 @@ def test_weak_untils() -> None:
     assert with_weak_untils(formula) == parse("(!b W a) & F b & (c U a) & (!c U (a & b))")
 
 
+@pytest.mark.parametrize(
+    ("text", "infix"),
+    [
+        ("F a", "F a"),
+        ("& F a F b", "F a & F b"),
+        ("& & a b & c d", "a & b & c & d"),
+        ("| & a b | c d", "a & b | c | d"),
+        ("G i a X ! b", "G (a -> X !b)"),
+        ("G e a X b", "G (a <-> X b)"),
+        ("M & a F b | ! a b", "(a & F b) M (!a | b)"),
+    ],
+)
+def test_prefix(text: str, infix: str) -> None:
+    assert translate.from_prefix(text) == parse(infix)
+
+
+@pytest.mark.parametrize("text", ["", "& a", "a b", "F a F"])
+def test_what_is_no_prefix(text: str) -> None:
+    with pytest.raises(ValueError, match=r"lacks an operand|formulas"):
+        translate.from_prefix(text)
+
+
 TABLE = """pattern_type,props,utterance,ltl_formula
 visit,['a'],visit a,F a
 visit,['a'],hum a,F a

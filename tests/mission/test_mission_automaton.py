@@ -11,7 +11,6 @@ import time
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from ltl_semantics import holds
 from test_mission_ltl import formulas
 
@@ -40,13 +39,6 @@ WORDS = [word for n in range(5) for word in itertools.product(LETTERS, repeat=n)
 def targets(n: int) -> str:
     """n targets in any order."""
     return " & ".join(f"F a{k}" for k in range(n))
-
-
-def in_parts(formula, **limits):
-    """The automaton by products of parts alone, as wide formulas get it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiler, "_MAX_CLAUSES", 0)
-        return compile_formula(formula, **limits)
 
 
 def same(a, b) -> bool:
@@ -95,11 +87,6 @@ def test_agrees_with_the_definition_on_all_short_words(f):
 
 
 @given(formulas())
-def test_parts_give_the_same_automaton(f):
-    assert same(in_parts(f), compile_formula(f))
-
-
-@given(formulas())
 def test_minimal(f):
     """Myhill–Nerode: any two states are told apart by a word, every state can be reached."""
     automaton = compile_formula(f)
@@ -134,6 +121,9 @@ def test_states_are_numbered_breadth_first(f):
         ("!X a", "WX !a"),
         ("F a & F b", "F (a & F b) | F (b & F a)"),
         ("a -> b", "!a | b"),
+        ("X false", "false"),
+        ("F WX WX F WX (a <-> b)", "F (true | a | b)"),
+        ("F (c & (F a & F b & F d))", "F (c & F a & F b & F d)"),
         ("!(F a -> G b)", "F a & F !b"),
     ],
 )
@@ -204,27 +194,14 @@ def idle(automaton, states: set[int]) -> set[int]:
         states = wider
 
 
-@given(st.integers(1, 12), st.integers(1, 3), st.randoms(use_true_random=False))
-def test_both_refinements_agree(n, k, random):
-    delta = np.array([[random.randrange(n) for _ in range(k)] for _ in range(n)], np.int32)
-    accepting = np.array([random.random() < 0.4 for _ in range(n)])
-    limits = Effort()
-    small = compiler._refine_small(delta, accepting, limits)
-    large = compiler._refine(delta, accepting, limits)
-    assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
-    assert set(large) == set(range(large.max() + 1))
-
-
-def test_packing_of_many_columns_agrees():
+def test_packing_of_many_columns():
     """60 columns do not fit into one int64."""
     rng = np.random.default_rng(0)
     delta = rng.integers(0, 40, (40, 60)).astype(np.int32)
     delta[20:] = delta[:20]
     accepting = np.tile(rng.random(20) < 0.5, 2)
-    large = compiler._refine(delta, accepting, Effort())
-    small = compiler._refine_small(delta, accepting, Effort())
-    assert np.array_equal(small[:, None] == small[None, :], large[:, None] == large[None, :])
-    assert large.max() + 1 == 20
+    merged, _ = compiler.minimal(delta, accepting, Effort())
+    assert len(merged) == 20
 
 
 def test_limit_of_states():
@@ -260,22 +237,21 @@ def test_limit_of_steps(text):
     "text",
     ["F a", CASE_2, targets(8), "(F a | F b) & (F c | F d) & (G !e | F b)", "X " * 40 + "a"],
 )
-@pytest.mark.parametrize("compiled", [compile_formula, in_parts])
-def test_steps_are_counted_the_same_every_time(text, compiled, monkeypatch):
+def test_steps_are_counted_the_same_every_time(text, monkeypatch):
     """Exactly so many steps are enough, however late it gets meanwhile."""
-    needed = steps_of(compiled, text, monkeypatch)
+    needed = steps_of(text, monkeypatch)
     late = itertools.count(0.0, 1e6)
     for clock in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
         monkeypatch.setattr(time, clock, lambda: next(late))
         monkeypatch.setattr(time, f"{clock}_ns", lambda: int(next(late) * 1e9))
-    assert steps_of(compiled, text, monkeypatch) == needed
-    automaton = compiled(parse(text), max_steps=needed)
+    assert steps_of(text, monkeypatch) == needed
+    automaton = compile_formula(parse(text), max_steps=needed)
     assert same(automaton, compile_formula(parse(text)))
     with pytest.raises(CompileError, match=f"within {needed - 1} steps"):
-        compiled(parse(text), max_steps=needed - 1)
+        compile_formula(parse(text), max_steps=needed - 1)
 
 
-def steps_of(compiled, text, monkeypatch) -> int:
+def steps_of(text, monkeypatch) -> int:
     """How many steps a compilation takes in all."""
     made = []
 
@@ -286,7 +262,7 @@ def steps_of(compiled, text, monkeypatch) -> int:
 
     with monkeypatch.context() as patch:
         patch.setattr(automaton_module, "Effort", Noted)
-        compiled(parse(text))
+        compile_formula(parse(text))
     return made[-1].steps
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import csv
 import pickle
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from edge.mission.ltl import (
     MAX_CHARS,
     FormulaError,
     parse,
-    parse_prefix,
     propositions,
     to_text,
 )
@@ -28,19 +26,22 @@ LANG2LTL = (
 A, B, C, D = (ltl.ap(name) for name in "abcd")
 
 
+def binary(op: str):
+    """The formula of two others."""
+    return lambda a, b: ltl.Formula(op, (a, b))
+
+
 def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
     """Any formula over some propositions."""
     leaves = st.sampled_from([*map(ltl.ap, names), ltl.TRUE, ltl.FALSE])
     unary = st.sampled_from([ltl.neg, ltl.next_, ltl.weak_next, ltl.eventually, ltl.always])
-    binary = st.sampled_from(
-        [ltl.implies, ltl.iff, ltl.until, ltl.weak_until, ltl.release, ltl.strong_release]
-    )
+    joined = st.sampled_from(list(map(binary, ("->", "<->", "U", "W", "R", "M"))))
     nary = st.sampled_from([ltl.conj, ltl.disj])
 
     def grow(inner):
         return st.one_of(
             st.builds(lambda op, f: op(f), unary, inner),
-            st.builds(lambda op, f, g: op(f, g), binary, inner, inner),
+            st.builds(lambda op, f, g: op(f, g), joined, inner, inner),
             st.builds(lambda op, fs: op(*fs), nary, st.lists(inner, min_size=2, max_size=3)),
         )
 
@@ -65,18 +66,18 @@ def formulas(names: tuple[str, ...] = ("a", "b", "c"), max_leaves: int = 8):
         ("F a U b", ltl.until(ltl.eventually(A), B)),
         ("!a U b", ltl.until(ltl.neg(A), B)),
         ("a U b U c", ltl.until(A, ltl.until(B, C))),
-        ("a W b R c M d", ltl.weak_until(A, ltl.release(B, ltl.strong_release(C, D)))),
+        ("a W b R c M d", ltl.weak_until(A, binary("R")(B, binary("M")(C, D)))),
         ("(a U b) U c", ltl.until(ltl.until(A, B), C)),
         ("a U b & c", ltl.conj(ltl.until(A, B), C)),
         ("a & b | c & d", ltl.disj(ltl.conj(A, B), ltl.conj(C, D))),
         ("a & (b & c) & d", ltl.conj(A, B, C, D)),
         ("a | b -> c | d", ltl.implies(ltl.disj(A, B), ltl.disj(C, D))),
         ("a -> b -> c", ltl.implies(A, ltl.implies(B, C))),
-        ("a <-> b -> c", ltl.iff(A, ltl.implies(B, C))),
-        ("a <-> b <-> c", ltl.iff(A, ltl.iff(B, C))),
+        ("a <-> b -> c", binary("<->")(A, ltl.implies(B, C))),
+        ("a <-> b <-> c", binary("<->")(A, binary("<->")(B, C))),
         ("a && b || c", ltl.disj(ltl.conj(A, B), C)),
         ("a => b", ltl.implies(A, B)),
-        ("a <=> b", ltl.iff(A, B)),
+        ("a <=> b", binary("<->")(A, B)),
         ("<> a | [] b", ltl.disj(ltl.eventually(A), ltl.always(B))),
         ("◇(a ∧ □ ¬b) ∨ ○c", parse("F (a & G !b) | X c")),
         ("a → b ↔ c", parse("a -> b <-> c")),
@@ -131,51 +132,6 @@ def test_parse_error(text, column, says):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "infix"),
-    [
-        ("F a", "F a"),
-        ("& F a F b", "F a & F b"),
-        ("& & a b & c d", "a & b & c & d"),
-        ("| & a b | c d", "a & b | c | d"),
-        ("G i a X ! b", "G (a -> X !b)"),
-        ("G e a X b", "G (a <-> X b)"),
-        ("& U ! b a F b", "!b U a & F b"),
-        ("M & a F b | ! a b", "(a & F b) M (!a | b)"),
-        ("true", "true"),
-        ('F "potted plant"', 'F "potted plant"'),
-    ],
-)
-def test_parse_prefix(text, infix):
-    assert parse_prefix(text) == parse(infix)
-
-
-@pytest.mark.parametrize(
-    ("text", "column", "says"),
-    [
-        ("", 1, "found the end"),
-        ("& a", 4, "found the end"),
-        ("a b", 3, "complete before 'b'"),
-        ("F a F", 5, "complete before 'F'"),
-        ("& ( a b", 3, "found '('"),
-    ],
-)
-def test_parse_prefix_error(text, column, says):
-    with pytest.raises(FormulaError, match=rf"column {column}: .*{says.replace('(', '[(]')}"):
-        parse_prefix(text)
-
-
-@pytest.mark.skipif(not LANG2LTL.exists(), reason="../shared/nl2ltl is not there")
-def test_every_lang2ltl_formula_is_read():
-    with LANG2LTL.open(newline="") as file:
-        texts = [row["ltl_formula"] for row in csv.DictReader(file)]
-    assert len(texts) > 1000
-    for text in set(texts):
-        f = parse_prefix(text)
-        assert parse(to_text(f)) == f
-        assert set(propositions(f)) <= set("abcdh")
-
-
 @given(formulas(("a", "potted plant", "F", 'x"\\', "true")))
 def test_text_is_read_back(f):
     assert parse(to_text(f)) == f
@@ -191,8 +147,7 @@ def column_of_error(read, text: str) -> int | None:
 
 @given(st.text() | st.binary().map(lambda b: b.decode("utf-8", "surrogateescape")))
 def test_any_text_gives_a_formula_or_a_column(text):
-    for read in (parse, parse_prefix):
-        assert (column_of_error(read, text) or 1) in range(1, len(text) + 2)
+    assert (column_of_error(parse, text) or 1) in range(1, len(text) + 2)
 
 
 @given(
@@ -230,10 +185,6 @@ def test_depth_is_no_obstacle(text):
     assert propositions(ltl.renamed(f, str.upper)) == ("A",)
     assert holds(f, ["a"]) in (True, False)
     assert pickle.loads(pickle.dumps(f)) == copy.deepcopy(f) == f
-
-
-def test_deep_prefix_text():
-    assert len(parse_prefix("& a " * DEEP + "a").args) == DEEP + 1
 
 
 def test_unclosed_parentheses_and_long_texts_are_refused():

@@ -1,1 +1,1 @@
-"""Linear temporal logic over finite traces: formulas, normal forms, automata. No robot in it."""
+"""From formulas to automata, and what is wrong with a formula. No robot in it."""

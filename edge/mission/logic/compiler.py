@@ -1,274 +1,157 @@
-"""Our own compiler: progression at once where that stays small, else part by part.
+"""Our own compiler: every operator makes a minimal automaton of its operands' minimal automata.
 
-Progression keeps states in disjunctive normal form, which a conjunction of many alternatives
-blows up though its automaton is small. Such a formula is cut at its outermost & or |, the
-parts are compiled by themselves and made minimal, and their products are.
+Automata are pairs of delta (n, letters + 1) int32, NOTHING last, and accepting (n,) bool; they are
+complete, and state 0 is initial. ! flips what accepts, & | -> <-> are products, X puts a state in
+front, and U is a subset construction. All other operators are these:
+
+    F b = true U b        G b = !F !b               WX a = !X !a
+    a M b = b U (a & b)   a W b = !(!b U !(a | b))  a R b = !(!a U !b)
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 
-from edge.mission.logic.limits import CompileError, Effort
-from edge.mission.logic.normal_form import FALSE, TRUE, Dnf, Nodes, Rewriter, bits
-from edge.mission.ltl import Formula, neg
+from edge.mission.logic.limits import PER_NODE, CompileError, Effort
+from edge.mission.ltl import Formula, postorder
 
-# Below this many transitions plain Python is faster than NumPy.
-_SMALL = 256
+Dfa = tuple[np.ndarray, np.ndarray]
+Key = tuple[str, tuple[int, ...], str]  # an operator, its operands' numbers, a proposition
+
+# So many subformulas bound the memory of a compilation.
+MAX_NODES = 10_000
 # As many cells take as long as calling NumPy for one column does.
 _CALL = 500
+_PER_ALTERNATIVE = 16  # steps of moving one on by a letter
+
+_TABLES = {
+    "&": np.logical_and,
+    "|": np.logical_or,
+    "->": lambda a, b: ~a | b,
+    "<->": lambda a, b: a == b,
+}
 
 
-def minimal(
-    delta: np.ndarray, accepting: np.ndarray, effort: Effort
-) -> tuple[np.ndarray, np.ndarray]:
-    """Merge equivalent states by partition refinement (Moore).
-
-    States that can be reached are numbered breadth-first, letters in their order.
-
-    Args:
-        delta: (n, k) int32, next states of a complete automaton; state 0 is initial.
-        accepting: (n,) bool.
-
-    Returns:
-        delta (m, k) int32 and accepting (m,) bool of the minimal automaton.
-    """
-    refine = _refine_small if delta.size <= _SMALL else _refine
-    block = refine(delta, accepting, effort)
-    _, first = np.unique(block, return_index=True)
-    return _numbered(block[delta[first]], accepting[first], int(block[0]))
-
-
-def _refine(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
-    """(n,) int64, which states are equivalent, as numbers without gaps."""
-    n = len(delta)
-    block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
-    while count < n:
-        effort.spend_cells((n + _CALL) * delta.shape[1])
-        # As many columns as fit are packed into one int64, which sorts fast.
-        key, size = block, count
-        for column in delta.T:
-            if size * count >= 2**62:
-                key, size = _dense(key)
-            key, size = key * count + block[column], size * count
-        finer, new_count = _dense(key)
-        if new_count == count:
-            break
-        block, count = finer, new_count
-    return _dense(block)[0]
-
-
-def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
-    values, dense = np.unique(key, return_inverse=True)
-    return dense.reshape(-1), len(values)
-
-
-def _refine_small(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:
-    """What `_refine` does, for few states."""
-    rows, block, count = delta.tolist(), accepting.tolist(), 0
-    while count < len(rows):
-        effort.spend(delta.size)
-        ids: dict[tuple, int] = {}
-        block = [
-            ids.setdefault((own, *[block[t] for t in row]), len(ids))
-            for own, row in zip(block, rows, strict=True)
-        ]
-        if len(ids) == count:
-            break
-        count = len(ids)
-    return np.array(block, np.int64)
-
-
-def _numbered(
-    delta: np.ndarray, accepting: np.ndarray, start: int
-) -> tuple[np.ndarray, np.ndarray]:
-    rows = delta.tolist()
-    order = {start: 0}
-    queue = [start]
-    for state in queue:
-        for target in rows[state]:
-            if target not in order:
-                order[target] = len(order)
-                queue.append(target)
-    number = np.empty(len(rows), np.int32)
-    number[queue] = np.arange(len(queue), dtype=np.int32)
-    return number[delta[queue]], accepting[queue]
-
-
-def explore(
-    formula: Formula, letters: Sequence[str], effort: Effort, max_clauses: int | None = None
-) -> tuple[list[list[int]], list[bool]]:
-    """Progress a formula over all words, breadth-first.
-
-    Args:
-        max_clauses: the most prime implicants a state may have; None: any number.
-
-    Returns:
-        Rows of next states, state 0 first, a column per letter and a last one for NOTHING; and
-        which states accept.
-
-    Raises:
-        CompileError: a limit was passed; TooWide where it was `max_clauses`.
-    """
-    nodes = Nodes(formula, letters, effort)
-    rewriter = Rewriter(nodes, len(letters), effort, max_clauses)
-    steps = _Steps(rewriter, effort)
-    # State 0 is the formula itself, which as a function of atoms may be far wider than what it
-    # progresses to; a twin of it is merged later.
-    states: list[Dnf] = [FALSE]
-    index: dict[Dnf, int] = {}
-    rows: list[list[int]] = []
-
-    def number(state: Dnf) -> int:
-        found = index.get(state)
-        if found is None:
-            found = index[state] = len(states)
-            effort.check_states(found)
-            states.append(state)
-        return found
-
-    rows.append([number(rewriter.after(nodes.root, k)) for k in range(len(letters) + 1)])
-    n = 1
-    while n < len(states):
-        state = states[n]
-        effort.spend(len(state) * (len(letters) + 1))
-        union = 0
-        for clause in state:
-            union |= clause
-        steps.learn(union)
-        rows.append(
-            [
-                number(steps.take(state, letter)) if union & changed else n
-                for letter, changed in enumerate(steps.changed)
-            ]
-        )
-        n += 1
-    at_end = [any(not clause & steps.open_ended for clause in state) for state in states]
-    at_end[0] = nodes.at_end[nodes.root]
-    return rows, at_end
-
-
-class _Steps:
-    """What each letter does to each atom, as far as atoms have come up.
-
-    Attributes:
-        open_ended: atoms that have come up and that the empty word does not satisfy, as bits.
-        changed: per letter, the atoms that it changes, as bits.
-    """
-
-    def __init__(self, rewriter: Rewriter, effort: Effort) -> None:
-        self.open_ended = 0
-        self.changed = [0] * (rewriter.nothing + 1)
-        self._known = 0
-        self._rewriter = rewriter
-        self._effort = effort
-        self._products: list[dict[int, Dnf]] = [{} for _ in self.changed]
-
-    def learn(self, atoms: int) -> None:
-        """Work out what every letter does to those of the atoms that are new."""
-        new = atoms & ~self._known
-        self._known |= new
-        nodes, after, nothing = self._rewriter.nodes, self._rewriter.after, self._rewriter.nothing
-        for atom in bits(new):
-            bit = 1 << atom
-            if not nodes.at_end[atom]:
-                self.open_ended |= bit
-            idle = after(atom, nothing)
-            support = nodes.support[atom]
-            for letter in range(nothing + 1):
-                step = after(atom, letter) if support >> letter & 1 else idle
-                if step != (bit,):
-                    self.changed[letter] |= bit
-                    self._products[letter][bit] = step
-
-    def take(self, state: Dnf, letter: int) -> Dnf:
-        """The state after a letter."""
-        changed, products = self.changed[letter], self._products[letter]
-        parts: set[int] = set()
-        for clause in state:
-            hit = clause & changed
-            if not hit:
-                parts.add(clause)
-                continue
-            product = products.get(hit)
-            if product is None:
-                each = [products[1 << atom] for atom in bits(hit)]
-                product = products[hit] = self._rewriter.join("&", each)
-            base = clause ^ hit
-            self._effort.spend(self._rewriter.per_implicant * len(product))
-            for p in product:
-                parts.add(base | p)
-        return TRUE if 0 in parts else self._rewriter.primes(parts)
-
-
-# States wider than this are left to the product, where there is something to cut.
-_MAX_CLAUSES = 24
-_MAX_CUTS = 16
-
-
-def language(
-    formula: Formula, letters: Sequence[str], effort: Effort, cuts: int = _MAX_CUTS
-) -> tuple[np.ndarray, np.ndarray]:
+def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
     """The minimal complete automaton of a formula over given letters and NOTHING.
 
     Args:
         letters: distinct; at least the propositions of the formula.
-        cuts: how deep the formula may be cut into parts.
 
     Returns:
-        delta (n, len(letters) + 1) int32, NOTHING last, and accepting (n,) bool; state 0 is
-        initial, states are numbered breadth-first.
+        See the module; states are numbered breadth-first.
 
     Raises:
         CompileError: a limit was passed.
     """
-    op, parts = _parts(formula)
-    if not parts or not cuts:
-        return _progressed(formula, letters, effort, None)
-    try:
-        return _progressed(formula, letters, effort, _MAX_CLAUSES)
-    except CompileError:
-        if effort.spent:
-            raise
-    automata = [language(part, letters, effort, cuts - 1) for part in parts]
-    automata.sort(key=lambda a: len(a[0]), reverse=True)
-    result = automata.pop()
-    while automata:
-        result = minimal(*_product(op, result, automata.pop(), effort), effort)
-    return result
+    nodes = _nodes(formula, effort)
+    uses = Counter(arg for _, args, _ in nodes for arg in args)
+    column = {name: k for k, name in enumerate(letters)}
+    made: dict[int, Dfa] = {}
+    for number, (op, args, name) in enumerate(nodes):
+        effort.spend(PER_NODE * (1 + len(args)))
+        if op == "ap":
+            made[number] = _reached(column[name], len(letters) + 1)
+        elif not args:
+            made[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
+        else:
+            made[number] = _made(op, [made[arg] for arg in args], effort)
+        uses.subtract(args)
+        for arg in {arg for arg in args if not uses[arg]}:
+            del made[arg]
+    return minimal(*made[len(nodes) - 1], effort)
 
 
-def _progressed(
-    formula: Formula, letters: Sequence[str], effort: Effort, max_clauses: int | None
-) -> tuple[np.ndarray, np.ndarray]:
-    rows, accepting = explore(formula, letters, effort, max_clauses)
-    return minimal(np.array(rows, np.int32), np.array(accepting), effort)
+def _nodes(formula: Formula, effort: Effort) -> list[Key]:
+    """The different subformulas, operands before operators, in the operators that are made."""
+    numbers: dict[Key, int] = {}
+    known: dict[int, int] = {}
+    negated: dict[int, int] = {}
+
+    def number(op: str, *args: int, name: str = "") -> int:
+        if op == "!" and args[0] in negated:
+            return negated[args[0]]
+        key = (op, args, name)
+        found = numbers.setdefault(key, len(numbers))
+        if found > MAX_NODES:
+            raise CompileError(
+                f"formula: more than {MAX_NODES} different subformulas; make it shorter"
+            )
+        if op == "!":
+            negated[args[0]], negated[found] = found, args[0]
+        return found
+
+    for f in postorder(formula):
+        effort.spend(PER_NODE)
+        known[id(f)] = _reduced(f, [known[id(arg)] for arg in f.args], number)
+    return list(numbers)[: known[id(formula)] + 1]
 
 
-def _parts(formula: Formula) -> tuple[str, list[Formula]]:
-    """& or | and its operands, negation and implication seen through; no operands of others."""
-    negated = False
-    while formula.op == "!":
-        formula, negated = formula.args[0], not negated
-    op, parts = formula.op, list(formula.args)
-    if op == "->":
-        op, parts = "|", [neg(parts[0]), parts[1]]
-    if op not in ("&", "|"):
-        return op, []
-    if not negated:
-        return op, parts
-    return "|" if op == "&" else "&", [neg(part) for part in parts]
+def _reduced(f: Formula, args: list[int], number) -> int:  # type: ignore[no-untyped-def]
+    """The number of a subformula, its operator put as the module says."""
+    match f.op, args:
+        case "F", [b]:
+            return number("U", number("true"), b)
+        case "G", [b]:
+            return number("!", number("U", number("true"), number("!", b)))
+        case "WX", [a]:
+            return number("!", number("X", number("!", a)))
+        case "M", [a, b]:
+            return number("U", b, number("&", a, b))
+        case "W", [a, b]:
+            neither = number("!", number("|", a, b))
+            return number("!", number("U", number("!", b), neither))
+        case "R", [a, b]:
+            return number("!", number("U", number("!", a), number("!", b)))
+    return number(f.op, *args, name=f.name)
 
 
-def _product(
-    op: str,
-    a: tuple[np.ndarray, np.ndarray],
-    b: tuple[np.ndarray, np.ndarray],
-    effort: Effort,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The reachable product of two automata over the same letters, initial state first."""
+def _reached(letter: int, width: int) -> Dfa:
+    """The first letter is this one."""
+    delta = np.full((3, width), 2, np.int32)
+    delta[0, letter] = delta[1] = 1
+    return delta, np.array([False, True, False])
+
+
+def _made(op: str, args: list[Dfa], effort: Effort) -> Dfa:
+    """The minimal automaton of an operator, but for the order of its states."""
+    match op:
+        case "!":
+            return args[0][0], ~args[0][1]
+        case "X":
+            return _next(*args[0], effort)
+        case "U":
+            return minimal(*_Until(*args, effort).automaton(), effort)
+        case "&" | "|":  # the small ones first, so that what is thrown away was small
+            args = sorted(args, key=lambda dfa: len(dfa[0]))
+    return reduce(lambda a, b: minimal(*_product(op, a, b, effort), effort), args)
+
+
+def _next(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
+    """There is a next step, and the rest from it on is accepted: minimal as what it is made of."""
+    effort.spend_cells(delta.size)
+    n, width = delta.shape
+    effort.check_states(n)
+    # The rest must have a letter, so it begins in a state that is like 0 but does not accept.
+    (rest,) = np.nonzero((delta == delta[0]).all(axis=1) & ~accepting)
+    if not len(rest):
+        delta, accepting, rest = np.vstack([delta, delta[0]]), np.append(accepting, False), [n]
+    (front,) = np.nonzero((delta == rest[0]).all(axis=1) & ~accepting)
+    if not len(front):
+        row = np.full(width, rest[0], np.int32)
+        delta, accepting = np.vstack([delta, row]), np.append(accepting, False)
+        front = [len(delta) - 1]
+    swapped = np.arange(len(delta), dtype=np.int32)
+    swapped[[0, front[0]]] = front[0], 0
+    return swapped[delta[swapped]], accepting[swapped]
+
+
+def _product(op: str, a: Dfa, b: Dfa, effort: Effort) -> Dfa:
+    """The reachable product of two automata over the same letters."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
     index = {0: 0}  # pair i * width + j -> state
@@ -285,5 +168,167 @@ def _product(
         rows.append(number[place.reshape(targets.shape)])
         pairs.append(distinct[number >= known])
     i, j = np.divmod(np.concatenate(pairs), width)
-    accepting = accepts_a[i] & accepts_b[j] if op == "&" else accepts_a[i] | accepts_b[j]
-    return np.concatenate(rows), accepting
+    return np.concatenate(rows), _TABLES[op](accepts_a[i], accepts_b[j])
+
+
+Alternative = tuple[tuple[int, ...], int]  # states of a, all of which must accept, and one of b
+
+
+class _Until:
+    """a U b by subsets: b may have begun to hold at any of the steps so far.
+
+    A state is what a must still accept until b begins, None where that is too late, and the
+    alternatives of having begun. What an alternative accepts another may accept as well: then it
+    is left out, which keeps their number small.
+    """
+
+    def __init__(self, a: Dfa, b: Dfa, effort: Effort) -> None:
+        self._a, self._b, self._effort = a[0].tolist(), b[0].tolist(), effort
+        self._a_accepts, self._b_accepts = a[1].tolist(), b[1].tolist()
+        self._under_a, self._under_b = _Inclusion(*a, effort), _Inclusion(*b, effort)
+        self._a_all, self._a_none = _sinks(*a)
+        self._b_none = _sinks(*b)[1]
+        self._width = a[0].shape[1]
+
+    def automaton(self) -> Dfa:
+        """The states that can be reached, breadth-first."""
+        states: list[tuple[tuple[int, ...] | None, tuple[Alternative, ...]]] = [((), ())]
+        index = {states[0]: 0}
+        rows, accepting = [], []
+        for waiting, alternatives in states:
+            row = []
+            for letter in range(self._width):
+                self._effort.spend(_PER_ALTERNATIVE * (1 + len(alternatives)))
+                state = self._step(waiting, alternatives, letter)
+                if state not in index:
+                    index[state] = len(states)
+                    states.append(state)
+                    self._effort.check_states(len(states))
+                row.append(index[state])
+            rows.append(row)
+            accepting.append(any(map(self._accepts, alternatives)))
+        return np.array(rows, np.int32), np.array(accepting)
+
+    def _step(
+        self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], letter: int
+    ) -> tuple[tuple[int, ...] | None, tuple[Alternative, ...]]:
+        begun = [*alternatives] if waiting is None else [*alternatives, (waiting, 0)]
+        moved: list[Alternative] = []
+        for held, state in begun:
+            still, to = self._held(held, letter), self._b[state][letter]
+            if still is not None and to != self._b_none:
+                moved.append((still, to))
+        if waiting is not None:
+            waiting = self._held((*waiting, 0), letter)
+        return waiting, self._widest(moved)
+
+    def _held(self, states: Sequence[int], letter: int) -> tuple[int, ...] | None:
+        """What states of a are after a letter; None where one accepts nothing any more."""
+        moved = sorted({self._a[state][letter] for state in states} - {self._a_all})
+        if self._a_none in moved:
+            return None
+        self._effort.spend(len(moved) ** 2)
+        return tuple(s for s in moved if not any(t != s and self._under_a(t, s) for t in moved))
+
+    def _widest(self, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
+        """Those that no other one includes."""
+        kept = sorted(set(alternatives))
+        self._effort.spend(len(kept) ** 2)
+        return tuple(x for x in kept if not any(y != x and self._under(x, y) for y in kept))
+
+    def _under(self, x: Alternative, y: Alternative) -> bool:
+        """Whether y accepts all that x does, as far as its parts tell."""
+        return self._under_b(x[1], y[1]) and all(
+            any(self._under_a(s, t) for s in x[0]) for t in y[0]
+        )
+
+    def _accepts(self, alternative: Alternative) -> bool:
+        held, state = alternative
+        return self._b_accepts[state] and all(self._a_accepts[s] for s in held)
+
+
+def _sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
+    """The states that accept everything and nothing; -1 for none."""
+    stays = (delta == np.arange(len(delta))[:, None]).all(axis=1)
+    found = [np.flatnonzero(stays & (accepting == wanted)) for wanted in (True, False)]
+    return tuple(int(states[0]) if len(states) else -1 for states in found)
+
+
+class _Inclusion:
+    """Whether one state of an automaton accepts no more than another; found where it is asked."""
+
+    def __init__(self, delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> None:
+        self._rows, self._accepts, self._effort = delta.tolist(), accepting.tolist(), effort
+        self._known: dict[tuple[int, int], bool] = {}
+
+    def __call__(self, s: int, t: int) -> bool:
+        """Whether t accepts all that s does: no word leads to a pair of which only s accepts."""
+        if s == t:
+            return True
+        if self._known.get((t, s)):
+            return False  # no two states of a minimal automaton accept the same
+        if (s, t) not in self._known:
+            self._seek((s, t))
+        return self._known[s, t]
+
+    def _seek(self, start: tuple[int, int]) -> None:
+        came_from: dict[tuple[int, int], tuple[int, int] | None] = {start: None}
+        pairs = [start]
+        for pair in pairs:
+            s, t = pair
+            self._effort.spend(2 * len(self._rows[s]))
+            if self._known.get(pair) is False or (self._accepts[s] and not self._accepts[t]):
+                while pair is not None:
+                    self._known[pair] = False
+                    pair = came_from[pair]
+                return
+            for after in zip(self._rows[s], self._rows[t], strict=True):
+                known = after[0] == after[1] or self._known.get(after, False)
+                if not known and after not in came_from:
+                    came_from[after] = pair
+                    pairs.append(after)
+        self._known |= dict.fromkeys(came_from, True)
+
+
+def minimal(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> Dfa:
+    """Merge equivalent states by partition refinement (Moore).
+
+    States that can be reached are numbered breadth-first, letters in their order.
+    """
+    n = len(delta)
+    block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
+    while count < n:
+        effort.spend_cells((n + _CALL) * delta.shape[1])
+        # As many columns as fit are packed into one int64, which sorts fast.
+        key, size = block, count
+        for column in delta.T:
+            if size * count >= 2**62:
+                key, size = _dense(key)
+            key, size = key * count + block[column], size * count
+        finer, new_count = _dense(key)
+        if new_count == count:
+            break
+        block, count = finer, new_count
+    block = _dense(block)[0]
+    _, first = np.unique(block, return_index=True)
+    return _numbered(block[delta[first]], accepting[first], int(block[0]))
+
+
+def _dense(key: np.ndarray) -> tuple[np.ndarray, int]:
+    values, dense = np.unique(key, return_inverse=True)
+    return dense.reshape(-1), len(values)
+
+
+def _numbered(delta: np.ndarray, accepting: np.ndarray, start: int) -> Dfa:
+    """The states that can be reached from one, numbered breadth-first."""
+    rows = delta.tolist()
+    order = {start: 0}
+    queue = [start]
+    for state in queue:
+        for target in rows[state]:
+            if target not in order:
+                order[target] = len(order)
+                queue.append(target)
+    number = np.empty(len(rows), np.int32)
+    number[queue] = np.arange(len(queue), dtype=np.int32)
+    return number[delta[queue]], accepting[queue]

@@ -1,6 +1,6 @@
 """What a compilation may take: states and steps, which are the same on every machine.
 
-A step is a small piece of work, such as a comparison of two implicants; what takes longer counts
+A step is a small piece of work, such as looking up a state's successor; what takes longer counts
 as several, so that a step takes about as long wherever it is taken: 0.03 to 0.15 µs on a desktop
 computer. Nothing here reads a clock, so that whether a mission is taken does not depend on how
 busy the machine is.
@@ -32,11 +32,6 @@ class Effort:
         self.max_states = max_states
         self.max_steps = max_steps
         self.steps = 0
-
-    @property
-    def spent(self) -> bool:
-        """Whether more steps were wanted than are allowed."""
-        return self.steps > self.max_steps
 
     def spend(self, steps: int) -> None:
         """Count steps that are about to be taken; CompileError where they are too many."""

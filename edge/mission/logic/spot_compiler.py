@@ -4,7 +4,7 @@ Spot reads formulas over infinite words. `from_ltlf` embeds the finite ones, wit
 `alive` that holds as long as the word lasts; `to_finite` takes it out of the automaton again
 (Spot's tutorial "Working with LTL formulas with finite semantics"). Of the propositions' values
 per step only "one reached object or nothing" is kept. Spot's words are not empty, so whether
-the empty one is accepted comes from our own normal form.
+the empty one is accepted is worked out here.
 
 The module `spot` of the package `spot` on the Python package index is something else; `spottl`
 there has the real bindings (tried with 2.13). Spot's own work is neither counted nor interrupted,
@@ -22,7 +22,6 @@ import numpy as np
 from edge.errors import UnavailableError
 from edge.mission.logic.compiler import minimal
 from edge.mission.logic.limits import CompileError, Effort
-from edge.mission.logic.normal_form import Nodes
 from edge.mission.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
@@ -80,8 +79,7 @@ def language(
     rows, accepting = _determined(finite, steps, buddy.bddfalse, effort)
     # The empty word may differ from other words that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
-    nodes = Nodes(formula, letters, effort)
-    accepting = [nodes.at_end[nodes.root], *accepting]
+    accepting = [_takes_nothing(formula), *accepting]
     return minimal(delta, np.array(accepting), effort)
 
 
@@ -122,6 +120,24 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
             values = values & one(variable)
         steps.append(values)
     return steps
+
+
+def _takes_nothing(formula: Formula) -> bool:
+    """Whether the empty word is accepted: of it, all temporal operators are constants."""
+    truth: dict[int, bool] = {}
+    for f in postorder(formula):
+        args = [truth[id(arg)] for arg in f.args]
+        match f.op:
+            case "!":
+                holds = not args[0]
+            case "&" | "|":
+                holds = all(args) if f.op == "&" else any(args)
+            case "->" | "<->":
+                holds = args[0] == args[1] or (f.op == "->" and args[1])
+            case _:
+                holds = f.op in ("true", "WX", "G", "R", "W")
+        truth[id(f)] = holds
+    return truth[id(formula)]
 
 
 def _text(formula: Formula, letters: Sequence[str]) -> str:

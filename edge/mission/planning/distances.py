@@ -25,7 +25,7 @@ _MAX_UNKNOWN_COST = 100.0
 def distances(
     snapshot: Grid,
     robot_xy_m: tuple[float, float],
-    places: Sequence[np.ndarray],
+    positions: Sequence[np.ndarray],
     unknown_cost: float = 3.0,
     snap_m: float = 1.2,
     cell_m: float = 0.2,
@@ -40,7 +40,7 @@ def distances(
     Args:
         snapshot: the map: -1 unknown, 0 free, 100 an obstacle itself, 1 … 99 only nearer to one
             than the robot may go.
-        places: for each letter (m, 2) float64, its known instances in `map`; (0, 2) for none.
+        positions: for each letter (m, 2) float64, its known instances in `map`; (0, 2) for none.
             The nearest instance counts.
         unknown_cost: how many metres a metre over unknown cells stands for, 1 … 100.
         cell_m: about how long a cell of the search is; never shorter than the map's.
@@ -61,7 +61,7 @@ def distances(
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
     corner, reach = np.array(snapshot.origin_xy_m) - side_m, snap_m / side_m
-    ends = [_ends(state, (np.reshape(p, (-1, 2)) - corner) / side_m, reach) for p in places]
+    ends = [_ends(state, (np.reshape(p, (-1, 2)) - corner) / side_m, reach) for p in positions]
     robot = nearest_cell(state, *(np.array(robot_xy_m) - corner) / side_m, reach)
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
     weight = np.array([0, 1.0, unknown_cost])
