@@ -21,8 +21,9 @@ from edge.perception.text import PromptError
 from edge.text import one_line
 from edge.types import Detections
 
-MAX_BYTES = 1 << 17
-"""Of a message; a thousand boxes are 28 KB. What is longer is cut off, and so refused."""
+MAX_BYTES = 1 << 18
+"""Of a message; a thousand boxes are 28 KB, the prompts of the longest order 120 KB. What is longer
+is cut off, and so refused; most systems do not even send it."""
 END_OF_HEADER = b"\n"
 _BOX_BYTES = 28  # four float32 corners, score, class and rival of four bytes each
 _STATES = get_args(get_type_hints(Health)["state"])
