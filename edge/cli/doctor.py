@@ -33,7 +33,7 @@ MIN_SHM_MB = 64
 MIN_FREE_MB = 500
 LOOPBACK_S = 5.0
 SERVER_S = 2.0
-CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap", "zmq")
+CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap")
 OPENCV = (
     "opencv-python-headless", "opencv-python", "opencv-contrib-python",
     "opencv-contrib-python-headless",

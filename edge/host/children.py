@@ -7,7 +7,7 @@ from pathlib import Path
 
 _ROOT = str(Path(__file__).parents[2])
 # As `python -m MODULE`, but that imports from the working directory before all else: an `edge` or
-# a `zmq.py` that lies there would be run (`-P`, which forbids it, came with Python 3.11). Only
+# a `numpy.py` that lies there would be run (`-P`, which forbids it, came with Python 3.11). Only
 # where this package itself was found there, its folder is looked in.
 _RUN = (
     "import sys; root, module = sys.argv[1:3]; del sys.argv[1:3]; "

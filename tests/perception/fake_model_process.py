@@ -22,7 +22,7 @@ from edge.host import resources
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
 from edge.perception.factory import make_detector
-from edge.perception.process import messages, serve
+from edge.perception.process import serve, wire
 from edge.perception.text import PromptError
 from edge.types import Detections
 
@@ -73,7 +73,7 @@ class Steered:
         height, width = observation.rgb.shape[:2]
         order, n = int(observation.rgb[0, 0, 0]), len(self.prompts)
         if order == TOO_MANY:  # a box takes more than a byte
-            n = messages.MAX_BYTES
+            n = wire.MAX_BYTES
         ORDERS.get(order, lambda: None)()
         self._health = Health("building engine", "3 of 9") if order == ENGINE else Health()
         right = np.nan if order == NAN else width

@@ -25,8 +25,8 @@ from edge.perception.cards import ModelError, card_names
 from edge.perception.detector import Health, log_progress
 from edge.perception.factory import make_detector
 from edge.perception.process import detector as process_detector
-from edge.perception.process import frames, link
-from edge.perception.process.messages import ModelProcessError
+from edge.perception.process import link, wire
+from edge.perception.process.wire import ModelProcessError
 from edge.perception.swap import swapper as swaps
 from edge.perception.text import PromptError
 from edge.perception.worker import DetectorWorker
@@ -60,7 +60,7 @@ def place(monkeypatch, tmp_path_factory):
     """The fake in the model process's place, and where it may leave something: nothing."""
     folder = tmp_path_factory.mktemp("shm")
     monkeypatch.setattr(link, "PROGRAM", (sys.executable, str(FAKE)))
-    monkeypatch.setattr(frames, "SHARED_MEMORY", folder)
+    monkeypatch.setattr(wire, "SHARED_MEMORY", folder)
     monkeypatch.setattr(process_detector, "_CHECK_S", PATIENCE_S)
     before = psutil.Process().children()  # other tests' trackers of shared memory
     yield folder

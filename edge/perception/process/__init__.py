@@ -7,14 +7,14 @@ The protocol, between the service (`detector.py`, `link.py`) and the model proce
  2. The sockets, `images` and `control`, keep messages apart (SOCK_SEQPACKET). While it loads its
     model it says {health} on control now and then; when that has run once it says {} there, else
     {error, text}.
- 3. An image lies in the frame file (`frames.py`): memory that the service owns and alone writes,
+ 3. An image lies in the frame file (`wire.py`): memory that the service owns and alone writes,
     with no name on disk; a sequence number is written before the pixels and again after them.
  4. On `images` the service asks {seq, hw, prompts}. The process looks at the pixels where they lie
     and answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}.
  5. On `control` the service asks {id, prompts}, to hear at once whether they can be looked for:
     {id} or {id, error, text}. What counts is what the next request on `images` says.
- 6. Sizes, types and values of every answer are checked (`messages.py`); nothing is unpickled. One
+ 6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One
     request is under way at a time: who does not answer it within `timeout_s`, or answers nonsense,
-    is killed. A process that ended is started again by the rules in `restarts.py`.
+    is killed. A process that ended is started again by the rules of `detector.Restarts`.
  7. The process ends with SIGTERM, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
 """

@@ -14,9 +14,8 @@ from typing import NamedTuple
 from edge import config
 from edge.errors import UserError
 from edge.perception.detector import Health, Tell, check_rgb, log_progress
-from edge.perception.process.frames import FrameFile
 from edge.perception.process.link import Link
-from edge.perception.process.messages import ModelProcessError
+from edge.perception.process.wire import FrameFile, ModelProcessError
 from edge.perception.text import PromptError, check_prompts
 from edge.types import Detections, Observation
 

@@ -21,9 +21,8 @@ from edge import config
 from edge.host.children import python_module
 from edge.logs import LEVELS, JsonFormatter
 from edge.perception.detector import Tell
-from edge.perception.process import messages
-from edge.perception.process.frames import FrameFile, shared_dir
-from edge.perception.process.messages import ModelProcessError
+from edge.perception.process import wire
+from edge.perception.process.wire import FrameFile, ModelProcessError, shared_dir
 
 log = logging.getLogger(__name__)
 
@@ -86,8 +85,8 @@ class Link:
             ModelProcessError: it ended, took too long, or is no longer wanted.
         """
         while "health" in (header := self._hear(timeout_s, told_to_end)):
-            progress(self._decode(messages.decode_health, header))
-        messages.raise_error(header, self.name)
+            progress(self._decode(wire.decode_health, header))
+        wire.raise_error(header, self.name)
 
     def _hear(self, timeout_s: float, told_to_end: Callable[[], bool]) -> dict[str, Any]:
         """What a process says that is not yet ready; see `wait_ready`."""
@@ -102,7 +101,7 @@ class Link:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
                 raise self.give_up(f"{_how(code)} before it was ready")
-        return self._decode(messages.decode_header, said)
+        return self._decode(wire.decode_header, said)
 
     def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
         """What a process says that is not yet ready; nonsense is its end."""
@@ -111,7 +110,7 @@ class Link:
         except ValueError as error:
             raise self.give_up(f"damaged message ({error}): killed") from None
 
-    def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> messages.Answer:
+    def detect(self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float) -> wire.Answer:
         """Have it look for the prompts in an image.
 
         Args:
@@ -132,17 +131,17 @@ class Link:
             except OSError as error:
                 raise ModelProcessError(f"{shared_dir()}: no room for images: {error}") from None
             said = self._exchange(
-                messages.encode(seq=seq, hw=rgb.shape[:2], prompts=prompts), timeout_s
+                wire.encode(seq=seq, hw=rgb.shape[:2], prompts=prompts), timeout_s
             )
         try:
-            head, _, block = said.partition(messages.END_OF_HEADER)
-            header = messages.decode_header(head)
-            answer = None if "error" in header else messages.decode_answer(seq, header, block)
+            head, _, block = said.partition(wire.END_OF_HEADER)
+            header = wire.decode_header(head)
+            answer = None if "error" in header else wire.decode_answer(seq, header, block)
         except ValueError as error:
             raise self.give_up(f"damaged answer ({error}): killed") from None
         if header.get("error") == "MemoryError":
             raise self.give_up("out of memory: killed")
-        messages.raise_error(header, self.name)
+        wire.raise_error(header, self.name)
         assert answer is not None
         return answer
 
@@ -173,7 +172,7 @@ class Link:
         deadline_s = time.monotonic() + timeout_s
         with self._checking:
             number = self._checked = self._checked + 1
-            if self.fault or not _send(self._control, messages.encode(id=number, prompts=prompts)):
+            if self.fault or not _send(self._control, wire.encode(id=number, prompts=prompts)):
                 return False
             header = {}
             while header.get("id") != number:
@@ -181,11 +180,11 @@ class Link:
                     return False
                 if said := _receive(self._control):
                     try:
-                        header = messages.decode_header(said)
+                        header = wire.decode_header(said)
                     except ValueError as error:  # not what the prompts are to blame for
                         self.give_up(f"damaged message ({error}): killed")
                         return False
-        messages.raise_error(header, self.name)
+        wire.raise_error(header, self.name)
         return True
 
     def give_up(self, why: str) -> ModelProcessError:
@@ -255,7 +254,7 @@ def _start(descriptors: tuple[int, int, int], told: dict[str, Any]) -> subproces
 def _receive(channel: socket.socket) -> bytes | None:
     """The next message, empty once the other end is closed; None when none came for a moment."""
     try:
-        return channel.recv(messages.MAX_BYTES)
+        return channel.recv(wire.MAX_BYTES)
     except TimeoutError:
         return None
     except OSError:  # it was closed with something unread

@@ -21,8 +21,8 @@ from edge import config, logs
 from edge.host.signals import show_stacks_on_signals
 from edge.perception.detector import Detector, Health, Tell
 from edge.perception.factory import make_detector
-from edge.perception.process import messages
-from edge.perception.process.frames import FrameView
+from edge.perception.process import wire
+from edge.perception.process.wire import FrameView
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
@@ -53,16 +53,16 @@ def main(make: Make = make_detector) -> int:
 
     def progress(health: Health) -> None:  # from any thread, but only until `make` returns
         with speaking:
-            control.send(messages.encode(health=health))
+            control.send(wire.encode(health=health))
 
     try:
         perception = config.Perception.model_validate(told["perception"])
         detector = make(perception, told["prompts"], progress)
         _run_empty(detector)
     except Exception as error:
-        control.send(messages.encode_error(error))
+        control.send(wire.encode_error(error))
         return 1
-    control.send(messages.encode())
+    control.send(wire.encode())
     threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
     try:
         answer_images(images, detector, FrameView(frames_fd))
@@ -86,19 +86,19 @@ def _run_empty(detector: Detector) -> None:
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:
     """Answer whether prompts can be looked for, while images are being looked at."""
-    while said := control.recv(messages.MAX_BYTES):
-        request = messages.decode_header(said)
+    while said := control.recv(wire.MAX_BYTES):
+        request = wire.decode_header(said)
         try:
             detector.set_prompts(request["prompts"])
-            control.send(messages.encode(id=request["id"]))
+            control.send(wire.encode(id=request["id"]))
         except Exception as error:
-            control.send(messages.encode_error(error, id=request["id"]))
+            control.send(wire.encode_error(error, id=request["id"]))
 
 
 def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
     """Answer every image with what is found in it, or what was raised."""
-    while said := images.recv(messages.MAX_BYTES):
-        request = messages.decode_header(said)
+    while said := images.recv(wire.MAX_BYTES):
+        request = wire.decode_header(said)
         seq, prompts = request["seq"], tuple(request["prompts"])
         try:
             if prompts != detector.prompts:
@@ -108,9 +108,9 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
             if not frames.is_whole(seq):
                 raise ValueError(f"frame {seq}: torn, another was written meanwhile")
         except Exception as error:
-            images.send(messages.encode_error(_by_kind(error), seq=seq))
+            images.send(wire.encode_error(_by_kind(error), seq=seq))
         else:
-            images.send(messages.encode_answer(seq, found, detector))
+            images.send(wire.encode_answer(seq, found, detector))
 
 
 def _by_kind(error: Exception) -> Exception:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,8 +15,8 @@ from hypothesis.extra import numpy as npst
 
 from edge.perception.cards import ModelError
 from edge.perception.detector import Health
-from edge.perception.process import messages
-from edge.perception.process.messages import ModelProcessError
+from edge.perception.process import wire
+from edge.perception.process.wire import FrameFile, FrameView, ModelProcessError
 from edge.perception.text import PromptError
 from edge.types import Detections
 
@@ -29,9 +31,9 @@ def detections(xyxy, score, class_id, rival):
 
 def encode(found, health=("ok", ""), seq=3):
     detector = SimpleNamespace(health=lambda: health, invalid_boxes=2)
-    answer = messages.encode_answer(seq, found, detector)
-    header, _, block = answer.partition(messages.END_OF_HEADER)
-    return messages.decode_header(header), block
+    answer = wire.encode_answer(seq, found, detector)
+    header, _, block = answer.partition(wire.END_OF_HEADER)
+    return wire.decode_header(header), block
 
 
 def some(n=2, rival=True):
@@ -43,7 +45,7 @@ def some(n=2, rival=True):
 
 @pytest.mark.parametrize("rival", [True, False])
 def test_nothing_found(rival):
-    answer = messages.decode_answer(3, *encode(some(0, rival)))
+    answer = wire.decode_answer(3, *encode(some(0, rival)))
     assert answer.found.xyxy_px.shape == (0, 4)
     assert len(answer.found.score) == len(answer.found.class_id) == 0
     assert (answer.found.rival is not None) == rival
@@ -59,7 +61,7 @@ def test_an_answer_arrives_bit_for_bit(data, n):
         data.draw(st.none() | npst.arrays(np.float32, n, elements=UNITS)),
     )
     told = Health("building engine", "a line")
-    answer = messages.decode_answer(3, *encode(found, told))
+    answer = wire.decode_answer(3, *encode(found, told))
     for name in ("xyxy_px", "score", "class_id", "rival"):
         sent, came = getattr(found, name), getattr(answer.found, name)
         if sent is None:
@@ -111,14 +113,14 @@ DAMAGES = {
 @pytest.mark.parametrize(("damaged", "says"), DAMAGES.values(), ids=DAMAGES.keys())
 def test_a_damaged_answer_is_refused_with_one_line(damaged, says):
     with pytest.raises(ValueError, match=says) as error:
-        messages.decode_answer(3, *damaged)
+        wire.decode_answer(3, *damaged)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\x00", b"[" * 100000, b"3", b'"x"', b"[1]"])
 def test_a_header_that_is_none(data):
     with pytest.raises(ValueError, match=r"not JSON|not an object"):
-        messages.decode_header(data)
+        wire.decode_header(data)
 
 
 @pytest.mark.parametrize(
@@ -130,13 +132,98 @@ def test_a_header_that_is_none(data):
     ],
 )
 def test_an_error_is_raised_again_on_the_other_side(raised, kind, says):
-    header = json.loads(messages.encode_error(raised, seq=3))
+    header = json.loads(wire.encode_error(raised, seq=3))
     assert header["seq"] == 3
     with pytest.raises(kind) as error:
-        messages.raise_error(header, "tiny")
+        wire.raise_error(header, "tiny")
     assert type(error.value) is kind
     assert str(error.value) == says
 
 
 def test_what_is_no_error_raises_none():
-    messages.raise_error({"seq": 1}, "tiny")
+    wire.raise_error({"seq": 1}, "tiny")
+
+
+# -- images --------------------------------------------------------------------------------------
+
+
+def image(height, width, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
+
+
+@pytest.fixture
+def pair():
+    file = FrameFile()
+    yield file, FrameView(file.fd)
+    file.close()
+
+
+def test_nothing_was_written(pair):
+    _, view = pair
+    with pytest.raises(ValueError, match="0 bytes, 67 are needed"):
+        view.read(1, (1, 1))
+
+
+@given(st.lists(st.tuples(st.integers(1, 40), st.integers(1, 40)), min_size=1, max_size=6))
+def test_images_of_any_size_arrive(sizes):
+    file = FrameFile()
+    view = FrameView(file.fd)
+    for seq, hw in enumerate(sizes, start=1):
+        rgb = image(*hw, seq)
+        file.write(seq, rgb)
+        np.testing.assert_array_equal(view.read(seq, hw), rgb)
+        assert view.is_whole(seq)
+    file.close()
+
+
+def test_a_larger_image_than_the_memory_that_was_mapped(pair):
+    file, view = pair
+    file.write(1, image(2, 2))
+    view.read(1, (2, 2))
+    rgb = image(400, 600)
+    file.write(2, rgb)
+    np.testing.assert_array_equal(view.read(2, (400, 600)), rgb)
+
+
+def test_what_is_looked_at_is_not_copied(pair):
+    file, view = pair
+    file.write(1, image(4, 4))
+    seen = view.read(1, (4, 4))
+    file.write(2, np.full((4, 4, 3), 9, np.uint8))
+    assert (seen == 9).all()
+    assert not view.is_whole(1)
+
+
+@pytest.mark.parametrize("half", [wire._BEFORE, wire._AFTER], ids=["begun", "not ended"])
+def test_a_torn_image_is_refused(pair, half):
+    file, view = pair
+    file.write(1, image(4, 4))
+    file._seq[half] = 2
+    seq = 1 if half == wire._BEFORE else 2
+    with pytest.raises(ValueError, match=f"frame {seq}: torn"):
+        view.read(seq, (4, 4))
+
+
+def test_the_file_has_no_name_that_could_be_left_behind(pair):
+    file, _ = pair
+    file.write(1, image(4, 4))
+    assert os.fstat(file.fd).st_nlink == 0
+    assert os.fstat(file.fd).st_mode & 0o077 == 0
+
+
+def test_memory_that_is_not_there_is_an_error_and_no_signal(pair, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    file, view = pair
+    file.write(1, image(4, 4))
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(OSError, match="No space left"):
+        file.write(2, image(8, 8))
+    view.read(1, (4, 4))
+
+
+def test_without_shared_memory_the_folder_for_temporary_files_serves(monkeypatch, tmp_path):
+    monkeypatch.setattr(wire, "SHARED_MEMORY", tmp_path / "none")
+    monkeypatch.setattr(wire.tempfile, "tempdir", str(tmp_path))
+    assert wire.shared_dir() == str(tmp_path)
