@@ -29,6 +29,12 @@ class UserError(Exception):
     exit_code = os.EX_DATAERR
 
 
+class ConfigError(UserError):
+    """A configuration that cannot be used; the message names file, key and choices."""
+
+    exit_code = os.EX_CONFIG
+
+
 class UnavailableError(UserError):
     """Something that is needed is not there."""
 

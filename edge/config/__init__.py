@@ -28,8 +28,9 @@ from edge.config.perception import (
 from edge.config.policy import PolicyHvl, PolicyNearest
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
-from edge.config.section import ConfigError, Section, own_class
+from edge.config.section import Section
 from edge.config.sim import Sim, WorldHouse, WorldMesh, WorldProcthor
+from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
@@ -66,6 +67,5 @@ __all__ = [
     "WorldProcthor",
     "Zenoh",
     "load",
-    "own_class",
     "parse",
 ]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, field_validator
 
-from edge.config.section import Positive, Section, own_or
+from edge.config.section import Positive, Section
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
 TopicName = Literal[
@@ -48,11 +48,11 @@ class Zenoh(Section):
 class Source(Section):
     """Where observations come from, and limits on what is let in.
 
-    `kind` names a source of `edge.sources`, or a class of one's own as `module:Class`, which may
-    read `options`. Everything outside the limits is dropped and counted.
+    `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
+    are given to the class. Everything outside the limits is dropped and counted.
     """
 
-    kind: Annotated[str, own_or("zenoh")] = "zenoh"
+    kind: str = "zenoh"
     options: dict[str, Any] = Field(default_factory=dict)
     max_message_mb: Positive = 64.0
     max_pose_gap_s: Positive = 0.25

@@ -14,9 +14,10 @@ from edge.config.mission import Mission
 from edge.config.perception import Perception
 from edge.config.policy import Policy, PolicyHvl
 from edge.config.robot import Motion, Robot, Sensors
-from edge.config.section import ConfigError, Section
+from edge.config.section import Section
 from edge.config.sim import Sim
 from edge.config.yaml_text import parse_yaml
+from edge.errors import ConfigError
 from edge.host import resources
 from edge.host.files import read_regular
 from edge.text import without_secrets

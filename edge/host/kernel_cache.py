@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from edge.errors import ConfigError
 from edge.host import resources
 from edge.host.private_folder import private_folder
 
@@ -56,8 +57,6 @@ def _temporary(stack: ExitStack) -> Path:
     try:
         folder = stack.enter_context(private_folder("edge-kernels-"))
     except OSError as error:
-        from edge.config import ConfigError
-
         raise ConfigError(f"no folder for compiled kernels ({error.strerror}): {todo}") from None
     log.warning("neither code nor home can be written, so kernels are compiled anew at each start, "
                 "which takes tens of seconds: %s", todo)  # fmt: skip

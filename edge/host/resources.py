@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from edge.errors import ConfigError
+
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -22,8 +24,6 @@ def find_config(name_or_path: str) -> Path:
     ready = data_dir("config") / f"{path.stem}.yaml"
     if ready.exists():
         return ready
-    from edge.config import ConfigError
-
     names = ", ".join(sorted(p.stem for p in data_dir("config").glob("*.yaml")))
     raise ConfigError(f"{name_or_path}: no such file (ready configurations: {names})")
 
@@ -37,8 +37,6 @@ def expand(path: str | Path) -> Path:
     try:
         return Path(path).expanduser()
     except RuntimeError:
-        from edge.config import ConfigError
-
         raise ConfigError(
             f"{path}: user {os.getuid()} has no home folder: set HOME, or give the path in full"
         ) from None
@@ -62,8 +60,6 @@ def cache_dir() -> Path:
         return expand(explicit)
     if (cache := user_cache()) is not None:
         return cache / "edge-vln"
-    from edge.config import ConfigError
-
     raise ConfigError(
         f"user {os.getuid()} has no home folder: set EDGE_CACHE_DIR to a folder for models that it "
         "can read and write"

@@ -27,6 +27,7 @@ from edge.loop.faults import IDLE, TICK
 from edge.loop.mission_desk import MissionDesk
 from edge.loop.models_desk import ModelsDesk
 from edge.loop.service import DETECT, INGEST, Service
+from edge.loop.source import Answers, Source
 from edge.loop.stages import STAGES
 from edge.loop.warmup import warm_up
 from edge.mission.brief import prepare
@@ -38,8 +39,7 @@ from edge.perception.sim_detector import Truth
 from edge.perception.worker import DetectorWorker
 from edge.sinks import Sink
 from edge.sinks.zenoh import ZenohSink
-from edge.sources import make_source
-from edge.sources.base import Source
+from edge.sources import find_source
 from edge.sources.truth import make_truth
 from edge.text import one_line
 from edge.types import MissionStatus, Observation
@@ -62,6 +62,7 @@ class Running:
     service: Service
     worker: DetectorWorker | InlineWorker
     source: Source
+    inbox: Answers
     desk: Desk
     models: Desk
     sinks: list[Sink] = field(default_factory=list)
@@ -91,6 +92,7 @@ def open_service(
 
     Raises:
         Stopped: `stop` was set before the service was ready.
+        ConfigError: there is no such source.
         UserError: the mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's or a scorer's model is missing or unusable.
@@ -98,6 +100,7 @@ def open_service(
         BusError: the endpoint cannot be listened on.
     """
     stop = stop or threading.Event()
+    make_source = find_source(config)
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -123,7 +126,7 @@ def open_service(
             stack.callback(advisers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
-        source = make_source(config, session)
+        source = make_source(session)
         stack.callback(source.close)
         every: list[Sink] = [ZenohSink(session, config), *sinks]
         for sink in every:
@@ -138,11 +141,12 @@ def open_service(
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
+        inbox = source.inbox
         desk = MissionDesk(session, config.zenoh, partial(prepare, mission))
         stack.callback(desk.close)
         models = ModelsDesk(session, config.zenoh)
         stack.callback(models.close)
-        running = Running(config, session, service, worker, source, desk, models, every)
+        running = Running(config, session, service, worker, source, inbox, desk, models, every)
         service.overruns = partial(_overruns, running)
         yield running
 
@@ -196,7 +200,7 @@ def _overruns(running: Running) -> dict[str, int]:
     """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
     return {
         "sensors": running.source.counters["overrun"],
-        "goal_status": running.source.inbox.overruns,
+        "goal_status": running.inbox.overruns,
         "mission/request": running.desk.overruns,
         "models/request": running.models.overruns,
     }
@@ -280,7 +284,7 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
     """What the controller said, and what there is to be seen now."""
     service = running.service
     service.latency.begin_tick(perf_counter_ns())
-    for answer in service.faults.attempt("goal_status", now_ns, running.source.inbox.poll) or ():
+    for answer in service.faults.attempt("goal_status", now_ns, running.inbox.poll) or ():
         with service.faults.outlived("goal answer", now_ns):
             service.goal_answered(answer)
     failed = service.faults.failed

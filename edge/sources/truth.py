@@ -28,7 +28,7 @@ class TruthInbox:
     picture is searched.
     """
 
-    def __init__(self, session: zenoh.Session, config: Config) -> None:
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._tolerance_ns = int(0.5e9 / config.sensors.camera.rate_hz)
         self._labels: tuple[str, ...] = ()
@@ -74,7 +74,7 @@ class TruthInbox:
 
 def make_truth(config: Config, session: zenoh.Session) -> Truth | None:
     """What the detector `sim` looks things up in; None for one that looks at pictures."""
-    return TruthInbox(session, config).at if config.perception.detector.kind == "sim" else None
+    return TruthInbox(config, session).at if config.perception.detector.kind == "sim" else None
 
 
 def parse_labels(payload: bytes) -> tuple[str, ...]:

@@ -24,13 +24,13 @@ _PAUSE_S = 0.0003
 
 
 class ZenohSource:
-    """The sensors under `zenoh.prefix` as Observations (an `edge.sources.base.Source`).
+    """The sensors under `zenoh.prefix` as Observations (an `edge.loop.source.Source`).
 
     Raises:
         ConfigError: a cloud is asked for and no LiDAR is described.
     """
 
-    def __init__(self, session: zenoh.Session, config: Config) -> None:
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
         self._synchronizer = TimeSynchronizer(config)
         self._decoder = CdrDecoder(self._synchronizer)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
@@ -56,12 +56,12 @@ class ZenohSource:
         return self._synchronizer.odometry.newest_pose
 
     def poll(self) -> Observation | None:
-        """See `edge.sources.base.Source`."""
+        """See `edge.loop.source.Source`."""
         self._drain()
         return self._synchronizer.poll()
 
     def wait(self, timeout_s: float) -> bool:
-        """See `edge.sources.base.Source`; looks every 0.3 ms, since rings cannot be waited on."""
+        """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
         deadline_s = time.monotonic() + timeout_s
         while not self._drain():
             if time.monotonic() >= deadline_s:

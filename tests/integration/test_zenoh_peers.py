@@ -71,7 +71,7 @@ def see(source: ZenohSource, n: int = 3) -> list[Observation]:
 
 def test_a_robot_that_vanishes_and_comes_back(config, start):
     with open_session(config.zenoh, "listen") as session:
-        source = ZenohSource(session, config)
+        source = ZenohSource(config, session)
         first = start("robot")
         seen = see(source)
         assert seen[-1].rgb.shape == (24, 32, 3)
@@ -92,7 +92,7 @@ def test_a_service_that_vanishes_and_comes_back(config, start):
     start("robot")
     for _ in range(2):
         with open_session(config.zenoh, "listen") as session:
-            source = ZenohSource(session, config)
+            source = ZenohSource(config, session)
             see(source)
             source.close()
 
@@ -113,7 +113,7 @@ def test_nonsense_is_counted_and_the_robot_is_still_seen(config, start):
         open_session(config.zenoh, "listen") as session,
         open_session(config.zenoh, "connect") as other,
     ):
-        source = ZenohSource(session, config)
+        source = ZenohSource(config, session)
         inbox = source.inbox
 
         def nonsense() -> bool:
@@ -202,7 +202,7 @@ def test_a_recording_is_played_by_another_process(config, tmp_path):
     own = Zenoh(endpoint=config.zenoh.endpoint, topics={"odom": "base/odom", "camera/rgb": "odom"})
     config = config.model_copy(update={"zenoh": own})
     with open_session(config.zenoh, "listen") as session:
-        source = ZenohSource(session, config)
+        source = ZenohSource(config, session)
         with recording.player(config, path, loop=True) as process:
             for _ in range(10):
                 seen = eventually(source.poll)

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
-from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
@@ -37,7 +36,6 @@ class Source:
     def __init__(self, observations: list[Observation], jump_at: int = -1) -> None:
         self.counters = Counter(received=0, observations=0)
         self.epoch = 0
-        self.inbox = SimpleNamespace(poll=list)
         self.pose: SE2 | None = None
         self._observations = observations
         self._jump_at = jump_at
@@ -78,11 +76,12 @@ def running_of(
     closed: ClosedLoop, seen: list[Observation], jump_at: int = -1, worker: WorkerBase | None = None
 ) -> Running:
     """The loop over these frames, with another worker in place of the closed loop's if need be."""
+    inbox = SimpleNamespace(poll=list)
     desk, models = (SimpleNamespace(poll=lambda: None) for _ in range(2))
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
         service._worker = worker
-    return Running(closed.config, None, service, service._worker, source, desk, models)
+    return Running(closed.config, None, service, service._worker, source, inbox, desk, models)
 
 
 def run_out(run: Running, seen: list[Observation]) -> None:
@@ -310,12 +309,12 @@ def ticks(run: Running) -> int:
 @pytest.mark.parametrize(
     ("lockstep", "part", "method", "step"),
     [
-        (False, "source.inbox", "poll", "goal_status"),
+        (False, "inbox", "poll", "goal_status"),
         (False, "source", "poll", "source"),
         (False, "desk", "poll", "orders"),
         (False, "models", "poll", "model orders"),
         (False, "service", "idle", "idle"),
-        (True, "source.inbox", "poll", "goal_status"),
+        (True, "inbox", "poll", "goal_status"),
         (True, "source", "wait", "wait"),
         (True, "source", "poll", "source"),
         (True, "desk", "poll", "orders"),
@@ -328,14 +327,13 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
     if part == "service":  # idle comes only where there is nothing to be seen
         run.source.poll = lambda: run.source._observations.pop() if len(beats) > 2 else None
-    owner = attrgetter(part)(run)
-    whole = getattr(owner, method)
+    whole = getattr(getattr(run, part), method)
 
     def sometimes(*args) -> object:
         beats.append(len(beats))
         return whole(*args) if len(beats) > 2 else broken()
 
-    monkeypatch.setattr(owner, method, sometimes)
+    monkeypatch.setattr(getattr(run, part), method, sometimes)
     loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
     assert ticks(run) == 1
     assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
@@ -350,7 +348,7 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
         if answer.stamp_ns == 2:
             broken()
 
-    run.source.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
+    run.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
     monkeypatch.setattr(run.service, "goal_answered", hear)
     run_out(run, run.source._observations)
     assert heard == [1, 2, 3]

@@ -131,7 +131,7 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
 
 def test_the_status_tells_of_every_ring_that_was_overrun():
     with open_service(config(target="bed"), []) as running:
-        running.source.inbox._ring.overruns = 3
+        running.inbox._ring.overruns = 3
         running.desk._ring.overruns = 2
         running.source.counters["overrun"] = 1
         assert running.service.status_dict()["loop"]["overruns"] == {

@@ -7,13 +7,13 @@ from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.config import ConfigError
-from edge.sources import REGISTRY, make_source
+from edge.sources import find_source
 from edge.sources.zenoh import ZenohSource
 
 
 class Mine:
-    def __init__(self, session, config) -> None:
-        self.rate_hz = config.source.options["rate_hz"]
+    def __init__(self, config, session, rate_hz: int) -> None:
+        self.rate_hz = rate_hz
 
 
 def configured(kind: str, **options):
@@ -21,27 +21,23 @@ def configured(kind: str, **options):
 
 
 def test_a_robot_is_heard_over_zenoh():
-    assert isinstance(make_source(simulated(), Flooded("", ())), ZenohSource)
-
-
-@pytest.mark.parametrize("kind", REGISTRY)
-def test_every_name_of_the_registry_is_one_for_the_configuration(kind):
-    assert configured(kind).source.kind == kind
+    assert isinstance(find_source(simulated())(Flooded("", ())), ZenohSource)
 
 
 def test_a_source_of_ones_own():
-    assert make_source(configured(f"{__name__}:Mine", rate_hz=5), None).rate_hz == 5
+    assert find_source(configured(f"{__name__}:Mine", rate_hz=5))(None).rate_hz == 5
 
 
 @pytest.mark.parametrize(
-    ("kind", "says"),
+    ("kind", "options", "says"),
     [
-        ("zenho", r"unknown \(choices: zenoh, module:Class of your own\), got 'zenho'"),
-        ("no_such_module:A", "no_such_module:A: ModuleNotFoundError: .*; is it on PYTHONPATH"),
-        ("edge.sources:Nothing", "edge.sources:Nothing: AttributeError"),
+        ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, or module:Class\)"),
+        ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
+        ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
+        ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),
     ],
 )
-def test_what_is_no_source_is_told_in_one_line(kind, says):
-    with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.kind: {says}") as caught:
-        make_source(configured(kind), None)
+def test_what_is_no_source_is_told_in_one_line(kind, options, says):
+    with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}") as caught:
+        find_source(configured(kind, **options))
     assert "\n" not in str(caught.value)

@@ -40,7 +40,7 @@ def at(inbox: TruthInbox, stamp_ms: int) -> int | None:
 
 
 def test_there_is_nothing_before_anything_came():
-    assert TruthInbox(Simulator(), simulated()).at(0) is None
+    assert TruthInbox(simulated(), Simulator()).at(0) is None
 
 
 def test_only_the_simulators_detector_is_told():
@@ -50,13 +50,13 @@ def test_only_the_simulators_detector_is_told():
 
 
 def test_a_picture_is_found_by_its_stamp_and_only_near_it():
-    inbox = TruthInbox(Simulator([picture(100, 1), picture(133, 2), picture(166, 3)]), simulated())
+    inbox = TruthInbox(simulated(), Simulator([picture(100, 1), picture(133, 2), picture(166, 3)]))
     found = {133: 2, 100: 1, 166: 3, 141: 2, 116: 1, 60: None, 200: None}
     assert {ms: at(inbox, ms) for ms in found} == found
 
 
 def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
-    inbox = TruthInbox(Simulator(picture(100 * k, k) for k in range(10**9)), simulated())
+    inbox = TruthInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
     assert at(inbox, 700) == 7
     assert at(inbox, 1500) == 15
     assert at(inbox, 700) is None
@@ -64,7 +64,7 @@ def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
 
 def test_labels_and_nonsense():
     pictures = [b"", b"junk", picture(100)[:-1], b"\0\1\0\0" + b"\xff" * 40, picture(200)]
-    inbox = TruthInbox(Simulator(pictures, [b"{}", LABELS]), simulated())
+    inbox = TruthInbox(simulated(), Simulator(pictures, [b"{}", LABELS]))
     assert at(inbox, 200) == 1
     found = inbox.at(200 * MS)
     assert isinstance(found, Segmentation)

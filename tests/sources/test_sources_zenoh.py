@@ -22,7 +22,7 @@ def odometry(n: int) -> bytes:
 @pytest.mark.parametrize("ring", [64, 256])
 def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
     config = simulated({"source": {"odometry_ring": ring}, "mission": {"target": "bed"}})
-    source = ZenohSource(Flooded("edge/odom", map(odometry, count(1))), config)
+    source = ZenohSource(config, Flooded("edge/odom", map(odometry, count(1))))
     for look in range(1, 4):
         assert source.poll() is None
         assert source.counters["received"] == look * ring
