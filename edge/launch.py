@@ -38,7 +38,7 @@ from edge.perception.factory import make_detector
 from edge.perception.sim_detector import Truth
 from edge.perception.worker import DetectorWorker
 from edge.sinks import find_sinks
-from edge.sources import make_source
+from edge.sources import find_source
 from edge.sources.truth import make_truth
 
 _SWITCH_S = 2e-4
@@ -77,7 +77,7 @@ def open_service(
 
     Raises:
         Stopped: `stop` was set before the service was ready.
-        ConfigError: there is no such sink.
+        ConfigError: there is no such source or sink.
         UserError: the mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's or a scorer's model is missing or unusable.
@@ -85,7 +85,7 @@ def open_service(
         BusError: the endpoint cannot be listened on.
     """
     stop = stop or threading.Event()
-    make_sinks = find_sinks(config)
+    make_source, make_sinks = find_source(config), find_sinks(config)
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -107,7 +107,7 @@ def open_service(
             stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
-        source = make_source(config, session)
+        source = make_source(session)
         stack.callback(source.close)
         every = [*(make(session) for make in make_sinks), *sinks]
         for sink in every:

@@ -48,8 +48,8 @@ class Zenoh(Section):
 class Source(Section):
     """Where observations come from, and limits on what is let in.
 
-    `kind` names a source of `edge.sources`, or a class of one's own as `module:Class`, which may
-    read `options`. Everything outside the limits is dropped and counted.
+    `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
+    are given to the class. Everything outside the limits is dropped and counted.
     """
 
     kind: str = "zenoh"

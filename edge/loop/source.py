@@ -8,20 +8,6 @@ from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
 
-class Inbox(Protocol):
-    """What the motion controller answered; for one thread.
-
-    Attributes:
-        overruns: looks that found more than there was room for once more.
-    """
-
-    @property
-    def overruns(self) -> int: ...
-
-    def poll(self) -> list[GoalStatus]:
-        """Answers since the last poll, oldest first; never blocks."""
-
-
 class Source(Protocol):
     """Yields what the robot sees; for one thread.
 
@@ -33,7 +19,7 @@ class Source(Protocol):
     """
 
     counters: dict[str, int]
-    inbox: Inbox
+    inbox: Answers
 
     @property
     def epoch(self) -> int: ...
@@ -52,3 +38,17 @@ class Source(Protocol):
         """Block until a message arrives or time is up; False when none came."""
 
     def close(self) -> None: ...
+
+
+class Answers(Protocol):
+    """Yields what the motion controller says of the goals it was given; for one thread.
+
+    Attributes:
+        overruns: looks that found more than there was room for once more.
+    """
+
+    @property
+    def overruns(self) -> int: ...
+
+    def poll(self) -> list[GoalStatus]:
+        """What came since the last call, oldest first; never blocks."""

@@ -22,7 +22,7 @@ from edge.bus.wire import messages
 from edge.config import Config
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain, Motion
-from edge.sim.sensors import CameraRig, LidarRig, Message, odometry_message, truth_message
+from edge.sim.sensors import Message, Rig, make_rigs, odometry_message, truth_message
 from edge.sim.worlds import load_world
 
 log = logging.getLogger("edge.sim")
@@ -88,9 +88,9 @@ def run_real_time(
     config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
 ) -> None:
     """Move and send odometry at its rate; pictures come from another thread."""
-    sensors = [_film] if config.sensors.lidar is None else [_film, _sweep]
-    with ThreadPoolExecutor(len(sensors), thread_name_prefix="sensor") as pool:
-        running = [pool.submit(work, config, world, drive, link, stop) for work in sensors]
+    rigs = make_rigs(config, world)
+    with ThreadPoolExecutor(len(rigs), thread_name_prefix="sensor") as pool:
+        running = [pool.submit(_sense, rig, drive, link, stop) for rig in rigs]
         # A sensor that fails ends the simulation, with its error.
         for future in running:
             future.add_done_callback(lambda _: stop.set())
@@ -125,11 +125,8 @@ def _move(config: Config, drive: DriveTrain, link: Link, stop: threading.Event) 
         stop.wait(max(0.0, next_s - time.monotonic()))
 
 
-def _film(
-    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
-) -> None:
-    rig = CameraRig(config, world)
-    period_s = 1.0 / config.sensors.camera.rate_hz
+def _sense(rig: Rig, drive: DriveTrain, link: Link, stop: threading.Event) -> None:
+    """Send what one sensor sees, at its rate, and now and then what it is."""
     next_s = described_s = time.monotonic()
     while not stop.is_set():
         motion = drive.motion
@@ -138,21 +135,7 @@ def _film(
             described_s += 1.0 / _DESCRIPTION_HZ
         rig.look(motion.pose)
         link.send(rig.messages(motion.stamp_ns))
-        next_s = next_frame(next_s, period_s, time.monotonic())
-        stop.wait(next_s - time.monotonic())
-
-
-def _sweep(
-    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
-) -> None:
-    assert config.sensors.lidar is not None
-    rig = LidarRig(config, world)
-    next_s, period_s = time.monotonic(), 1.0 / config.sensors.lidar.rate_hz
-    while not stop.is_set():
-        motion = drive.motion
-        rig.look(motion.pose)
-        link.send(rig.messages(motion.stamp_ns))
-        next_s = next_frame(next_s, period_s, time.monotonic())
+        next_s = next_frame(next_s, 1.0 / rig.rate_hz, time.monotonic())
         stop.wait(next_s - time.monotonic())
 
 
@@ -170,27 +153,19 @@ def run_lockstep(
     config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
 ) -> None:
     """Send what is seen at t, wait for the command that answers t, drive one step, again."""
-    camera = CameraRig(config, world)
-    lidar = None if config.sensors.lidar is None else LidarRig(config, world)
-    first = True
+    rigs, first = make_rigs(config, world), True
     while not stop.is_set():
         motion = drive.motion
-        camera.look(motion.pose)
-        if lidar is not None:
-            lidar.look(motion.pose)
-        answer = _ask(motion, camera, lidar, link, stop, first)
+        for rig in rigs:
+            rig.look(motion.pose)
+        answer = _ask(motion, rigs, link, stop, first)
         # Unanswered, the robot stands: what was asked of it before is no answer to what it sees.
         command, first = ((0.0, 0.0), first) if answer is None else (answer, False)
         drive.step(config.sim.step_s, *command)
 
 
 def _ask(
-    motion: Motion,
-    camera: CameraRig,
-    lidar: LidarRig | None,
-    link: Link,
-    stop: threading.Event,
-    first: bool,
+    motion: Motion, rigs: list[Rig], link: Link, stop: threading.Event, first: bool
 ) -> tuple[float, float] | None:
     """Send one instant, again and again, until a command bears its stamp.
 
@@ -203,10 +178,10 @@ def _ask(
         if now_s - sent_s > REPEAT_S:
             sent_s = now_s
             link.send([odometry_message(motion), truth_message(motion)])
-            link.send(camera.description(stamp_ns))
-            if lidar is not None:
-                link.send(lidar.messages(stamp_ns))
-            link.send(camera.messages(stamp_ns))
+            for rig in rigs:
+                link.send(rig.description(stamp_ns))
+            for rig in rigs:
+                link.send(rig.messages(stamp_ns))
         for answered_ns, v, w in link.commands():
             if answered_ns == stamp_ns:
                 return v, w

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from typing import Union
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class CameraRig:
         self.rgb = np.empty((*shape, 3), np.uint8)
         self.depth_m = np.empty(shape, np.float32)
         self.ids = np.empty(shape, np.uint16)
+        self.rate_hz = camera.rate_hz
         self._depth_noise = config.sim.depth_noise
         self._rng = np.random.default_rng([config.sim.seed, 1])
 
@@ -64,6 +66,7 @@ class LidarRig:
         lidar = config.sensors.lidar
         assert lidar is not None
         self._world, self._fan, self._noise_m = world, Fan.of(lidar), lidar.noise_m
+        self.rate_hz = lidar.rate_hz
         self.T_base_lidar = lidar.T_base_mount()
         self.ranges_m = np.empty(self._fan.directions.shape[:2], np.float32)
         self._rng = np.random.default_rng([config.sim.seed, 2])
@@ -90,6 +93,19 @@ class LidarRig:
         turn = (-math.pi, 2 * math.pi / columns, self._fan.range_m)
         scan = messages.encode_laser_scan(stamp_ns, LIDAR_FRAME, *turn, ranges.astype(np.float32))
         yield topics.SCAN, scan
+
+    def description(self, stamp_ns: int) -> Iterator[Message]:
+        """Clouds need none."""
+        return iter(())
+
+
+Rig = Union[CameraRig, LidarRig]
+
+
+def make_rigs(config: Config, world: World) -> list[Rig]:
+    """The configured sensors; the camera comes last, since it completes what is seen at once."""
+    lidar = [] if config.sensors.lidar is None else [LidarRig(config, world)]
+    return [*lidar, CameraRig(config, world)]
 
 
 def odometry_message(motion: Motion) -> Message:

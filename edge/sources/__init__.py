@@ -1,30 +1,35 @@
 """What yields observations: sensor messages joined by stamp, live or recorded.
 
 A source brings messages from somewhere as `edge.sources.messages` has them, and hands them to a
-`TimeSynchronizer`. Nothing behind a source knows what they came on. Another one is a file here and
-a line in `REGISTRY`, or a class anywhere that `source.kind: module:Class` names.
+`TimeSynchronizer`; nothing behind it knows what they came on. A new one is a file with a class and
+a line in `REGISTRY`; one's own needs neither, only `source.kind: module:Class`.
 """
 
 from __future__ import annotations
 
-from zenoh import Session
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 from edge.config import Config
 from edge.config.named import check_call, find_class
-from edge.loop.source import Source
+
+if TYPE_CHECKING:
+    from zenoh import Session
+
+    from edge.loop.source import Source
 
 REGISTRY = {"zenoh": "edge.sources.zenoh:ZenohSource"}
-"""Imported only where they are named: a robot needs what its own source takes."""
+"""Imported only where they are named: a source may need packages of its own."""
 
 
-def make_source(config: Config, session: Session) -> Source:
-    """The source that the configuration names.
+def find_source(config: Config) -> Callable[[Session], Source]:
+    """What makes the source that the configuration names, as `make(session)`.
 
     Raises:
-        ConfigError: there is none of this name, it does not take these options, or the sensors do
-            not fit the configuration.
+        ConfigError: there is none of that name, or it does not take these options.
     """
-    named, where = config.source, f"{config.path}: source"
-    make = find_class(REGISTRY.get(named.kind, named.kind), REGISTRY, f"{where}.kind")
-    check_call(make, 2, named.options, f"{where}.options")
-    return make(config, session, **named.options)
+    kind, options, where = config.source.kind, config.source.options, f"{config.path}: source"
+    make = find_class(REGISTRY.get(kind, kind), REGISTRY, f"{where}.kind")
+    check_call(make, 2, options, f"{where}.options")
+    return partial(make, config, **options)

@@ -60,14 +60,12 @@ class FramePool:
         cloud_points: int = 0,
         depth: bool = True,
     ) -> None:
-        self.image_hw = image_hw
-        self.exhausted = 0
         self._lock = threading.Lock()
         self._next = 0
         self._slots = [PoolSlot(self._lock, image_hw, cloud_points, depth) for _ in range(n_slots)]
 
     def acquire(self) -> PoolSlot | None:
-        """A free slot, held once for the caller; None (and counted) when all are being read."""
+        """A free slot, held once for the caller; None when all are being read."""
         with self._lock:
             for i in range(len(self._slots)):
                 slot = self._slots[(self._next + i) % len(self._slots)]
@@ -75,5 +73,4 @@ class FramePool:
                     slot.holds = 1
                     self._next = (self._next + i + 1) % len(self._slots)
                     return slot
-            self.exhausted += 1
             return None

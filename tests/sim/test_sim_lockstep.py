@@ -26,8 +26,7 @@ class Drive:
 def test_in_lockstep_a_robot_that_nobody_answers_stands(monkeypatch):
     stop = threading.Event()
     answers = iter([(0.5, 0.1), None, (0.4, 0.0)])
-    rig = type("Rig", (), {"__init__": lambda *_: None, "look": lambda *_: None})
-    monkeypatch.setattr(process, "CameraRig", rig)
+    monkeypatch.setattr(process, "make_rigs", lambda *_: [])
     monkeypatch.setattr(process, "_ask", lambda *_: next(answers))
     drive = Drive(stop, 3)
     process.run_lockstep(simulated(), None, drive, None, stop)

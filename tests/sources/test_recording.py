@@ -129,6 +129,20 @@ def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
     assert last.T_map_base[0, 3] == pytest.approx(0.3)
 
 
+def test_what_the_simulator_knows_is_played_with_the_pictures(tmp_path):
+    """So that the detector `sim` finds it by the new stamp."""
+    path, ids = tmp_path / "truth.mcap", np.ones((2, 3), np.uint16)
+    picture = messages.encode_image(5, "camera", ids)
+    shot = [topics.DEPTH, topics.SEGMENTATION]
+    said = [(topics.LABELS, 5, b'["bed"]'), *((topic, 5, picture) for topic in shot)]
+    record_messages(path, said)
+    tape = Tape()
+    recording.play(tape, Zenoh(topics={"sim/labels": "names"}), path)
+    assert tape.puts[0] == ("edge/names", b'["bed"]')
+    assert [key for key, _ in tape.puts[1:]] == [f"edge/{topic.key}" for topic in shot]
+    assert tape.puts[1][1] == tape.puts[2][1] != picture
+
+
 def test_playing_as_it_was(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))

@@ -7,7 +7,7 @@ from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.config import ConfigError
-from edge.sources import REGISTRY, make_source
+from edge.sources import find_source
 from edge.sources.zenoh import ZenohSource
 
 
@@ -21,28 +21,23 @@ def configured(kind: str, **options):
 
 
 def test_a_robot_is_heard_over_zenoh():
-    assert isinstance(make_source(simulated(), Flooded("", ())), ZenohSource)
-
-
-@pytest.mark.parametrize("kind", REGISTRY)
-def test_every_name_of_the_registry_is_one_for_the_configuration(kind):
-    assert configured(kind).source.kind == kind
+    assert isinstance(find_source(simulated())(Flooded("", ())), ZenohSource)
 
 
 def test_a_source_of_ones_own():
-    assert make_source(configured(f"{__name__}:Mine", rate_hz=5), None).rate_hz == 5
+    assert find_source(configured(f"{__name__}:Mine", rate_hz=5))(None).rate_hz == 5
 
 
 @pytest.mark.parametrize(
-    ("kind", "says"),
+    ("kind", "options", "says"),
     [
-        ("zenho", r"kind: unknown 'zenho' \(choices: zenoh, or module:Class\)"),
-        ("no_such_module:A", "kind: 'no_such_module:A': ModuleNotFoundError: .*on PYTHONPATH"),
-        ("edge.sources:Nothing", "kind: 'edge.sources:Nothing': AttributeError"),
-        (f"{__name__}:Mine", r"options: missing a required argument: 'rate_hz'"),
+        ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, or module:Class\)"),
+        ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
+        ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
+        ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),
     ],
 )
-def test_what_is_no_source_is_told_in_one_line(kind, says):
+def test_what_is_no_source_is_told_in_one_line(kind, options, says):
     with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}") as caught:
-        make_source(configured(kind), None)
+        find_source(configured(kind, **options))
     assert "\n" not in str(caught.value)
