@@ -11,8 +11,7 @@ from typing import Any
 
 from edge.config import PolicyOwn
 from edge.config.named import check_call, find_class
-from edge.config.section import ConfigError
-from edge.errors import UserError
+from edge.errors import ConfigError, UserError
 from edge.policies.base import Policy
 from edge.policies.hvl import Hvl
 from edge.policies.nearest_frontier import NearestFrontier

@@ -1,0 +1,53 @@
+"""CONTRIBUTING.md: what it names is there, and its recipe for a model works word for word."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from closed_loop import ClosedLoop
+from simulated import simulated
+
+from edge.cli.main import main
+from edge.config.yaml_text import parse_yaml
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+SHIPPED = "mini-house-256x320-int8-cpu"
+
+
+def test_every_place_it_names_is_there():
+    named = set(re.findall(r"`((?:edge|tests|docs|models|perf|exporters)/[\w./]*)`", PAGE))
+    named |= set(re.findall(r"\]\(([\w./]+)\)", PAGE))
+    assert len(named) > 20
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
+@pytest.fixture
+def card(tmp_path, monkeypatch) -> dict:
+    """The page's card and a file for it, in a cache of their own."""
+    (block,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    folder = tmp_path / "models"
+    folder.mkdir()
+    file = folder / parse_yaml(block)["file"]
+    shutil.copy(ROOT / "models" / f"{SHIPPED}.onnx", file)
+    block = block.replace("<of the file>", hashlib.sha256(file.read_bytes()).hexdigest())
+    card = parse_yaml(block)
+    (folder / f"{card['name']}.yaml").write_text(block, encoding="utf-8")
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    return card
+
+
+def test_a_model_is_a_card_and_a_file(card, capsys):
+    assert main(["models", "check", card["name"]]) == 0
+    assert card["name"] in capsys.readouterr().out
+    assert card["name"] in re.search(r"EDGE__PERCEPTION__DETECTOR__MODEL=\S+", PAGE)[0]
+    detector = {"kind": "onnx", "model": card["name"], "background": ["sofa", "bed"]}
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+    loop = ClosedLoop(simulated({**lockstep, "perception": {"detector": detector}}))
+    loop.step()
+    assert loop.service.result().health()["detector"]["done"] == 1
+    loop.close()
