@@ -26,6 +26,7 @@ SIGNALS = pytest.mark.parametrize(
     "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
 )
 PREFIX = "edge"
+FAST = {**LOCKSTEP, "EDGE__SIM__STEP_S": "0.2"}  # a camera of 5 Hz sees enough
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ def check_report(folder: Path, outcome: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "environ", [LOCKSTEP, pytest.param({}, marks=pytest.mark.slow)], ids=["lockstep", "real time"]
+    "environ", [FAST, pytest.param({}, marks=pytest.mark.slow)], ids=["lockstep", "real time"]
 )
 def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path, environ):
     demo = edge("demo", **environ, EDGE__MISSION__TIME_LIMIT_S="1e6")
