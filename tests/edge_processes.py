@@ -22,10 +22,8 @@ from edge.host.ports import free_port
 MISSION_S = 600.0
 STOP_S = 60.0
 
-# As fast as the machine can, and the same on a slow one; a camera of 5 Hz is enough.
-LOCKSTEP = {
-    "EDGE__LOOP__LOCKSTEP": "true", "EDGE__SIM__LOCKSTEP": "true", "EDGE__SIM__STEP_S": "0.2",
-}  # fmt: skip
+# As fast as the machine can, and the same on a slow one.
+LOCKSTEP = {"EDGE__LOOP__LOCKSTEP": "true", "EDGE__SIM__LOCKSTEP": "true"}
 
 
 class Edge:
