@@ -142,3 +142,11 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
     assert loop.distance_m(loop.service.mission.target) <= 1.0
     reached = {step.label for step in loop.service.mission.steps if step.kind == "reached"}
     assert reached == set(loop.service.mission.brief.targets)
+
+
+@pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])
+def test_a_camera_that_looks_aside_finds_its_target_all_the_same(mount):
+    sensors = {"camera": mount}
+    loop = ClosedLoop(simulated({"mission": {"target": "television"}, "sensors": sensors})).run(60)
+    assert loop.service.status.phase == "reached"
+    assert loop.distance_m("television") < 1.0
