@@ -55,7 +55,7 @@ SAID = (
 def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
     out = io.StringIO()
     logs.setup("info", as_json, stream=out)
-    logging.getLogger("edge.loop.orders").warning("%s", SAID)
+    logging.getLogger("edge.loop.goal").warning("%s", SAID)
     line = out.getvalue().removesuffix("\n")
     assert line.isprintable()
     if as_json:

@@ -55,7 +55,9 @@ class PolicyNearest(_Selection):
 class PolicyOwn(_Selection):
     """A class of one's own, on Python's path; `options` are its arguments (docs/policies.md)."""
 
-    kind: Annotated[str, AfterValidator(_names_a_class)] = MODULE_CLASS
+    kind: Annotated[
+        str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})
+    ] = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)
 
 

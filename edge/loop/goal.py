@@ -38,6 +38,7 @@ GRACE_NS = 300_000_000
 SILENT_NS = 3_000_000_000
 # A controller that says that the robot is held up farther away than this mistakes the frame.
 _HELD_UP_M = 2.0
+
 Verdict = Literal["reached", "refuted", "out of reach"]
 
 
