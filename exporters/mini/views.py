@@ -180,11 +180,9 @@ def _random_camera(
     world: BoxWorld, extent: tuple[float, float], rng: np.random.Generator
 ) -> _Camera:
     rows, cols = np.nonzero(world.plan.clearance_m > CLEARANCE_M)
-    x0, y0 = world.plan.origin_m
     while True:
         pick = int(rng.integers(len(rows)))
-        x = float(x0 + (cols[pick] + 0.5) * world.plan.cell_m)
-        y = float(y0 + (rows[pick] + 0.5) * world.plan.cell_m)
+        x, y = world.plan.grid.centres_m(rows[pick], cols[pick]).tolist()
         # The plan has a free margin around the house.
         if 0.3 < x < extent[0] - 0.3 and 0.3 < y < extent[1] - 0.3:
             break

@@ -14,10 +14,11 @@ import onnx
 
 from edge.host import resources
 from edge.perception.model_file import ModelError
+from edge.perception.onnx_file import MAX_IR, MAX_OPSET
 from exporters.__main__ import load_card
 from exporters.files import ExportError, check_sha256, replace_atomically, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings
-from exporters.onnx_format import MAX_IR, MAX_OPSET, check_format
+from exporters.onnx_format import check_format
 
 pytestmark = pytest.mark.export
 
