@@ -51,9 +51,9 @@ STAGES: tuple[Stage, ...] = (
     Stage("lift", 0.5, "Detections", "Instances", "edge/perception/lift.py"),
     Stage("candidates", 0.2, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
     Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
-    Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission"),
-    Stage("select", 0.3, "scored Candidates", "Goal or none", "edge/loop/goal.py"),
-    Stage("publish", 0.3, "Goal, status, latency", "sinks", "edge/sinks"),
+    Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission/run.py"),
+    Stage("select", 0.3, "scored Candidates", "Goal or none, answers", "edge/loop/goal.py"),
+    Stage("publish", 0.3, "Goal, status, latency", "TickResult", "edge/loop/publish.py"),
 )
 TICK_BUDGET_MS = 3.0
 TICK_DEADLINE_MS = 33.0
