@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -35,7 +36,7 @@ RATE_HZ = 30.0
 class Camera:
     """A source of grey images with an empty floor, as many as are asked for."""
 
-    epoch, pose = 0, None
+    epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
     def __init__(self) -> None:
         self.counters = Counter(received=0, observations=0)

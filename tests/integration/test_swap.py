@@ -11,6 +11,7 @@ import threading
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -124,7 +125,7 @@ def config(tmp_path, monkeypatch, endpoint, isolation) -> Path:
 class Camera:
     """A source of the same grey image; `dark`: of a black one."""
 
-    epoch, pose = 0, None
+    epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
     def __init__(self) -> None:
         self.counters = Counter(received=0, observations=0)

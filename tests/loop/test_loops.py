@@ -333,7 +333,7 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
         beats.append(len(beats))
         return whole(*args) if len(beats) > 2 else broken()
 
-    monkeypatch.setattr(getattr(run, part), method, sometimes)
+    monkeypatch.setattr(owner, method, sometimes)
     loop(run, stop, each=lambda: stop.set() if ticks(run) else None)
     assert ticks(run) == 1
     assert run.service.faults.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
@@ -348,7 +348,7 @@ def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
         if answer.stamp_ns == 2:
             broken()
 
-    run.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
+    run.source.inbox = SimpleNamespace(poll=lambda: answers if not heard else [])
     monkeypatch.setattr(run.service, "goal_answered", hear)
     run_out(run, run.source._observations)
     assert heard == [1, 2, 3]
