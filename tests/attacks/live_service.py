@@ -64,9 +64,8 @@ class Live:
     def goes_on(self, ticks: int = 3) -> None:
         """Waits until it has seen more, and answered a request."""
         self.wait(ticks)
-        assert "phase" in ask(
-            self.peer, f"{self._prefix}/mission/request", {"do": "status"}, PATIENCE_S
-        )
+        key = self._settings.key(topics.MISSION_REQUEST)
+        assert "phase" in ask(self.peer, key, {"do": "status"}, PATIENCE_S)
 
 
 @contextmanager

@@ -41,7 +41,7 @@ def test_a_flood_of_odometry_leaves_the_loop_its_ticks():
 
 def test_two_floods_of_answers_leave_the_loop_its_ticks():
     with live({}) as service:
-        inbox, looks = service.running.inbox, []
+        inbox, looks = service.running.source.inbox, []
         inbox.poll = noting(looks, inbox.poll)
         with flood(service.running.config, "goal_status", "goal_status"):
             eventually(lambda: inbox._ring.overruns >= 3, "the flood is too slow")
