@@ -6,6 +6,9 @@ front, and U is a subset construction. All other operators are these:
 
     F b = true U b        G b = !F !b               WX a = !X !a
     a M b = b U (a & b)   a W b = !(!b U !(a | b))  a R b = !(!a U !b)
+
+Where p is about the next letter alone, and g holds before wherever it holds later, as F does, the
+first p will do: F (p & g) = !p U (p & g), whose subsets are single states.
 """
 
 from __future__ import annotations
@@ -68,46 +71,73 @@ def language(formula: Formula, letters: Sequence[str], effort: Effort) -> Dfa:
 
 def _nodes(formula: Formula, effort: Effort) -> list[Key]:
     """The different subformulas, operands before operators, in the operators that are made."""
-    numbers: dict[Key, int] = {}
+    nodes = _Nodes()
     known: dict[int, int] = {}
-    negated: dict[int, int] = {}
+    for f in postorder(formula):
+        effort.spend(PER_NODE)
+        known[id(f)] = nodes.reduced(f, [known[id(arg)] for arg in f.args])
+    return nodes.keys[: known[id(formula)] + 1]
 
-    def number(op: str, *args: int, name: str = "") -> int:
-        if op == "!" and args[0] in negated:
-            return negated[args[0]]
+
+class _Nodes:
+    """Numbers subformulas in the order in which they are met, equal ones alike."""
+
+    def __init__(self) -> None:
+        self.keys: list[Key] = []
+        self._numbers: dict[Key, int] = {}
+        self._negated: dict[int, int] = {}
+        self._of_next: set[int] = set()  # about the next letter alone
+        self._early: set[int] = set()  # that hold before wherever they hold later
+
+    def number(self, op: str, *args: int, name: str = "") -> int:
+        if op == "!" and args[0] in self._negated:
+            return self._negated[args[0]]
         key = (op, args, name)
-        found = numbers.setdefault(key, len(numbers))
+        if (found := self._numbers.get(key)) is not None:
+            return found
+        found = self._numbers[key] = len(self.keys)
         if found > MAX_NODES:
             raise CompileError(
                 f"formula: more than {MAX_NODES} different subformulas; make it shorter"
             )
+        self.keys.append(key)
         if op == "!":
-            negated[args[0]], negated[found] = found, args[0]
+            self._negated[args[0]], self._negated[found] = found, args[0]
+        if op == "ap" or (op in ("!", *_TABLES) and self._of_next.issuperset(args)):
+            self._of_next.add(found)
+        if op in ("&", "|") and self._early.issuperset(args):
+            self._early.add(found)
         return found
 
-    for f in postorder(formula):
-        effort.spend(PER_NODE)
-        known[id(f)] = _reduced(f, [known[id(arg)] for arg in f.args], number)
-    return list(numbers)[: known[id(formula)] + 1]
+    def eventually(self, b: int) -> int:
+        """F b; see the module."""
+        op, parts, _ = self.keys[b]
+        before = self.number("true")
+        first = [part for part in parts if part in self._of_next]
+        if op == "&" and first and self._early.issuperset({*parts} - {*first}):
+            before = self.number("!", self.number("&", *first) if first[1:] else first[0])
+        found = self.number("U", before, b)
+        self._early.add(found)
+        return found
 
-
-def _reduced(f: Formula, args: list[int], number) -> int:  # type: ignore[no-untyped-def]
-    """The number of a subformula, its operator put as the module says."""
-    match f.op, args:
-        case "F", [b]:
-            return number("U", number("true"), b)
-        case "G", [b]:
-            return number("!", number("U", number("true"), number("!", b)))
-        case "WX", [a]:
-            return number("!", number("X", number("!", a)))
-        case "M", [a, b]:
-            return number("U", b, number("&", a, b))
-        case "W", [a, b]:
-            neither = number("!", number("|", a, b))
-            return number("!", number("U", number("!", b), neither))
-        case "R", [a, b]:
-            return number("!", number("U", number("!", a), number("!", b)))
-    return number(f.op, *args, name=f.name)
+    def reduced(self, f: Formula, args: list[int]) -> int:
+        """The number of a subformula, its operator put as the module says."""
+        number = self.number
+        match f.op, args:
+            case "F", [b]:
+                return self.eventually(b)
+            case "G", [b]:
+                return number("!", self.eventually(number("!", b)))
+            case "WX", [a]:
+                return number("!", number("X", number("!", a)))
+            case "M", [a, b]:
+                return number("U", b, number("&", a, b))
+            case "W", [a, b]:
+                neither = number("!", number("|", a, b))
+                return number("!", number("U", number("!", b), neither))
+            case "R", [a, b]:
+                return number("!", number("U", number("!", a), number("!", b)))
+        return number(f.op, *args, name=f.name)
 
 
 def _reached(letter: int, width: int) -> Dfa:
