@@ -11,6 +11,7 @@ failed run; without it the table only says so.
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -89,9 +90,12 @@ def _verdicts(config: pytest.Config) -> list[tuple[str, float, str, bool]]:
         elif reference_ms is None:
             rows.append((name, median_ms, f"{reference} was not measured", False))
         else:
-            ratio = median_ms / reference_ms
+            ratio, max_ms = median_ms / reference_ms, limit.get("max_ms", math.inf)
             words = f"{ratio:.3g} <= {limit['max_ratio']:g} of {reference} ({reference_ms:.3f} ms)"
-            rows.append((name, median_ms, words, ratio <= limit["max_ratio"]))
+            words += f", and {max_ms} ms" if max_ms < math.inf else ""
+            rows.append(
+                (name, median_ms, words, ratio <= limit["max_ratio"] and median_ms <= max_ms)
+            )
     return rows
 
 

@@ -1,6 +1,6 @@
 """The stage table: every stage of a tick, in order, with the budget it is held to.
 
-The loop times these, the reports print them, `perf/` holds them to their budgets.
+The loop times these, `edge bench` and the reports hold them to their budgets.
 `detect` runs on its own worker; it is timed and budgeted, but no tick waits for it.
 
 Budgets are the reference computer's (`edge.host.calibration`), and grow with how much slower a
