@@ -35,7 +35,7 @@ from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
-from edge.perception.sim_detector import Truth
+from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
 from edge.sinks import find_sinks
 from edge.sources import find_source
@@ -139,7 +139,7 @@ def open_service(
 
 
 def _load(
-    config: Config, targets: Sequence[str], truth: Truth | None, stop: threading.Event
+    config: Config, targets: Sequence[str], truth: TruthAt | None, stop: threading.Event
 ) -> Detector:
     """See `make_detector`; raises Stopped once `stop` is set."""
     make = partial(make_detector, config.perception, targets, cancelled=stop, truth=truth)
