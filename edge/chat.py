@@ -1,7 +1,8 @@
 """A client for any OpenAI-compatible chat server.
 
 Neither redirects nor the environment's proxies are followed: the API key goes to the configured
-server alone.
+server alone. Our own, since the package `openai` limits each read of a socket, but neither the
+length of an answer nor the time that it takes in all.
 """
 
 from __future__ import annotations

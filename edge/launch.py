@@ -20,7 +20,7 @@ from edge.bus.requests import RequestServer
 from edge.bus.session import zenoh_session
 from edge.config import Config
 from edge.errors import UserError
-from edge.host import resources
+from edge.host import calibration, resources
 from edge.host.children import python_module
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.ports import free_port
@@ -35,8 +35,9 @@ from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
-from edge.perception.sim_detector import Truth
+from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
+from edge.policies import find_policy
 from edge.sinks import find_sinks
 from edge.sources import find_source
 from edge.sources.truth import make_truth
@@ -77,7 +78,7 @@ def open_service(
 
     Raises:
         Stopped: `stop` was set before the service was ready.
-        ConfigError: there is no such source or sink.
+        ConfigError: there is no such source, sink or policy, or it cannot be made.
         UserError: the mission is not understood or cannot be done.
         CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's or a scorer's model is missing or unusable.
@@ -86,6 +87,7 @@ def open_service(
     """
     stop = stop or threading.Event()
     make_source, make_sinks = find_source(config), find_sinks(config)
+    make_policy = find_policy(config.policy, config.path)
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
@@ -99,6 +101,7 @@ def open_service(
         session = stack.enter_context(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
+        policy = unless_stopped(make_policy, stop)
         detector = _load(config, brief.targets, make_truth(config, session), stop)
         worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
@@ -107,9 +110,9 @@ def open_service(
             stack.callback(scorers.close)
         unless_stopped(partial(warm_up, config), stop)
         raise_if_stopped(stop)
-        source = make_source(session)
+        source = make_source(config=config, session=session)
         stack.callback(source.close)
-        every = [*(make(session) for make in make_sinks), *sinks]
+        every = [*(make(config=config, session=session) for make in make_sinks), *sinks]
         for sink in every:
             stack.callback(sink.close)
         servers: dict[str, RequestServer] = {}
@@ -117,12 +120,14 @@ def open_service(
         def overruns() -> dict[str, int]:
             """Looks that found a ring full once more (see `edge.bus.session.Ring`)."""
             return {
-                "sensors": source.counters["overrun"],
+                "sensors": source.counters.get("overrun", 0),
                 "goal_status": source.inbox.overruns,
                 **{key: server.overruns for key, server in servers.items()},
             }
 
-        service = Service(config, brief, worker, every, keeper, scorers, overruns)
+        service = Service(
+            config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load()
+        )
         stack.callback(service.close)
         for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
@@ -139,7 +144,7 @@ def open_service(
 
 
 def _load(
-    config: Config, targets: Sequence[str], truth: Truth | None, stop: threading.Event
+    config: Config, targets: Sequence[str], truth: TruthAt | None, stop: threading.Event
 ) -> Detector:
     """See `make_detector`; raises Stopped once `stop` is set."""
     make = partial(make_detector, config.perception, targets, cancelled=stop, truth=truth)

@@ -1,4 +1,7 @@
-"""What the stages hand to each other. Frozen; arrays are shared, not copied."""
+"""What more than one package hands on or takes. Arrays are shared, not copied.
+
+Frozen but for `Instance`, which its tracker changes from frame to frame.
+"""
 
 from __future__ import annotations
 

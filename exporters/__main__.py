@@ -28,12 +28,12 @@ from exporters.files import ExportError, replace_atomically, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
 from exporters.parity import (
-    FP16_LIMITS,
-    FP32_LIMITS,
-    INT8_LIMITS,
-    Limits,
+    FP16_TOLERANCE,
+    FP32_TOLERANCE,
+    INT8_TOLERANCE,
     ParityReport,
-    check_limits,
+    Tolerance,
+    check_tolerance,
     measure,
     torch_model,
 )
@@ -132,7 +132,7 @@ def _export_fp32(
         export_onnx(detector, card.input.height, card.input.width, made)
         if validation := _validation_images(args):
             report = measure(torch_model(detector), made, validation, text)
-            _conclude(card, args, report, FP32_LIMITS, reference="torch")
+            _conclude(card, args, report, FP32_TOLERANCE, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
     return report
 
@@ -151,8 +151,8 @@ def _export_derived(
         else:
             quantize(source, made, feeds, recipe, card.precision)
         report = measure(source, made, validation, text)
-        limits = FP16_LIMITS if card.precision == "fp16" else INT8_LIMITS
-        _conclude(card, args, report, limits, reference=fp32.name)
+        tolerance = FP16_TOLERANCE if card.precision == "fp16" else INT8_TOLERANCE
+        _conclude(card, args, report, tolerance, reference=fp32.name)
     _write_sidecar(card, out, report, fp32.name, digest_of(calibration))
     return report
 
@@ -161,13 +161,13 @@ def _conclude(
     card: DetectCard,
     args: argparse.Namespace,
     report: ParityReport,
-    limits: Limits,
+    tolerance: Tolerance,
     reference: str,
 ) -> None:
-    """Print a step's parity, write it to the card if asked, and hold it to its limits."""
+    """Print a step's parity, write it to the card if asked, and hold it to its tolerance."""
     print(f"{card.name} against {reference}:\n{report.table()}", file=sys.stderr)
     if not args.no_gate:
-        check_limits(report, limits, card.name)
+        check_tolerance(report, tolerance, card.name)
     if args.update_card:
         _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
 

@@ -25,7 +25,7 @@ Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Limits:
+class Tolerance:
     """The worst parity that still passes; None leaves a figure ungated."""
 
     recall: float = 0.95
@@ -34,9 +34,9 @@ class Limits:
     max_abs_diff: float | None = None
 
 
-FP32_LIMITS = Limits(recall=1.0, precision=1.0, score_error=0.01, max_abs_diff=0.01)
-FP16_LIMITS = Limits(recall=0.97, precision=0.95, score_error=0.05)
-INT8_LIMITS = Limits()
+FP32_TOLERANCE = Tolerance(recall=1.0, precision=1.0, score_error=0.01, max_abs_diff=0.01)
+FP16_TOLERANCE = Tolerance(recall=0.97, precision=0.95, score_error=0.05)
+INT8_TOLERANCE = Tolerance()
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def _finite(
     return outputs[0][0], outputs[1][0]
 
 
-def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
+def check_tolerance(report: ParityReport, tolerance: Tolerance, what: str) -> None:
     """Raise ExportError if a figure of the report is worse than its limit, or nothing was seen.
 
     A figure that is not known (NaN) does not keep its limit.
@@ -147,13 +147,14 @@ def check_limits(report: ParityReport, limits: Limits, what: str) -> None:
             "images, so parity means nothing; give images that show the prompted things"
         )
     worse = [
-        f"{name} {getattr(report, name):.3g} < {getattr(limits, name):.3g}"
+        f"{name} {getattr(report, name):.3g} < {getattr(tolerance, name):.3g}"
         for name in ("recall", "precision")
-        if not getattr(report, name) >= getattr(limits, name)
+        if not getattr(report, name) >= getattr(tolerance, name)
     ] + [
-        f"{name} {getattr(report, name):.3g} > {getattr(limits, name):.3g}"
+        f"{name} {getattr(report, name):.3g} > {getattr(tolerance, name):.3g}"
         for name in ("score_error", "max_abs_diff")
-        if getattr(limits, name) is not None and not getattr(report, name) <= getattr(limits, name)
+        if getattr(tolerance, name) is not None
+        and not getattr(report, name) <= getattr(tolerance, name)
     ]
     if worse:
         raise ExportError(

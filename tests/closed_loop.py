@@ -16,6 +16,7 @@ from edge.motion.controller import Controller
 from edge.perception.factory import make_detector
 from edge.perception.sim_detector import Segmentation
 from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig
@@ -60,7 +61,8 @@ class ClosedLoop:
         worker = DetectorWorker(detector, inline=True)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
-        self.service = Service(config, brief, worker, sinks, scorers=self.scorers)
+        policy = make_policy(config.policy, config.path)
+        self.service = Service(config, brief, worker, policy, sinks, scorers=self.scorers)
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0

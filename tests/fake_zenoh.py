@@ -24,8 +24,8 @@ class Flooded:
 
     declare_queryable = declare_subscriber
 
-    def declare_publisher(self, *_: object, **__: object) -> None:
-        return None
+    def declare_publisher(self, *_: object, **__: object) -> Flooded:
+        return self
 
     def undeclare(self) -> None: ...
 

@@ -88,6 +88,14 @@ def test_no_imports_form_a_circle():
         pytest.fail(" -> ".join(circle.args[1]))
 
 
+def test_the_loop_loads_no_zenoh():
+    reached, new = set(), {module for module in MODULES if room(module) == "loop"}
+    while new:
+        reached |= new
+        new = set().union(*(IMPORTS.get(module, set()) for module in new)) - reached
+    assert "zenoh" not in reached
+
+
 def test_what_runs_on_the_robot_imports_no_exporter():
     reached = {t.split(".")[0] for targets in IMPORTS.values() for t in targets}
     assert not reached & NEVER

@@ -58,8 +58,11 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
         timer.cancel()
 
 
-def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float) -> dict:
+def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what: str) -> dict:
     """The answer of the service whose requests go to `key`, such as `edge/mission/request`.
+
+    Args:
+        what: the command, for the error's line.
 
     Raises:
         RefusedError: it refused (its own words).
@@ -67,7 +70,6 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float) -> di
     """
     import zenoh
 
-    what = key.split("/")[-2]
     replies = session.get(
         key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
         timeout=timeout_s, priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,

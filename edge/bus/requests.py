@@ -13,7 +13,6 @@ prepared or begun: once a stop was answered, only a later request sets the robot
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import queue
@@ -21,19 +20,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import zenoh
 
 from edge.bus.session import QueryRing
+from edge.bus.verbs import Request, Verb, error_of, read_request
 from edge.errors import UserError
-from edge.text import one_line
 
 log = logging.getLogger("edge.bus.requests")
 
 MAX_BYTES = 65536
-MAX_CHARS = 10_000
-MAX_ERROR_CHARS = 1000
 PATIENCE_S = 2.0
 
 _ARRIVED = 1024  # kept by Zenoh until as many before them are received: 6,400 a second
@@ -46,68 +43,6 @@ _SAME = 256  # queries of one request, which may take minutes to prepare
 _SENDERS = 4
 _BUSY = "busy with other requests; try again later"
 _STOPPED = "stopped meanwhile: give it again"
-
-
-@dataclass(frozen=True)
-class Verb:
-    """One thing that can be asked for.
-
-    Attributes:
-        fields: the names of what a request may have besides `do`.
-        read: makes the request's fields of those that came; raises ValueError, with one line.
-        prepare: for what takes a while: called with the fields on a thread of the server, one
-            request at a time; raises UserError for what cannot be done.
-        stops: it stops the robot: never refused as one too many, and whatever was to be prepared
-            before it is refused.
-        reads: it changes nothing.
-    """
-
-    fields: tuple[str, ...] = ()
-    read: Callable[[dict], dict] = dict
-    prepare: Callable[[dict], object] | None = None
-    stops: bool = False
-    reads: bool = False
-
-
-def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
-    """A request's verb and its fields.
-
-    Raises:
-        ValueError: with one line that says what is wrong.
-    """
-    try:
-        data = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    if not isinstance(data, dict):
-        raise ValueError("not a JSON object")
-    do = data.pop("do", None)
-    if not isinstance(do, str) or do not in verbs:
-        raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
-    if unknown := sorted(data.keys() - set(verbs[do].fields)):
-        raise ValueError(f"{unknown[0]!r:.40}: not taken with do: {do}")
-    return do, verbs[do].read(data)
-
-
-def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
-    """A request's text as it came.
-
-    Raises:
-        ValueError: it is not text, says nothing, or is longer than `limit` characters.
-    """
-    if not isinstance(text, str) or not text.strip():
-        raise ValueError(f"{name}: expected text, got {shown(text)}")
-    if len(text) > limit:
-        raise ValueError(f"{name}: {len(text)} characters, at most {limit} are taken")
-    if any("\ud800" <= c <= "\udfff" for c in text):
-        raise ValueError(f"{name}: not Unicode text")
-    return text
-
-
-def shown(value: object) -> str:
-    """For a message; what is nested is not shown, since it may be nested very deep."""
-    plain = value is None or isinstance(value, (str, int, float))
-    return f"{value!r:.40}" if plain else f"a {type(value).__name__}"
 
 
 @dataclass(eq=False)
@@ -125,50 +60,6 @@ class Query:
         if len(payload) > MAX_BYTES:
             raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
         return payload.to_bytes()
-
-
-Finish = Callable[[Iterable[Query], bytes, bool], None]
-"""Sends a reply, or an error, to each of these queries that has none yet. Never blocks."""
-
-
-@dataclass(eq=False)
-class Request:
-    """What the loop does once, for all who asked for it one after the other.
-
-    Attributes:
-        queries: of those.
-        prepared: what `Verb.prepare` made of it.
-        ready: for the loop.
-        overtaken: how many different requests, made before and not begun, this one stopped.
-    """
-
-    do: str
-    fields: dict = field(default_factory=dict)
-    finish: Finish = lambda queries, reply, is_error: None
-    queries: list[Query] = field(default_factory=list)
-    prepared: object | None = None
-    ready: bool = True
-    overtaken: int = 0
-
-    def answer(self, data: dict) -> None:
-        """Send what JSON can carry (finite numbers only). Only the first call of `answer` or
-        `refuse` counts, and only within the server's patience."""
-        # Encoded here: the dict is the caller's, who may go on to change it.
-        try:
-            reply = json.dumps(data, allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
-            log.error("an answer to a request is not JSON: %s", error)
-            self.refuse("internal error: the answer is not JSON")
-        else:
-            self.finish(self.queries, reply, False)
-
-    def refuse(self, reason: str) -> None:
-        """Send an error instead."""
-        self.finish(self.queries, _error(reason), True)
-
-
-def _error(reason: str) -> bytes:
-    return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS)}).encode()
 
 
 class RequestServer:
@@ -276,7 +167,7 @@ class RequestServer:
             with self._lock:
                 left = tuple(self._open)
                 self._to_prepare.notify()
-            self._finish(left, _error("the service is stopping"), True)
+            self._finish(left, error_of("the service is stopping"), True)
             for _ in range(_SENDERS):
                 self._replies.put(None)
 
@@ -297,7 +188,7 @@ class RequestServer:
         try:
             do, fields = read_request(query.payload(), self._verbs)
         except ValueError as error:
-            self._finish((query,), _error(str(error)), True)
+            self._finish((query,), error_of(str(error)), True)
             return
         overtaken: list[Request] = []
         with self._lock:
@@ -312,7 +203,7 @@ class RequestServer:
         for stopped in overtaken:
             stopped.refuse(_STOPPED)
         if request is None:
-            self._finish((query,), _error(_BUSY), True)
+            self._finish((query,), error_of(_BUSY), True)
 
     def _place(self, do: str, fields: dict) -> Request | None:
         """The request that a query joins, or a new one in its lane; None: too many wait.
@@ -350,12 +241,12 @@ class RequestServer:
         why = f"the loop is not running: not taken {limit}"
         if now_s - polled_s < self._patience_s:
             why = f"busy with other requests: not taken {limit}; try again later"
-        self._finish(waiting, _error(why), True)
+        self._finish(waiting, error_of(why), True)
         taken = f"taken, but not answered {limit}; ask for the status"
-        self._finish(late - waiting, _error(taken), True)
+        self._finish(late - waiting, error_of(taken), True)
 
     def _finish(self, queries: Iterable[Query], reply: bytes, is_error: bool) -> None:
-        """See `Finish`."""
+        """See `edge.bus.verbs.Finish`."""
         with self._lock:
             finished = self._open.intersection(queries)
             self._open -= finished

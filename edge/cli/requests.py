@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         request["formula" if args.formula else "instruction"] = args.text
     key = settings.key(topics.MISSION_REQUEST)
     with client.connect(settings, args.timeout, "mission") as session:
-        answer = client.ask(session, key, request, args.timeout)
+        answer = client.ask(session, key, request, args.timeout, "mission")
     print(json.dumps(answer, indent=2) if args.json else as_text(answer))
     return 0
 

@@ -3,47 +3,85 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
-from edge.errors import ConfigError
+from edge.errors import ConfigError, UserError
 from edge.text import one_line
 
 
-def find_class(kind: str, registry: Mapping[str, Any], where: str) -> Any:
-    """The class of a short name, or one that is imported.
+def find_named(
+    what: str,
+    kind: str,
+    options: Mapping[str, Any],
+    registry: Mapping[str, str],
+    where: str,
+    needs: Sequence[str],
+    given: Sequence[str] = (),
+) -> Callable[..., Any]:
+    """What makes the part of a name: called with all that is `given`, by name.
+
+    The part's class is called with the options, and with what it has a parameter for of `given`.
 
     Args:
-        where: of the name, file and key, for errors.
+        what: the part is, such as `sink`, for errors.
+        registry: short name → `module:Class`, imported only where it is named.
+        where: of the part's section, file and key, for errors.
+        needs: what the part must have; methods end with `()`.
 
     Raises:
-        ConfigError: there is none, in one line.
+        ConfigError: there is no such class, or an option is missing or unknown. Calling what is
+            returned raises it too, when the class fails or what it makes is no such part. One line.
     """
-    module, colon, name = kind.partition(":")
+    make = _find_class(kind, registry, f"{where}.kind")
+    try:
+        signature = inspect.signature(make)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{where}.kind: {kind} is no {what}: {one_line(error)}") from None
+    takes = [name for name in given if name in signature.parameters]
+    try:
+        signature.bind(**dict.fromkeys(takes), **options)
+    except TypeError as error:
+        raise ConfigError(f"{where}.options: {one_line(error)}") from None
+
+    def make_named(**parts: Any) -> Any:
+        try:
+            made = make(**{name: parts[name] for name in takes}, **options)
+            missing = [name for name in needs if not _has(made, name)]
+        except UserError:
+            raise
+        except Exception as error:  # whatever one's own class does
+            raise ConfigError(f"{where}.options: {kind}: {_said(error)}") from None
+        if missing:
+            raise ConfigError(f"{where}.kind: {kind} is no {what}: it has no {missing[0]}")
+        return made
+
+    return make_named
+
+
+def _find_class(kind: str, registry: Mapping[str, str], where: str) -> Any:
+    """The class of a name, imported; raises ConfigError, in one line."""
+    module, colon, name = registry.get(kind, kind).partition(":")
     if not colon:
-        if kind in registry:
-            return registry[kind]
         choices = ", ".join(registry)
         raise ConfigError(f"{where}: unknown {kind!r:.80} (choices: {choices}, or module:Class)")
     try:
         return getattr(import_module(module), name)
     except Exception as error:  # whatever the module does when it is imported
-        said = one_line(f"{type(error).__name__}: {error}")
         raise ConfigError(
-            f"{where}: {kind!r:.80}: {said}; its folder must be on PYTHONPATH"
+            f"{where}: {kind!r:.80}: {_said(error)}; its folder must be on PYTHONPATH"
         ) from None
 
 
-def check_call(
-    make: Callable[..., Any], arguments: int, options: Mapping[str, Any], where: str
-) -> None:
-    """That something can be called with so many arguments and these options.
-
-    Raises:
-        ConfigError: an option is missing or unknown, in one line.
-    """
+def _has(part: object, name: str) -> bool:
     try:
-        inspect.signature(make).bind(*[None] * arguments, **options)
-    except TypeError as error:
-        raise ConfigError(f"{where}: {one_line(error)}") from None
+        attrgetter(name.removesuffix("()"))(part)
+    except AttributeError:
+        return False
+    return True
+
+
+def _said(error: Exception) -> str:
+    return one_line(f"{type(error).__name__}: {error}")

@@ -46,8 +46,8 @@ class DetectorSim(Section):
 class ModelProcess(Section):
     """How a model in a process of its own is looked after (`isolation: process`).
 
-    A frame that takes longer than `timeout_s` counts as a hang; what the worker waited for a core
-    is added to that, at most as much again. A worker that ended is started again after
+    A frame that takes longer than `timeout_s` counts as a hang; what its process waited for a core
+    is added to that, at most as much again. A process that ended is started again after
     `backoff_s`, twice as long each time up to `backoff_max_s`. After more than `restarts` ends in a
     row, none after a run of `window_s`, the detector is `degraded`: one more try each `window_s`.
     """

@@ -145,7 +145,7 @@ def _stopwatch(
 
     def look() -> None:
         nonlocal end_s, seen
-        if not seen and counters["observations"]:
+        if not seen and counters.get("observations"):
             end_s, seen = time.monotonic() + seconds, True
         if time.monotonic() >= end_s or (not seen and player.poll() is not None):
             stop.set()

@@ -138,20 +138,20 @@ def run_episode(
     stop = stop or threading.Event()
     recorder = Recorder(config)
     with open_service(config, [recorder], stop=stop) as running:
-        truth = Truth(running.session, config.zenoh)
+        motion = TrueMotion(running.session, config.zenoh)
         with children(config, stop, ("sim", "--no-motion"), ("motion",)):
             watchdog = threading.Timer(_EPISODE_TIMEOUT_S, stop.set)
             watchdog.daemon = True
             watchdog.start()
-            status = loop(running, stop, once=True, each=truth.update)
+            status = loop(running, stop, once=True, each=motion.update)
             watchdog.cancel()
-            truth.settle()
+            motion.settle()
         record = recorder.record(running.service.result(), running.source.counters)
     if report is not None:
         from edge.report.page import write_report
 
         write_report(record, report)
-    x, y = truth.xy_m
+    x, y = motion.xy_m
     wanted = objects_of(load_world(config), episode.target)
     away = min(o.distance_m(x, y) for o in wanted)
     near = away <= REACHED_M
@@ -164,11 +164,11 @@ def run_episode(
         reason = f"{reason} ({away:.1f} m from it)"
     return Outcome(
         episode.target, episode.start, status.phase == "reached" and near, reason,
-        episode.shortest_m, truth.path_m, status.elapsed_s, away, truth.bumps,
+        episode.shortest_m, motion.path_m, status.elapsed_s, away, motion.bumps,
     )  # fmt: skip
 
 
-class Truth:
+class TrueMotion:
     """The simulator's own account of where the robot is."""
 
     def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:

@@ -16,7 +16,7 @@ MAX_OBJECTS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Lifted:
+class LiftedFormula:
     """A formula over the letters a, b, … in order of first appearance.
 
     Attributes:
@@ -32,11 +32,12 @@ class Lifted:
         return compiled(self.formula)
 
 
-def lift(formula: Formula) -> Lifted:
+def lift(formula: Formula) -> LiftedFormula:
     """A task's formula with its objects left out; `world_of` gives them in the same order."""
     objects = propositions(formula)
     letters = {name: chr(ord("a") + i) for i, name in enumerate(objects)}
-    return Lifted(renamed(formula, letters.__getitem__), len(world_of(objects)) - len(objects))
+    others = len(world_of(objects)) - len(objects)
+    return LiftedFormula(renamed(formula, letters.__getitem__), others)
 
 
 def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ class SwapBench:
 
     def beat(self) -> None:
         """Note when this beat ended; begin the swap, or note its end."""
-        if self._during or not self._running.source.counters["observations"]:
+        if self._during or not self._running.source.counters.get("observations"):
             return
         now_ns = time.monotonic_ns()
         if not self._first_ns:
@@ -96,7 +96,8 @@ class SwapBench:
     def _counts(self) -> tuple[int, int, int]:
         counters: Mapping[str, int] = self._running.source.counters
         return (
-            counters["observations"], counters["superseded"], self._running.worker.stats.done
+            counters.get("observations", 0), counters.get("superseded", 0),
+            self._running.worker.stats.done,
         )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from edge.errors import ConfigError
 from edge.host import resources
 from edge.host.private_folder import private_folder
 
-log = logging.getLogger("edge.kernels")
+log = logging.getLogger(__name__)
 
 _VARIABLE = "NUMBA_CACHE_DIR"
 

@@ -20,7 +20,7 @@ from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.loop.candidates import CandidatePool
 from edge.loop.search import LASTING_NS, TURNS, NextBestView, Search
-from edge.mapping.coverage import View
+from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.motion.stuck import StuckDetector
@@ -57,7 +57,7 @@ class _Present:
 
     goal: Goal
     peak: float = 0.0
-    view: View | None = None
+    view: Viewpoint | None = None
     told: bool = False
     answer: GoalStatus | None = None
     blocked: tuple[float, float] | None = None

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.requests import Request, Verb, check_text
+from edge.bus.verbs import Request, Verb, check_text
 from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
+from typing import Protocol
 
-from edge.bus.requests import RequestServer
 from edge.config import Config
 from edge.host.priority import real_time
 from edge.loop.faults import IDLE, TICK
 from edge.loop.service import DETECT, INGEST, Service
-from edge.loop.source import Source
+from edge.loop.source import NO_DROPS, Source
 from edge.loop.stages import STAGES
 from edge.perception.worker import DetectorWorker
 from edge.types import MissionStatus, Observation
@@ -22,6 +22,13 @@ from edge.types import MissionStatus, Observation
 _MISSED_STEPS = 8
 _LEAP_NS = 60_000_000_000  # no two observations in lockstep are this far apart
 _PATIENCE_S = 0.05  # how long lockstep waits for an observation before it looks at `stop`
+
+
+class Server(Protocol):
+    """Takes requests on the side (see `edge.bus.requests`)."""
+
+    def serve(self, now_ns: int) -> int:
+        """Do what waits, at the loop's time; never blocks."""
 
 
 @dataclass
@@ -32,7 +39,7 @@ class Running:
     service: Service
     worker: DetectorWorker
     source: Source
-    servers: dict[str, RequestServer]
+    servers: Mapping[str, Server]
     epoch: int = field(default=0, init=False)
 
 
@@ -62,8 +69,8 @@ def loop(
 def _count_drops(running: Running) -> None:
     """What never became an observation, and the observations that the detector never saw."""
     counters, latency = running.source.counters, running.service.latency
-    taken = counters["received"] + counters["observations"] + counters["overrun"]
-    latency.set_drops(INGEST, sum(counters.values()) - taken)
+    dropped = sum(n for reason, n in counters.items() if reason not in NO_DROPS)
+    latency.set_drops(INGEST, dropped)
     latency.set_drops(DETECT, running.worker.stats.replaced)
 
 

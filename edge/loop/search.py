@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from edge.loop.candidates import CandidatePool
-from edge.mapping.coverage import View
+from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import Context
@@ -111,11 +111,11 @@ class NextBestView:
         self.done = False
         self.views = 0
         self._enough = enough
-        self._view: View | None = None
+        self._view: Viewpoint | None = None
         self._searching = self._given_up = False
         self._came_at: int | None = None  # the detector's count of images when the robot came
 
-    def choose(self, grid: RollingMap, images: int) -> View | None:
+    def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
         """The view to go to; None while it is being searched for, and when there is none.
 
         Args:

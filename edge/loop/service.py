@@ -17,7 +17,7 @@ import numpy as np
 
 from edge.config import Config, PlannerVitl
 from edge.geometry import SE2
-from edge.host import calibration
+from edge.host.calibration import Calibration
 from edge.loop import stages
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
@@ -36,8 +36,7 @@ from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
-from edge.policies import make_policy
-from edge.policies.base import Answers, Context, scores_of
+from edge.policies.base import Answers, Context, Policy, scores_of
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 log = logging.getLogger("edge.loop.service")
@@ -53,10 +52,12 @@ class Service:
     Args:
         brief: the mission to begin with; the worker's detector looks for its targets.
         worker: detects on the side; `submit` and `poll` never wait for the model.
+        policy: scores the candidates.
         sinks: take the results; their methods never block.
         keeper: has the mission's state written, and what it read taken up again.
         scorers: models that are asked beside the loop, where any are configured.
         overruns: by what is listened to, how often more came than could be taken.
+        calibration: of this computer, for the budgets; None: they are the reference computer's.
 
     Attributes:
         mission: the one under way, or the last one.
@@ -74,22 +75,24 @@ class Service:
         config: Config,
         brief: Brief,
         worker: DetectorWorker,
+        policy: Policy,
         sinks: Sequence[Sink],
         keeper: Keeper | None = None,
         scorers: Scorers | None = None,
         overruns: Callable[[], dict[str, int]] = dict,
+        calibration: Calibration | None = None,
     ) -> None:
         self.config = config
         self.keeper = keeper
         self.grid = RollingMap(config.mapping)
         self.tracker = InstanceTracker(config.perception)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
-        self.policy = make_policy(config.policy, config.path)
+        self.policy = policy
         self.pool = CandidatePool(
             config.mapping.max_frontiers + config.perception.max_instances,
             config.policy.r_assoc_m,
         )
-        self.latency = LatencyRing(calibration=calibration.load())
+        self.latency = LatencyRing(calibration=calibration)
         self._publisher = Publisher(sinks)
         self.goals = GoalTracker(config, self.pool, self.tracker, self._tell, self.event)
         self.epoch = 0

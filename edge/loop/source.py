@@ -7,19 +7,24 @@ from typing import Protocol
 from edge.geometry import SE2
 from edge.types import GoalStatus, Observation
 
+NO_DROPS = ("received", "observations", "overrun")
+"""Counters of messages that came, of observations given out, and of looks that found more messages
+than there was room for once more."""
+
 
 class Source(Protocol):
     """Yields what the robot sees; for one thread.
 
     Attributes:
-        counters: messages received, and drops by reason (see `edge.sources.synchronizer`).
-        inbox: the controller's answers, which come the same way.
+        counters: for the report, by name; may be empty. What is not one of `NO_DROPS` is a reason
+            for which messages were dropped (see `edge.sources.synchronizer`).
+        inbox: the controller's answers.
         epoch: rises when poses before and after have nothing to do with each other.
         pose: from the newest odometry; None before there was any.
     """
 
     counters: dict[str, int]
-    inbox: Answers
+    inbox: GoalAnswers
 
     @property
     def epoch(self) -> int: ...
@@ -40,7 +45,7 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class Answers(Protocol):
+class GoalAnswers(Protocol):
     """Yields what the motion controller says of the goals it was given; for one thread.
 
     Attributes:

@@ -18,8 +18,9 @@ class Stage:
 
     Attributes:
         budget_ms: what its p95 should stay under on the reference computer.
+        reads, writes: what it takes and what it makes, for people.
+        code: where it lives, a path of this project.
         in_tick: whether its time is part of the tick.
-        code: where it lives.
         deadline: whether the budget is one: a camera's period is as long for a slow computer.
     """
 
@@ -47,7 +48,7 @@ STAGES: tuple[Stage, ...] = (
         in_tick=False,
         deadline=True,
     ),
-    Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers", "edge/mapping"),
+    Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers, changed region", "edge/mapping"),
     Stage("lift", 0.5, "Detections", "Instances", "edge/perception/lift.py"),
     Stage("candidates", 0.2, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
     Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),

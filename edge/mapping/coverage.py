@@ -42,7 +42,7 @@ _WORTH, _X, _Y, _HEADING = range(4)
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class Viewpoint:
     """Where to stand, on a cell that the robot can get to, and which way the camera then looks."""
 
     x_m: float
@@ -60,7 +60,7 @@ class Coverage:
 
     def __init__(self, layers: Layers, window: Window) -> None:
         self.camera_yaw_rad = 0.0
-        self.view: View | None = None
+        self.view: Viewpoint | None = None
         self._layers, self._window = layers, window
         resolution_m, n = window.resolution_m, window.n
         # The window's rolls are multiples of 64 cells, and so of a place's side.
@@ -104,11 +104,11 @@ class Coverage:
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * between
         self._show(T[0, 3], T[1, 3], first, between, rays, far, COUNT)
 
-    def worth(self, view: View) -> bool:
+    def worth(self, view: Viewpoint) -> bool:
         """Whether a view still shows enough that was seen badly."""
         return self._planned(view, KEEP) >= self._least
 
-    def write_off(self, view: View) -> None:
+    def write_off(self, view: Viewpoint) -> None:
         """What a view was to show and was not seen well all the same is not sought again."""
         self._planned(view, WRITE_OFF)
 
@@ -140,11 +140,11 @@ class Coverage:
             return False
         if self._best[_WORTH] > 0.0:
             x, y, heading = self._best[_X:].tolist()
-            self.view = View((x + 0.5) * res, (y + 0.5) * res, heading)
+            self.view = Viewpoint((x + 0.5) * res, (y + 0.5) * res, heading)
         self._best[:] = 0.0
         return True
 
-    def _planned(self, view: View, then: int) -> int:
+    def _planned(self, view: Viewpoint, then: int) -> int:
         far = SURE * self._range_m / self._window.resolution_m
         between, width = sector(SURE * self._fov_rad, far, self._bits)
         first = view.heading_rad - 0.5 * (width - 1) * between

@@ -13,7 +13,7 @@ from edge.mapping import layers as ly
 from edge.mapping import points, unknown, update
 from edge.mapping.bumps import ROUNDING_CELLS, Bumps
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
-from edge.mapping.coverage import Coverage, View
+from edge.mapping.coverage import Coverage, Viewpoint
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
 from edge.mapping.window import Window
@@ -39,14 +39,13 @@ class RollingMap:
         reach: geodesic distances from the robot; its `step` is called once a tick.
         bumps: where the robot was held up by what no sensor shows.
         coverage: where the detector looked; its `look` is called for each image that it searched.
-        resolution_m: side of a cell.
         window: what of the world is held; only the map moves it.
         layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
 
     def __init__(self, config: config.Mapping) -> None:
         c = self.config = config
-        self.resolution_m = res = c.resolution_m
+        res = c.resolution_m
         self._inflation_cells = c.inflation_m / res
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
@@ -105,11 +104,11 @@ class RollingMap:
         self._use_camera(camera)
         T, cell, fraction = self._locate(T_map_camera, pose)
         rolled = self._follow(*cell)
-        n_points, dropped = points.from_depth(
+        n_points = points.from_depth(
             _plain(depth_m), *self._strides, self._column, self._row, T,
             np.float32(self.config.min_range_m), self._scan.xyz,
         )  # fmt: skip
-        return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
+        return self._finish(n_points, T, cell, fraction, pose, rolled)
 
     def update_cloud(self, cloud_m: np.ndarray, T_map_lidar: np.ndarray, pose: SE2) -> MapUpdate:
         """Bring a point cloud into the map; like `update_depth`.
@@ -126,10 +125,10 @@ class RollingMap:
         self._reserve(len(cloud_m))
         T, cell, fraction = self._locate(T_map_lidar, pose)
         rolled = self._follow(*cell)
-        n_points, dropped = points.from_cloud(
+        n_points = points.from_cloud(
             _plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
-        return self._finish(n_points, dropped, T, cell, fraction, pose, rolled)
+        return self._finish(n_points, T, cell, fraction, pose, rolled)
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """-1 unknown or outside the window, 0 free, 100 occupied or inflated."""
@@ -140,6 +139,11 @@ class RollingMap:
         if self._layers.near[y % n, x % n]:
             return OCCUPIED
         return FREE if self._layers.raw[y % n, x % n] else UNKNOWN
+
+    @property
+    def resolution_m(self) -> float:
+        """Side of a cell."""
+        return self.window.resolution_m
 
     @property
     def known_m2(self) -> float:
@@ -234,7 +238,6 @@ class RollingMap:
     def _finish(
         self,
         n_points: int,
-        dropped: int,
         T: np.ndarray,
         cell: tuple[int, int],
         fraction: tuple[np.float32, np.float32],
@@ -263,7 +266,7 @@ class RollingMap:
         points.classify(n, scan, polar, c.obstacle_min_m, c.obstacle_max_m)
         shift, origin = self.window.shift, self.window.origin
         corner = (cell[0] - self._half - origin[0], cell[1] - self._half - origin[1])
-        n_new, n_cleared = update.apply_scan(
+        update.apply_scan(
             layers, *shift, *corner, scan, polar, sensor_z, c.obstacle_max_m, c.clear_after,
             self._disc, self._changed, self._explored, self._flipped,
         )  # fmt: skip
@@ -275,7 +278,7 @@ class RollingMap:
         self._extend_trail(robot)
         self.bumps.stand_on(robot)
         changed = self._refresh_frontiers(rolled)
-        return MapUpdate(changed, n_points, dropped, n_new, n_cleared, rolled)
+        return MapUpdate(changed, rolled)
 
     def _write(self, x: int, y: int, state: int, top: int = 0) -> None:
         """Set one world cell of the window by hand, and what is inflated by it."""
@@ -418,7 +421,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
     grid.coverage.search(grid.reach)
-    grid.coverage.worth(View(0.0, 0.0, 0.0))
+    grid.coverage.worth(Viewpoint(0.0, 0.0, 0.0))
     grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     far = grid.window.n * grid.resolution_m

@@ -141,9 +141,9 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
         xyz: (3, capacity) float32, filled.
 
     Returns:
-        (points, pixels without a return).
+        The number of points; pixels without a return give none.
     """
-    n, dropped = 0, 0
+    n = 0
     xx, yx, zx = T[0, 0], T[1, 0], T[2, 0]
     for v in range(stride_v // 2, depth_m.shape[0], stride_v):
         bx = T[0, 1] * row[v] + T[0, 2]
@@ -152,30 +152,28 @@ def from_depth(depth_m, stride_u, stride_v, column, row, T, min_range_m, xyz):
         for u in range(stride_u // 2, depth_m.shape[1], stride_u):
             d = depth_m[v, u]
             if not (d > min_range_m and d < _FARTHEST_M):
-                dropped += 1
                 continue
             xyz[0, n] = d * (xx * column[u] + bx)
             xyz[1, n] = d * (yx * column[u] + by)
             xyz[2, n] = d * (zx * column[u] + bz) + T[2, 3]
             n += 1
-    return n, dropped
+    return n
 
 
 @njit(nogil=True, cache=True)
 def from_cloud(cloud_m, T, min_range_m, xyz):
-    """Points of a cloud, like `from_depth`."""
-    n, dropped = 0, 0
+    """Points of a cloud, like `from_depth`; what is not finite or too near gives none."""
+    n = 0
     for i in range(cloud_m.shape[0]):
         a, b, c = cloud_m[i, 0], cloud_m[i, 1], cloud_m[i, 2]
         squared = a * a + b * b + c * c
         if not (squared > min_range_m * min_range_m and squared < _FARTHEST_M * _FARTHEST_M):
-            dropped += 1
             continue
         xyz[0, n] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
         xyz[1, n] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
         xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
         n += 1
-    return n, dropped
+    return n
 
 
 @njit(nogil=True, cache=True)

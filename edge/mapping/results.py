@@ -14,17 +14,10 @@ class MapUpdate:
     Attributes:
         changed: (ix0, iy0, ix1, iy1), half-open rectangle of world cells (x = ix * resolution)
             whose published state changed; all zero when none did.
-        n_points: points or pixels that were used.
-        n_dropped: pixels or points without a valid return (NaN, zero, inf, too near).
-        n_new_obstacles, n_cleared: cells, before inflation.
         rolled: whether the window moved.
     """
 
     changed: tuple[int, int, int, int]
-    n_points: int
-    n_dropped: int
-    n_new_obstacles: int
-    n_cleared: int
     rolled: bool
 
 

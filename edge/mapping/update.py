@@ -25,9 +25,6 @@ def apply_scan(
         changed: rectangle of cells whose published state changed.
         explored: rectangle of all cells ever seen, window coordinates.
         flipped: (side * side,) int32 scratch.
-
-    Returns:
-        (new obstacle cells, cleared ones).
     """
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)
@@ -56,17 +53,14 @@ def apply_scan(
                 code == FLOOR or distance_m[cy, cx] < reach_m[sector_of[cy, cx]]
             ):
                 set_free(layers, shift_x, shift_y, cx + corner_x, cy + corner_y, changed)
-    n_new = 0
     for i in range(count):
         x, y = (flipped[i] & 0xFFFF) + corner_x, (flipped[i] >> 16) + corner_y
         occupied = raw[(y + shift_y) % n, (x + shift_x) % n] >= OCCUPIED
-        n_new += occupied
         add_disc(layers, shift_x, shift_y, x, y, 1 if occupied else -1, disc, clip, changed)
     explored[0] = min(explored[0], x0 + corner_x)
     explored[1] = min(explored[1], y0 + corner_y)
     explored[2] = max(explored[2], x1 + corner_x)
     explored[3] = max(explored[3], y1 + corner_y)
-    return n_new, count - n_new
 
 
 @njit(nogil=True, cache=True)

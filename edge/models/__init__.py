@@ -1,1 +1,4 @@
-"""`edge models`: what models there are, how they are had and made, whether they are sound."""
+"""`edge models`: what models there are, how they are had and made, whether they are sound.
+
+Commands only: the service reads cards and runs models by `edge.perception`.
+"""

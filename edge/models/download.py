@@ -1,4 +1,7 @@
-"""Files over HTTP: resumed, measured against what they should be, never waited for forever."""
+"""Files over HTTP: resumed, measured against what they should be, never waited for forever.
+
+Our own, since pooch begins anew after a break, and limits each read of a socket but not the whole.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A file on its way: written beside its place, and put there only when it is whole."""
+"""A file on its way: written beside its place, and put there only when it is whole.
+
+Our own, since pooch keeps nothing of what broke off.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     until_s = time.monotonic() + args.timeout
     state = ""
     with client.connect(settings, args.timeout, _WHAT) as session:
-        ask = partial(client.ask, session, key, timeout_s=_ANSWER_S)
+        ask = partial(client.ask, session, key, timeout_s=_ANSWER_S, what=_WHAT)
         for swap in follow(ask, args.name, args.force, lambda: time.monotonic() < until_s):
             state = swap["state"]
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)

@@ -18,7 +18,7 @@ from edge.motion.progress import Progress
 from edge.motion.pursuit import (
     STOP,
     Command,
-    Limits,
+    MotionLimits,
     index_ahead,
     length_m,
     nearest_index,
@@ -60,7 +60,7 @@ class Controller:
 
     def __init__(self, settings: config.Config) -> None:
         self._motion = settings.motion
-        self._limits = Limits.of(settings.robot)
+        self._limits = MotionLimits.of(settings.robot)
         self._workspace = astar.Workspace()
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)

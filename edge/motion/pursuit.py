@@ -31,7 +31,7 @@ STOP = Command()
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """What the robot may be asked for."""
 
     speed_mps: float
@@ -40,7 +40,7 @@ class Limits:
     turn_accel_radps2: float
 
     @classmethod
-    def of(cls, robot: config.Robot) -> Limits:
+    def of(cls, robot: config.Robot) -> MotionLimits:
         return cls(
             robot.max_speed_mps,
             robot.max_turn_radps,
@@ -82,7 +82,7 @@ def length_m(path_m: np.ndarray) -> float:
     return float(np.hypot(*np.diff(path_m, axis=0).T).sum())
 
 
-def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: Limits) -> Command:
+def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: MotionLimits) -> Command:
     """Speeds on the arc through a point ahead; on the spot when it lies far to the side.
 
     Args:
@@ -100,12 +100,12 @@ def pursue(pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: Limits
     return limits.clip(v, v * 2.0 * math.sin(bearing) / distance)
 
 
-def turn(error_rad: float, limits: Limits) -> Command:
+def turn(error_rad: float, limits: MotionLimits) -> Command:
     """Turn on the spot by an angle, slower near its end."""
     w = max(TURN_GAIN * abs(error_rad), 0.1)
     return limits.clip(0.0, math.copysign(w, error_rad))
 
 
-def turn_to(pose: SE2, yaw_rad: float, limits: Limits) -> Command:
+def turn_to(pose: SE2, yaw_rad: float, limits: MotionLimits) -> Command:
     """Turn on the spot to a heading, the short way round."""
     return turn(wrap_angle(yaw_rad - pose.yaw_rad), limits)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.geometry import SE2, wrap_angle
-from edge.motion.pursuit import Command, Limits, turn
+from edge.motion.pursuit import Command, MotionLimits, turn
 from edge.trajectory.costmap import CostMap
 
 BACK_MPS = 0.12
@@ -16,7 +16,9 @@ TIME_NS = 2_500_000_000
 class Recovery:
     """One attempt, at most `TIME_NS` long."""
 
-    def __init__(self, pose: SE2, costmap: CostMap | None, limits: Limits, now_ns: int) -> None:
+    def __init__(
+        self, pose: SE2, costmap: CostMap | None, limits: MotionLimits, now_ns: int
+    ) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
         self._backs_up = costmap is not None and costmap.is_free(*pose.ahead(-BACK_M))
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from edge import config
 from edge.perception.detector import Detector, Tell, log_progress
-from edge.perception.sim_detector import SimDetector, Truth
+from edge.perception.sim_detector import SimDetector, TruthAt
 
 
 def _onnx(
-    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell, truth: Truth | None
+    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell, truth: TruthAt | None
 ) -> Detector:
     from edge.perception.onnx_detector import OnnxDetector
 
@@ -19,7 +19,7 @@ def _onnx(
 
 
 def _sim(
-    detector: config.DetectorSim, prompts: Sequence[str], progress: Tell, truth: Truth | None
+    detector: config.DetectorSim, prompts: Sequence[str], progress: Tell, truth: TruthAt | None
 ) -> Detector:
     return SimDetector(detector, prompts, truth)
 
@@ -33,7 +33,7 @@ def make_detector(
     progress: Tell = log_progress,
     *,
     cancelled: threading.Event | None = None,
-    truth: Truth | None = None,
+    truth: TruthAt | None = None,
 ) -> Detector:
     """The detector that the configuration names, ready to use.
 

@@ -34,7 +34,7 @@ class Segmentation:
     labels: tuple[str, ...]
 
 
-Truth = Callable[[int], "Segmentation | None"]
+TruthAt = Callable[[int], "Segmentation | None"]
 """The segmentation of the picture that was taken at a stamp (ns), None where there is none; called
 by whoever detects."""
 
@@ -53,7 +53,7 @@ class SimDetector:
     invalid_boxes = 0
 
     def __init__(
-        self, detector: config.DetectorSim, prompts: Sequence[str], truth: Truth | None = None
+        self, detector: config.DetectorSim, prompts: Sequence[str], truth: TruthAt | None = None
     ) -> None:
         """
         Args:

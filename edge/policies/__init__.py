@@ -7,40 +7,38 @@ and a line in `REGISTRY`. Nothing here sends a goal or knows who asks.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from edge.config import PolicyOwn
-from edge.config.named import check_call, find_class
-from edge.errors import ConfigError, UserError
+from edge.config.named import find_named
 from edge.policies.base import Policy
-from edge.policies.hvl import Hvl
-from edge.policies.nearest_frontier import NearestFrontier
-from edge.text import one_line
 
-REGISTRY: dict[str, Any] = {"hvl": Hvl, "nearest_frontier": NearestFrontier}
+REGISTRY = {
+    "hvl": "edge.policies.hvl:Hvl",
+    "nearest_frontier": "edge.policies.nearest_frontier:NearestFrontier",
+}
 
 
-def make_policy(config: Any, path: str = "<defaults>") -> Policy:
-    """The policy that a configuration's `policy` section names.
+def find_policy(config: Any, path: str = "<defaults>") -> Callable[[], Policy]:
+    """What makes the policy that a configuration's `policy` section names.
+
+    One of ours is given the section, one's own its options.
 
     Args:
         path: of the configuration, for errors.
 
     Raises:
-        ConfigError: one's own class is not there, does not take its options, or is no policy.
+        ConfigError: see `edge.config.named.find_named`.
     """
-    where = f"{path}: policy"
-    make = find_class(config.kind, REGISTRY, f"{where}.kind")
-    if not isinstance(config, PolicyOwn):
-        return make(config)
-    check_call(make, 0, config.options, f"{where}.options")
-    try:
-        policy = make(**config.options)
-    except UserError:
-        raise
-    except Exception as error:  # whatever one's own class does
-        said = one_line(f"{type(error).__name__}: {error}")
-        raise ConfigError(f"{where}.options: {config.kind}: {said}") from None
-    if missing := [name for name in ("score", "reset") if not hasattr(policy, name)]:
-        raise ConfigError(f"{where}.kind: {config.kind} is no policy: it has no {missing[0]}()")
-    return policy
+    where, needs = f"{path}: policy", ("score()", "reset()")
+    if isinstance(config, PolicyOwn):
+        return find_named("policy", config.kind, config.options, REGISTRY, where, needs)
+    make = find_named("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
+    return partial(make, config=config)
+
+
+def make_policy(config: Any, path: str = "<defaults>") -> Policy:
+    """See `find_policy`."""
+    return find_policy(config, path)()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge.report.record import Frame, is_target
+from edge.report.record import Keyframe, is_target
 from edge.types import Detections
 
 FRAME_NS = 1_000_000_000
@@ -24,7 +24,7 @@ class Album:
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
         self._best = (capacity + 1) // 2
-        self._frames: list[Frame] = []
+        self._frames: list[Keyframe] = []
         self._taken_ns: int | None = None
 
     def offer(self, detections: Detections, targets: Sequence[str]) -> None:
@@ -46,14 +46,14 @@ class Album:
         last = [f.target_score for f in self._frames if f.stamp_ns == self._taken_ns]
         return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
-    def _least(self) -> Frame:
+    def _least(self) -> Keyframe:
         best = self._best_views()
         others = [f for f in self._frames if not any(f is b for b in best)]
         return min(others, key=lambda f: (len(f.labels) > 0, f.stamp_ns))
 
-    def _best_views(self) -> list[Frame]:
+    def _best_views(self) -> list[Keyframe]:
         """The best view of each target, the second best of each, and so on, `_best` in all."""
-        ranks: list[tuple[int, float, int, Frame]] = []
+        ranks: list[tuple[int, float, int, Keyframe]] = []
         for label in dict.fromkeys(label for f in self._frames for label in f.best):
             views = [f for f in self._frames if label in f.best]
             views.sort(key=lambda f: (-f.best[label], -f.stamp_ns))
@@ -61,7 +61,7 @@ class Album:
         ranks.sort(key=lambda rank: rank[:3])
         return list({id(f): f for *_, f in ranks}.values())[: self._best]
 
-    def frames(self) -> tuple[Frame, ...]:
+    def frames(self) -> tuple[Keyframe, ...]:
         return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))
 
 
@@ -72,12 +72,12 @@ def _target_score(detections: Detections, targets: Sequence[str]) -> float:
     return float(detections.score[np.isin(detections.class_id, wanted)].max(initial=0.0))
 
 
-def _copy(detections: Detections, targets: Sequence[str]) -> Frame:
+def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:
     rgb = detections.observation.rgb
     assert rgb is not None  # `Album.offer` has looked
     stride = -(-max(rgb.shape[:2]) // MAX_FRAME_PX)
     labels = tuple(detections.prompts[i] for i in detections.class_id)
-    return Frame(
+    return Keyframe(
         detections.observation.stamp_ns,
         np.array(rgb[::stride, ::stride]),
         detections.xyxy_px / np.float32(stride),

@@ -18,7 +18,7 @@ from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, raster, story
-from edge.report.record import Frame, RunRecord
+from edge.report.record import Keyframe, RunRecord
 from edge.report.style import CSS
 
 PNG_NAME = "report.png"
@@ -192,7 +192,7 @@ def _frames(record: RunRecord) -> str:
     )
 
 
-def _figure(frame: Frame, record: RunRecord) -> str:
+def _figure(frame: Keyframe, record: RunRecord) -> str:
     """The image as JPEG under boxes and labels in SVG, which stay sharp at any size."""
     h, w = frame.rgb.shape[:2]
     bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
@@ -210,7 +210,7 @@ def _figure(frame: Frame, record: RunRecord) -> str:
     )
 
 
-def _svg_box(frame: Frame, i: int, w: int, h: int, targets: Sequence[str]) -> str:
+def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) -> str:
     x0, y0, x1, y1 = (float(v) for v in frame.xyxy_px[i])
     if not all(map(math.isfinite, (x0, y0, x1, y1))):
         return ""

@@ -18,7 +18,7 @@ _NS = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class Keyframe:
     """A camera image with its boxes.
 
     Attributes:
@@ -114,7 +114,7 @@ class RunRecord:
     frontiers_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     goals: tuple[Goal, ...] = ()
     instances: tuple[Instance, ...] = ()
-    frames: tuple[Frame, ...] = ()
+    frames: tuple[Keyframe, ...] = ()
     events: tuple[tuple[float, str], ...] = ()
     counters: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)

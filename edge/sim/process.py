@@ -46,16 +46,16 @@ def main(config: Config, stop: threading.Event) -> int:
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
     with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
-        link = Link(session, config)
+        bus = SimBus(session, config)
         log.info("simulating %s in %s", config.robot.name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time
-        run(config, world, drive, link, stop)
+        run(config, world, drive, bus, stop)
     now = drive.motion
     log.info("drove %.1f m, ran into something %d times", now.path_m, now.collisions)
     return 0
 
 
-class Link:
+class SimBus:
     """The simulator's publishers, and the newest command."""
 
     def __init__(self, session: zenoh.Session, config: Config) -> None:
@@ -85,31 +85,31 @@ class Link:
 
 
 def run_real_time(
-    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+    config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
 ) -> None:
     """Move and send odometry at its rate; pictures come from another thread."""
     rigs = make_rigs(config, world)
     with ThreadPoolExecutor(len(rigs), thread_name_prefix="sensor") as pool:
-        running = [pool.submit(_sense, rig, drive, link, stop) for rig in rigs]
+        running = [pool.submit(_sense, rig, drive, bus, stop) for rig in rigs]
         # A sensor that fails ends the simulation, with its error.
         for future in running:
             future.add_done_callback(lambda _: stop.set())
         try:
-            _move(config, drive, link, stop)
+            _move(config, drive, bus, stop)
         finally:
             stop.set()
     for future in running:
         future.result()
 
 
-def _move(config: Config, drive: DriveTrain, link: Link, stop: threading.Event) -> None:
+def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
     period_s = 1.0 / config.sensors.odometry_hz
     truth_every = max(1, round(config.sensors.odometry_hz / _TRUTH_HZ))
     command, heard_s, count = (0.0, 0.0), -COMMAND_TIMEOUT_S, 0
     next_s = time.monotonic()
     while not stop.is_set():
         now_s = time.monotonic()
-        for _, v, w in link.commands():
+        for _, v, w in bus.commands():
             command, heard_s = (v, w), now_s
         if now_s - heard_s > COMMAND_TIMEOUT_S:
             command = (0.0, 0.0)
@@ -117,24 +117,24 @@ def _move(config: Config, drive: DriveTrain, link: Link, stop: threading.Event) 
         lag_s = 1e-9 * (time.time_ns() - drive.motion.stamp_ns)
         if lag_s > 0.0:
             motion = drive.step(min(lag_s, 1.0), *command)
-            link.send([odometry_message(motion)])
+            bus.send([odometry_message(motion)])
             if count % truth_every == 0:
-                link.send([truth_message(motion)])
+                bus.send([truth_message(motion)])
             count += 1
         next_s = max(next_s + period_s, time.monotonic())
         stop.wait(max(0.0, next_s - time.monotonic()))
 
 
-def _sense(rig: Rig, drive: DriveTrain, link: Link, stop: threading.Event) -> None:
+def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
     """Send what one sensor sees, at its rate, and now and then what it is."""
     next_s = described_s = time.monotonic()
     while not stop.is_set():
         motion = drive.motion
         if time.monotonic() >= described_s:
-            link.send(rig.description(motion.stamp_ns))
+            bus.send(rig.description(motion.stamp_ns))
             described_s += 1.0 / _DESCRIPTION_HZ
         rig.look(motion.pose)
-        link.send(rig.messages(motion.stamp_ns))
+        bus.send(rig.messages(motion.stamp_ns))
         next_s = next_frame(next_s, 1.0 / rig.rate_hz, time.monotonic())
         stop.wait(next_s - time.monotonic())
 
@@ -150,7 +150,7 @@ def next_frame(due_s: float, period_s: float, now_s: float) -> float:
 
 
 def run_lockstep(
-    config: Config, world: World, drive: DriveTrain, link: Link, stop: threading.Event
+    config: Config, world: World, drive: DriveTrain, bus: SimBus, stop: threading.Event
 ) -> None:
     """Send what is seen at t, wait for the command that answers t, drive one step, again."""
     rigs, first = make_rigs(config, world), True
@@ -158,14 +158,14 @@ def run_lockstep(
         motion = drive.motion
         for rig in rigs:
             rig.look(motion.pose)
-        answer = _ask(motion, rigs, link, stop, first)
+        answer = _ask(motion, rigs, bus, stop, first)
         # Unanswered, the robot stands: what was asked of it before is no answer to what it sees.
         command, first = ((0.0, 0.0), first) if answer is None else (answer, False)
         drive.step(config.sim.step_s, *command)
 
 
 def _ask(
-    motion: Motion, rigs: list[Rig], link: Link, stop: threading.Event, first: bool
+    motion: Motion, rigs: list[Rig], bus: SimBus, stop: threading.Event, first: bool
 ) -> tuple[float, float] | None:
     """Send one instant, again and again, until a command bears its stamp.
 
@@ -177,12 +177,12 @@ def _ask(
         now_s = time.monotonic()
         if now_s - sent_s > REPEAT_S:
             sent_s = now_s
-            link.send([odometry_message(motion), truth_message(motion)])
+            bus.send([odometry_message(motion), truth_message(motion)])
             for rig in rigs:
-                link.send(rig.description(stamp_ns))
+                bus.send(rig.description(stamp_ns))
             for rig in rigs:
-                link.send(rig.messages(stamp_ns))
-        for answered_ns, v, w in link.commands():
+                bus.send(rig.messages(stamp_ns))
+        for answered_ns, v, w in bus.commands():
             if answered_ns == stamp_ns:
                 return v, w
         if now_s - begun_s > ANSWER_TIMEOUT_S and not warned:

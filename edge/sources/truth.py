@@ -14,7 +14,7 @@ from edge.bus import topics
 from edge.bus.session import Ring
 from edge.bus.wire import DecodeError, messages
 from edge.config import Config
-from edge.perception.sim_detector import Segmentation, Truth
+from edge.perception.sim_detector import Segmentation, TruthAt
 
 log = logging.getLogger("edge.sources.truth")
 
@@ -72,7 +72,7 @@ class TruthInbox:
                 log.debug("%s: %s", topics.SEGMENTATION.key, error)
 
 
-def make_truth(config: Config, session: zenoh.Session) -> Truth | None:
+def make_truth(config: Config, session: zenoh.Session) -> TruthAt | None:
     """What the detector `sim` looks things up in; None for one that looks at pictures."""
     return TruthInbox(config, session).at if config.perception.detector.kind == "sim" else None
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from exporters.mini import looks
-from exporters.mini.loss import Truth
+from exporters.mini.loss import Labels
 from exporters.mini.views import HEIGHT_PX, WIDTH_PX, Frames, whole
 
 PAD = 114
@@ -35,11 +35,11 @@ AHEAD = 6
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Pictures (b, 3, h, w) uint8, phrases (b, k, 3) int64, and the truth."""
+    """Pictures (b, 3, h, w) uint8, phrases (b, k, 3) int64, and their labels."""
 
     images: Tensor
     phrases: Tensor
-    truth: Truth
+    labels: Labels
 
 
 def cut(
@@ -148,9 +148,9 @@ def make_batch(
         same = objects["category"][:, None] == phrases[i][None, :, 0]
         hard[i, :m] = same & (said == looks.NO) & good[:, None]
     most = max(1, int(boxes.any(2).sum(1).max()))
-    truth = Truth(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
+    labels = Labels(*(torch.from_numpy(x[:, :most]) for x in (boxes, taught, answers, hard)))
     planes = torch.from_numpy(images).permute(0, 3, 1, 2)
-    return Batch(planes, torch.from_numpy(phrases), truth)
+    return Batch(planes, torch.from_numpy(phrases), labels)
 
 
 def batches(

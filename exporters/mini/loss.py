@@ -24,7 +24,7 @@ HARD_WEIGHT = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class Labels:
     """A batch of what is in the pictures; o things per picture, padded.
 
     Attributes:
@@ -61,7 +61,7 @@ def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
 
 
 @torch.no_grad()
-def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, truth: Truth) -> tuple[Tensor, Tensor]:
+def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tuple[Tensor, Tensor]:
     """The thing each anchor answers for, and how well.
 
     Args:
@@ -72,9 +72,9 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, truth: Truth) -> tupl
     Returns:
         owner (b, a) int64, -1 for none, and quality (b, a) in 0..1.
     """
-    inside = _inside(anchors, truth.boxes) & truth.taught[:, None]
-    overlap = iou(boxes[:, :, None], truth.boxes[:, None]).clamp(0) * inside
-    named = (truth.answers == YES).to(scores.dtype)
+    inside = _inside(anchors, labels.boxes) & labels.taught[:, None]
+    overlap = iou(boxes[:, :, None], labels.boxes[:, None]).clamp(0) * inside
+    named = (labels.answers == YES).to(scores.dtype)
     count = named.sum(-1)[:, None]
     score = torch.bmm(scores, named.transpose(1, 2)) / count.clamp(1)
     score = torch.where(count > 0, score, torch.ones_like(score))
@@ -99,7 +99,7 @@ def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
 
 
 def detection_loss(
-    box: Tensor, decoded: Tensor, logits: Tensor, anchors: Tensor, stride: Tensor, truth: Truth
+    box: Tensor, decoded: Tensor, logits: Tensor, anchors: Tensor, stride: Tensor, labels: Labels
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss of a batch and its parts.
 
@@ -109,16 +109,16 @@ def detection_loss(
         logits: (b, a, k) scores before the sigmoid.
         anchors, stride: (a, 2), (a, 1).
     """
-    owner, quality = assign(logits.sigmoid(), decoded, anchors, truth)
+    owner, quality = assign(logits.sigmoid(), decoded, anchors, labels)
     at = owner.clamp(0)[..., None]
     has = (owner >= 0)[..., None]
     k = logits.shape[2]
-    said = truth.answers.gather(1, at.expand(-1, -1, k)) * has
-    hard = truth.hard.gather(1, at.expand(-1, -1, k)) & has
+    said = labels.answers.gather(1, at.expand(-1, -1, k)) * has
+    hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has
     target = quality[..., None] * (said == YES)
-    inside = _inside(anchors, truth.boxes).to(logits.dtype)
-    ignored = truth.answers == UNSURE
-    ignored |= (truth.answers == YES) & ~truth.taught[..., None]
+    inside = _inside(anchors, labels.boxes).to(logits.dtype)
+    ignored = labels.answers == UNSURE
+    ignored |= (labels.answers == YES) & ~labels.taught[..., None]
     doubtful = torch.bmm(inside, ignored.to(logits.dtype)) > 0
     weight = 1.0 + (HARD_WEIGHT - 1.0) * hard
     weight = weight * ~((said == UNSURE) | (doubtful & (said != YES) & ~hard))
@@ -127,7 +127,7 @@ def detection_loss(
 
     w = quality[owner >= 0]
     if len(w):
-        wanted = truth.boxes.gather(1, at.expand(-1, -1, 4))[owner >= 0]
+        wanted = labels.boxes.gather(1, at.expand(-1, -1, 4))[owner >= 0]
         share = w.sum().clamp(1.0)
         boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * w).sum() / share
         a = anchors.expand(len(box), -1, -1)[owner >= 0]

@@ -20,7 +20,7 @@ from exporters.files import ExportError
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import looks
 from exporters.mini.batches import Batch, batches, disturb
-from exporters.mini.loss import Truth, detection_loss
+from exporters.mini.loss import Labels, detection_loss
 from exporters.mini.net import MiniDetector, PhraseEncoder, anchor_points
 from exporters.mini.views import Frames
 
@@ -174,9 +174,9 @@ def _loss(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     images = disturb(batch.images.to(device), generator)
     images = images.contiguous(memory_format=torch.channels_last)
-    truth = Truth(
-        batch.truth.boxes.to(device), batch.truth.taught.to(device),
-        batch.truth.answers.to(device), batch.truth.hard.to(device),
+    labels = Labels(
+        batch.labels.boxes.to(device), batch.labels.taught.to(device),
+        batch.labels.answers.to(device), batch.labels.hard.to(device),
     )  # fmt: skip
     with torch.autocast(device.partition(":")[0], torch.bfloat16):
         box, embeddings = model.detector.features(images)
@@ -184,7 +184,7 @@ def _loss(
     box, logits = box.float(), model.detector.logits(embeddings.float(), text)
     anchors, stride = anchor_points(images.shape[2], images.shape[3], device)
     decoded = model.detector.decode(box, anchors, stride)
-    return detection_loss(box, decoded, logits, anchors, stride, truth)
+    return detection_loss(box, decoded, logits, anchors, stride, labels)
 
 
 def _optimizer(model: nn.Module, plan: Plan) -> torch.optim.Optimizer:

@@ -65,7 +65,7 @@ class Live:
         """Waits until it has seen more, and answered a request."""
         self.wait(ticks)
         key = self._settings.key(topics.MISSION_REQUEST)
-        assert "phase" in ask(self.peer, key, {"do": "status"}, PATIENCE_S)
+        assert "phase" in ask(self.peer, key, {"do": "status"}, PATIENCE_S, "mission")
 
 
 @contextmanager

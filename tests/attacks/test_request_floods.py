@@ -57,7 +57,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         paused = []
         try:
             for _ in range(PAUSES):
-                paused.append(ask(session, KEY, {"do": "pause"}, PATIENCE_S)["paused"])
+                paused.append(ask(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"])
                 time.sleep(0.2)
         finally:
             stop.set()
@@ -67,4 +67,4 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         assert {len(answers) for answers in answered} == {1}
         said = [json.loads(answer) for (answer,) in answered]
         assert not [answer for answer in said if "not running" in answer.get("error", "")]
-        assert ask(session, KEY, {"do": "cancel"}, PATIENCE_S)["phase"] == "failed"
+        assert ask(session, KEY, {"do": "cancel"}, PATIENCE_S, "mission")["phase"] == "failed"

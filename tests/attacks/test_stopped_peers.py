@@ -118,7 +118,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
         def request() -> None:
             while not gone.is_set():
                 do = ("pause", "resume")[len(paused) % 2]
-                paused.append(ask(asking, KEY, {"do": do}, PATIENCE_S)["paused"])
+                paused.append(ask(asking, KEY, {"do": do}, PATIENCE_S, "mission")["paused"])
                 session.put(f"{PREFIX}/answer", b"")
 
         ordering = pool.submit(request)
@@ -166,7 +166,7 @@ def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monke
         answered.clear()
         unanswered.answer({"n": "stopped"})
         for n in range(10):
-            answer = pool.submit(ask, asking, KEY, {"do": "pause"}, PATIENCE_S)
+            answer = pool.submit(ask, asking, KEY, {"do": "pause"}, PATIENCE_S, "mission")
             eventually(server.poll).answer({"n": n})
             assert answer.result(PATIENCE_S) == {"n": n}
         eventually(lambda: len(answered) == 11)

@@ -16,8 +16,9 @@ from patience import PATIENCE_S, eventually
 
 from edge.bus import requests
 from edge.bus.client import RequestError, ask
-from edge.bus.requests import MAX_BYTES, Request, RequestServer, Verb
+from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
+from edge.bus.verbs import Request, Verb
 from edge.config import Zenoh
 from edge.errors import UserError
 from edge.host.ports import free_port
@@ -63,7 +64,7 @@ class Asking:
 
     def __init__(self, session: zenoh.Session, **request: object) -> None:
         self._pool = ThreadPoolExecutor(1)
-        self._answer = self._pool.submit(ask, session, KEY, request, PATIENCE_S)
+        self._answer = self._pool.submit(ask, session, KEY, request, PATIENCE_S, "mission")
         self._pool.shutdown(wait=False)
 
     @property

@@ -41,11 +41,11 @@ def plan(steps: int, **changes) -> training.Plan:
     )
 
 
-def truth(boxes, answers=1) -> loss.Truth:
+def truth(boxes, answers=1) -> loss.Labels:
     boxes = torch.tensor(boxes, dtype=torch.float32)[None]
     said = torch.full((1, boxes.shape[1], 1), answers, dtype=torch.int8)
     taught = torch.ones(boxes.shape[:2], dtype=torch.bool)
-    return loss.Truth(boxes, taught, said, torch.zeros_like(said, dtype=torch.bool))
+    return loss.Labels(boxes, taught, said, torch.zeros_like(said, dtype=torch.bool))
 
 
 def test_the_rate_climbs_and_falls():

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from exporters.files import ExportError
-from exporters.parity import Limits, ParityReport, check_limits, compare, select_boxes
+from exporters.parity import ParityReport, Tolerance, check_tolerance, compare, select_boxes
 
 pytestmark = pytest.mark.export
 
@@ -96,24 +96,24 @@ def report(**changed: float) -> ParityReport:
     return ParityReport(**(figures | changed))
 
 
-def test_check_limits_accepts_good_figures():
-    check_limits(report(), Limits(), "card")
+def test_check_tolerance_accepts_good_figures():
+    check_tolerance(report(), Tolerance(), "card")
 
 
 @pytest.mark.parametrize(
-    ("changed", "limits", "text"),
+    ("changed", "tolerance", "text"),
     [
-        ({"recall": 0.9}, Limits(), "recall 0.9 < 0.95"),
-        ({"precision": 0.5}, Limits(), "precision 0.5 < 0.8"),
-        ({"score_error": 0.2}, Limits(score_error=0.1), "score_error 0.2 > 0.1"),
-        ({"detections": 0}, Limits(), "sees nothing above 0.3"),
-        ({"recall": NAN}, Limits(), "recall nan < 0.95"),
-        ({"score_error": NAN}, Limits(score_error=0.1), "score_error nan > 0.1"),
-        ({"max_abs_diff": NAN}, Limits(max_abs_diff=0.1), "max_abs_diff nan > 0.1"),
+        ({"recall": 0.9}, Tolerance(), "recall 0.9 < 0.95"),
+        ({"precision": 0.5}, Tolerance(), "precision 0.5 < 0.8"),
+        ({"score_error": 0.2}, Tolerance(score_error=0.1), "score_error 0.2 > 0.1"),
+        ({"detections": 0}, Tolerance(), "sees nothing above 0.3"),
+        ({"recall": NAN}, Tolerance(), "recall nan < 0.95"),
+        ({"score_error": NAN}, Tolerance(score_error=0.1), "score_error nan > 0.1"),
+        ({"max_abs_diff": NAN}, Tolerance(max_abs_diff=0.1), "max_abs_diff nan > 0.1"),
     ],
 )
-def test_check_limits_says_what_is_worse(changed, limits, text):
+def test_check_tolerance_says_what_is_worse(changed, tolerance, text):
     with pytest.raises(ExportError, match="card: ") as caught:
-        check_limits(report(**changed), limits, "card")
+        check_tolerance(report(**changed), tolerance, "card")
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)

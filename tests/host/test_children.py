@@ -45,4 +45,4 @@ def test_every_child_is_started_so(monkeypatch):
         raise AssertionError
     assert tuple(started[0][:5]) == python_module("edge.cli")
     assert python_module("edge.perception.process.serve") == link.PROGRAM
-    assert python_module("edge.models.bench.worker") == compare.WORKER
+    assert python_module("edge.models.bench.measure") == compare.MEASURE

@@ -7,8 +7,9 @@ import sys
 import time
 from functools import partial
 
-from edge.bus.requests import Request, RequestServer
+from edge.bus.requests import RequestServer
 from edge.bus.session import open_session
+from edge.bus.verbs import Request
 from edge.cli.requests import add_arguments
 from edge.config import Zenoh
 from edge.errors import UserError

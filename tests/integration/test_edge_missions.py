@@ -1,4 +1,4 @@
-"""Missions as their user gives them: in words, by order, through a kill -9, and with bad input."""
+"""Missions as users give them: in words, by request, through a kill -9, and with bad input."""
 
 from __future__ import annotations
 
@@ -61,28 +61,28 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_anew(edge, end
     assert (tmp_path / "mission.json.damaged-1").read_text().startswith('{"format"')
 
 
-def test_orders_by_command(edge, endpoint, tmp_path, capsys, monkeypatch):
+def test_requests_by_command(edge, endpoint, tmp_path, capsys, monkeypatch):
     # The commands run in this process, whose signal handlers they must leave alone.
     monkeypatch.setattr("signal.signal", lambda *_: None)
     config = write_config(
         tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"}, **LOCKED
     )
 
-    def order(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:
+    def request(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:
         code = main(["mission", *map(str, arguments), "--timeout", str(timeout_s)])
         said = capsys.readouterr()
         return code, said.out or said.err
 
-    code, said = order("status", config, timeout_s=1)
+    code, said = request("status", config, timeout_s=1)
     assert code == os.EX_UNAVAILABLE
     assert "no service" in said or "cannot connect" in said, said
     run = edge("run", config).says("ready:")  # sees nothing, so that its mission does not end
-    code, said = order("status", config, "--json")
+    code, said = request("status", config, "--json")
     assert code == 0, said
     assert json.loads(said)["formula"] == "F toilet"
-    code, said = order("pause", config)
+    code, said = request("pause", config)
     assert (code, "paused" in said) == (0, True), said
-    code, said = order("resume", config)
+    code, said = request("resume", config)
     assert code == 0, said
     # What is refused leaves the running mission as it was.
     for bad, part in [
@@ -90,15 +90,15 @@ def test_orders_by_command(edge, endpoint, tmp_path, capsys, monkeypatch):
         (("new", config, "F a & G !a", "--formula"), "contradiction"),
         (("new", config, "F (a", "--formula"), "column"),
     ]:
-        code, said = order(*bad)
+        code, said = request(*bad)
         assert code == os.EX_DATAERR, said
         assert part in said
-    assert json.loads(order("status", config, "--json")[1])["formula"] == "F toilet"
-    code, said = order("new", config, "go to the sofa or the tv")
+    assert json.loads(request("status", config, "--json")[1])["formula"] == "F toilet"
+    code, said = request("new", config, "go to the sofa or the tv")
     assert code == 0, said
     edge("sim", config)
     run.says("reached: confirmed")
-    code, said = order("pause", config)
+    code, said = request("pause", config)
     assert code == os.EX_DATAERR
     assert "no mission is under way" in said
 

@@ -78,7 +78,7 @@ def release(service: subprocess.Popen, n: int = 1) -> None:
 
 
 def status(session: zenoh.Session) -> dict:
-    return ask(session, KEY, {"do": "status"}, PATIENCE_S)
+    return ask(session, KEY, {"do": "status"}, PATIENCE_S, "mission")
 
 
 def test_the_life_of_a_mission(config, service, capsys):
@@ -139,17 +139,17 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
     with pytest.raises(RequestError, match=r"edge/mission/request: no answer within 0\.3 s"):
-        ask(session, KEY, {"do": "pause"}, 0.3)
+        ask(session, KEY, {"do": "pause"}, 0.3, "mission")
     service.send_signal(signal.SIGCONT)
     assert status(session)["phase"] == "exploring"
 
 
 def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
-    ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
     with pytest.raises(RequestError, match="mission: "):
-        ask(session, KEY, {"do": "status"}, 2.0)
+        ask(session, KEY, {"do": "status"}, 2.0, "mission")
     started_service(start, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
@@ -166,19 +166,20 @@ def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(sess
         return {"do": "new", "instruction": f"slow F {thing}"}
 
     with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(ask, session, KEY, slow("sofa"), PATIENCE_S)]
+        asked = [pool.submit(ask, session, KEY, slow("sofa"), PATIENCE_S, "mission")]
         assert service.stdout.readline() == "slow\n"
         for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(pool.submit(ask, session, KEY, slow(thing), PATIENCE_S))
+            asked.append(pool.submit(ask, session, KEY, slow(thing), PATIENCE_S, "mission"))
         assert status(session)["formula"] == "F chair"
         eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert ask(session, KEY, {"do": "pause"}, PATIENCE_S)["paused"] is True
+        assert ask(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
         errors = [str(future.exception(PATIENCE_S)) for future in asked]
     assert "stopped meanwhile: give it again" in errors[0]
     assert sum("busy" in error for error in errors) == 2
     assert sum("stopped meanwhile" in error for error in errors) == 3
     release(service)
-    assert ask(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S)["formula"] == "F bed"
+    new = {"do": "new", "formula": "F bed"}
+    assert ask(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"
     assert status(session)["formula"] == "F bed"
 
 

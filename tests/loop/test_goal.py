@@ -12,7 +12,7 @@ from simulated import simulated
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
-from edge.mapping.coverage import View
+from edge.mapping.coverage import Viewpoint
 from edge.mapping.results import Frontiers
 from edge.policies.base import FRONTIER, INSTANCE, Answers, Context
 from edge.types import Goal, GoalStatus, Instance, Observation
@@ -49,10 +49,10 @@ class Map:
     def search(self, reach) -> bool:
         return True
 
-    def worth(self, view: View) -> bool:
+    def worth(self, view: Viewpoint) -> bool:
         return True
 
-    def write_off(self, view: View) -> None:
+    def write_off(self, view: Viewpoint) -> None:
         self.view = None
 
 
@@ -391,7 +391,7 @@ def test_what_was_opened_is_tried_until_the_reach_field_leads_there_and_a_fronti
 
 def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     case = Case()
-    case.map.view, case.map.camera_yaw_rad = View(1.0, 2.0, 0.5), math.pi / 2
+    case.map.view, case.map.camera_yaw_rad = Viewpoint(1.0, 2.0, 0.5), math.pi / 2
     case.turn_round()
     goal = case.tick()
     # A camera that looks aside is turned to the view.
@@ -407,7 +407,7 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
 
 def test_a_view_that_was_left_is_another_goal_when_it_is_sought_again():
     case = Case()
-    case.map.view = View(1.0, 2.0, 0.5)
+    case.map.view = Viewpoint(1.0, 2.0, 0.5)
     case.turn_round()
     goal = case.tick()
     case.goals.rest()

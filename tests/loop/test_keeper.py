@@ -19,6 +19,7 @@ from edge.mission.brief import prepare
 from edge.mission.checkpoint import load, save
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
 from edge.text import MAX_CHARS
 
 
@@ -33,7 +34,8 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
     brief = keeper.brief() or loop.service.mission.brief
     detector = make_detector(loop.config.perception, brief.targets, truth=loop.truth)
     worker = DetectorWorker(detector, inline=True)
-    loop.service = Service(loop.config, brief, worker, [loop.notes], keeper)
+    policy = make_policy(loop.config.policy)
+    loop.service = Service(loop.config, brief, worker, policy, [loop.notes], keeper)
     return keeper
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from edge.loop.search import NextBestView
-from edge.mapping.coverage import View
+from edge.mapping.coverage import Viewpoint
 
 ENOUGH = 3
 
@@ -13,8 +13,8 @@ ENOUGH = 3
 class Coverage:
     """Has some views to offer; the search for one takes `steps` calls."""
 
-    def __init__(self, *views: View, steps: int = 1) -> None:
-        self.view: View | None = None
+    def __init__(self, *views: Viewpoint, steps: int = 1) -> None:
+        self.view: Viewpoint | None = None
         self.left, self.shown = list(views), set()
         self.steps, self._calls = steps, 0
 
@@ -26,27 +26,27 @@ class Coverage:
         self.view = self.left[0] if self.left else None
         return self._calls >= self.steps
 
-    def worth(self, view: View) -> bool:
+    def worth(self, view: Viewpoint) -> bool:
         return view not in self.shown
 
-    def write_off(self, view: View) -> None:
+    def write_off(self, view: Viewpoint) -> None:
         self.left.remove(view)
 
 
 class Case:
     """A survey of a map with some views."""
 
-    def __init__(self, *views: View, steps: int = 1) -> None:
+    def __init__(self, *views: Viewpoint, steps: int = 1) -> None:
         self.coverage = Coverage(*views, steps=steps)
         self.map = SimpleNamespace(coverage=self.coverage, reach=None)
         self.survey = NextBestView(ENOUGH)
         self.images = 0
 
-    def choose(self) -> View | None:
+    def choose(self) -> Viewpoint | None:
         return self.survey.choose(self.map, self.images)
 
 
-A, B = View(1.0, 2.0, 0.5), View(3.0, 4.0, -0.5)
+A, B = Viewpoint(1.0, 2.0, 0.5), Viewpoint(3.0, 4.0, -0.5)
 
 
 def test_nothing_to_see():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated import simulated
 
-from edge.bus.requests import MAX_CHARS, Request, read_request
+from edge.bus.verbs import MAX_CHARS, Request, read_request
 from edge.loop.requests import MODEL_VERBS, handle_model, mission_verbs
 from edge.perception.cards import ModelError
 from edge.perception.sim_detector import SimDetector

@@ -20,6 +20,7 @@ from simulated import simulated
 
 from edge.errors import Stopped
 from edge.geometry import SE2
+from edge.host import resources
 from edge.loop import runner
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running, loop
@@ -145,6 +146,7 @@ def test_the_service_takes_the_stages_in_the_order_of_the_table():
 
     for index, stage in enumerate(STAGES):
         assert getattr(service, stage.name.upper()) == index
+        assert (resources.PACKAGE.parent / stage.code).exists(), stage.code
 
 
 def broken(*_, **__) -> None:

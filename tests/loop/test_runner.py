@@ -18,7 +18,7 @@ from simulated import simulated
 from edge import launch
 from edge.bus.client import ask
 from edge.config import Config
-from edge.errors import Stopped
+from edge.errors import ConfigError, Stopped
 from edge.host.ports import free_port
 from edge.launch import open_service
 from edge.loop.runner import loop
@@ -104,6 +104,20 @@ def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
         assert running.service.mission.brief.translation.instruction == expected
 
 
+NOWHERE = "no_such_module:A"
+
+
+@pytest.mark.parametrize(
+    ("section", "named"),
+    [("policy", {"kind": NOWHERE}), ("source", {"kind": NOWHERE}), ("sinks", [NOWHERE])],
+)
+def test_whatever_is_named_is_looked_up_before_anything_is_begun(monkeypatch, section, named):
+    monkeypatch.setattr(launch, "prepare", None)
+    settings = simulated({section: named})
+    with pytest.raises(ConfigError, match=section), open_service(settings, []):
+        raise AssertionError
+
+
 STEPS = ["prepare", "make_detector", "make_scorers", "warm_up"]
 
 
@@ -150,7 +164,7 @@ def test_after_a_formula_requests_are_read_by_the_configured_translator():
         open_service(settings, [], formula="F chair") as running,
     ):
         assert running.service.mission.brief.targets == ("chair",)
-        answer = pool.submit(ask, running.session, key, request, PATIENCE_S)
+        answer = pool.submit(ask, running.session, key, request, PATIENCE_S, "mission")
         answer.add_done_callback(lambda _: stop.set())
         loop(running, stop)
         assert answer.result()["formula"] == "F sofa"

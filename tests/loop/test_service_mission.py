@@ -6,7 +6,7 @@ import pytest
 from closed_loop import START_NS, ClosedLoop
 from simulated import simulated
 
-from edge.bus.requests import Request
+from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
 from edge.loop.requests import handle_mission

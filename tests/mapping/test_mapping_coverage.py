@@ -12,7 +12,7 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, complete, look, room, se
 
 from edge.geometry import SE2, optical, se3
 from edge.mapping import coverage as cv
-from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, View
+from edge.mapping.coverage import COUNT, KEEP, WRITE_OFF, Coverage, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import FREE, OCCUPIED, make_layers
 from edge.mapping.window import Window
@@ -32,7 +32,7 @@ def explored(half_m: float = 2.0) -> RollingMap:
     return grid
 
 
-def searched(grid: RollingMap) -> View | None:
+def searched(grid: RollingMap) -> Viewpoint | None:
     grid.coverage.start_over()
     while not grid.coverage.search(grid.reach):
         pass

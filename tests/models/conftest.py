@@ -105,8 +105,8 @@ def server(monkeypatch):
 
 
 @pytest.fixture
-def store(tmp_path, monkeypatch):
-    """An empty folder of cards and an empty cache; `store(card)` puts a card there."""
+def put_card(tmp_path, monkeypatch):
+    """An empty folder of cards and an empty cache; `put_card(card)` puts a card there."""
     folder = tmp_path / "cards"
     folder.mkdir()
     monkeypatch.setattr(resources, "data_dir", lambda kind: folder)

@@ -20,7 +20,7 @@ from edge.cli import main as cli
 from edge.errors import UserError
 from edge.geometry import invert
 from edge.host import resources
-from edge.models.bench import compare, frames, report, variants, worker
+from edge.models.bench import compare, frames, measure, report, variants
 from edge.models.bench.boxes import (
     KIND,
     NAMED,
@@ -249,15 +249,15 @@ def test_how_labels_answer_to_prompts():
 # -- the command ------------------------------------------------------------------------------
 
 WORDS = ["chair", "sofa", "bed", "television", "trash can"]
-WORKER = """
+MEASURE = """
 import os, signal, sys
 from pathlib import Path
 from edge.host import resources
 resources.data_dir = lambda kind: Path({folder!r})
-from edge.models.bench import worker
+from edge.models.bench import measure
 if b"tiny-crash" in Path(sys.argv[1]).read_bytes():
     os.kill(os.getpid(), signal.SIGSEGV)
-sys.exit(worker.main(sys.argv[1:]))
+sys.exit(measure.main(sys.argv[1:]))
 """
 
 
@@ -304,9 +304,9 @@ def place(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_VOCABULARY", str(tmp_path / "words.npz"))
     monkeypatch.setattr(cli, "setup", lambda *_: None)
     np.savez(tmp_path / "words.npz", names=np.array(WORDS), emb=np.eye(len(WORDS), 16))
-    worker = tmp_path / "worker.py"
-    worker.write_text(WORKER.format(folder=str(folder)))
-    monkeypatch.setattr(compare, "WORKER", (sys.executable, str(worker)))
+    program = tmp_path / "measure.py"
+    program.write_text(MEASURE.format(folder=str(folder)))
+    monkeypatch.setattr(compare, "MEASURE", (sys.executable, str(program)))
     resources.models_dir().mkdir(parents=True)
 
     def put(name, content, precision="fp32", task="detect"):
@@ -411,9 +411,9 @@ def test_a_folder_of_images_gives_no_truth(place, tmp_path, capsys):
 
 def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     place("tiny-fp32", b"x")
-    (tmp_path / "worker.py").write_text("import time; time.sleep(1000)")
+    (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
-    made = compare.Bench(tmp_path, worker.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
+    made = compare.Bench(tmp_path, measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 
@@ -481,10 +481,10 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
     ("on", "name"),
     [("cpu", None), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
 )
-def test_a_worker_tells_which_gpu_it_used(monkeypatch, on, name):
-    monkeypatch.setattr(worker, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
+def test_the_process_tells_which_gpu_it_used(monkeypatch, on, name):
+    monkeypatch.setattr(measure, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
     settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
-    assert worker.used_gpu(settings) == name
+    assert measure.used_gpu(settings) == name
 
 
 def test_the_table_has_a_line_for_each_footnote():
@@ -525,12 +525,12 @@ def test_without_a_runtime_it_says_what_to_install(monkeypatch):
         variants.providers_here(None)
 
 
-def test_a_worker_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
+def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
     def fail(job):
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr(worker, "setup", lambda *_: None)
-    monkeypatch.setattr(worker, "measure", fail)
+    monkeypatch.setattr(measure, "setup", lambda *_: None)
+    monkeypatch.setattr(measure, "measure", fail)
     (tmp_path / "job").write_bytes(pickle.dumps("x"))
-    assert worker.main([str(tmp_path / "job"), str(tmp_path / "out")]) == 1
+    assert measure.main([str(tmp_path / "job"), str(tmp_path / "out")]) == 1
     assert capsys.readouterr().out == "RuntimeError: two lines\n"

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from edge.config import Robot
 from edge.geometry import SE2
 from edge.motion import pursuit
-from edge.motion.pursuit import STOP, Command, Limits
+from edge.motion.pursuit import STOP, Command, MotionLimits
 
-LIMITS = Limits.of(Robot())
+LIMITS = MotionLimits.of(Robot())
 coordinates = st.floats(-20, 20)
 angles = st.floats(-math.pi, math.pi)
 ROUNDING = 1 + 1e-9

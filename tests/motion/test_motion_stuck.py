@@ -10,7 +10,7 @@ import pytest
 from edge.config import Robot
 from edge.geometry import SE2, Grid
 from edge.motion.progress import DETOURS, Progress
-from edge.motion.pursuit import Limits
+from edge.motion.pursuit import MotionLimits
 from edge.motion.recovery import BACK_M, TIME_NS, Recovery
 from edge.motion.stuck import StuckDetector
 from edge.trajectory.costmap import from_weights
@@ -102,7 +102,7 @@ def test_progress_forgives_detours_but_not_for_ever():
 
 def _recovery(weights: np.ndarray) -> Recovery:
     costmap = from_weights(Grid(weights, (0.0, 0.0), 0.1))
-    return Recovery(HERE, costmap, Limits.of(Robot()), 0)
+    return Recovery(HERE, costmap, MotionLimits.of(Robot()), 0)
 
 
 def test_recovery_backs_up_where_the_map_is_open():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge.report import page
-from edge.report.record import Frame
+from edge.report.record import Keyframe
 from edge.types import Instance, MissionStatus
 
 BAD = '<script>alert("x")</script>&\'"'
@@ -78,7 +78,7 @@ def test_nothing_is_fetched(run):
 
 
 def test_text_cannot_become_markup(run):
-    frame = Frame(
+    frame = Keyframe(
         0, np.zeros((40, 50, 3), np.uint8), np.array([[1, 2, 30, 20]], np.float32),
         np.ones(1, np.float32), (BAD,), np.ones(1, bool),
     )  # fmt: skip
@@ -97,7 +97,7 @@ def test_text_cannot_become_markup(run):
 
 
 def test_boxes_outside_the_image_and_not_finite(run):
-    frame = Frame(
+    frame = Keyframe(
         0, np.zeros((40, 50, 3), np.uint8),
         np.array([[-5, -5, 500, 500], [np.nan, 0, 1, np.inf]], np.float32),
         np.ones(2, np.float32), ("a", "b"), np.zeros(2, bool),

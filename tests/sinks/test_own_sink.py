@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 from closed_loop import ClosedLoop
+from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.config import ConfigError
 from edge.config.yaml_text import parse_yaml
+from edge.loop.result import Sink
 from edge.sinks import find_sinks
 from edge.sinks.zenoh import ZenohSink
 
@@ -18,9 +20,22 @@ PAGE = Path(__file__).parents[2] / "docs" / "sinks.md"
 MAX_LINES = 40
 
 
+class Endless:
+    def tick(self, result) -> None: ...
+
+
+class Written(Endless):
+    def __init__(self, path: str) -> None:
+        Path(path).write_text("")
+
+    def close(self) -> None: ...
+
+
 def test_goals_and_status_go_over_zenoh_unless_told_otherwise():
     (make,) = find_sinks(simulated())
-    assert make.func is ZenohSink
+    sink = make(config=simulated(), session=Flooded("", ()))
+    sink.close()
+    assert isinstance(sink, ZenohSink)
     assert find_sinks(simulated({"sinks": []})) == []
 
 
@@ -39,9 +54,8 @@ def page(tmp_path, monkeypatch) -> list[object]:
 def test_a_sink_of_ones_own_is_a_file_and_a_line_of_the_configuration(page, tmp_path):
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "sinks": page}
     config = simulated({**lockstep, "mission": {"target": "television"}})
-    make_zenoh, make_own = find_sinks(config)
-    assert make_zenoh.func is ZenohSink
-    sink = make_own(None)
+    _, make_own = find_sinks(config)
+    sink = make_own(config=config, session=None)
     loop = ClosedLoop(config, sinks=[sink])
     for _ in range(30):
         loop.step()
@@ -50,6 +64,12 @@ def test_a_sink_of_ones_own_is_a_file_and_a_line_of_the_configuration(page, tmp_
     goals = [line for line in lines if line[1] != "pose"]
     assert len(lines) - len(goals) == 30
     assert [int(stamp) for stamp, *_ in goals] == [goal.stamp_ns for goal in loop.notes.goals] != []
+
+
+def made(sinks: list[object]) -> list[Sink]:
+    config = simulated({"sinks": sinks})
+    session = Flooded("", ())
+    return [make(config=config, session=session) for make in find_sinks(config)]
 
 
 @pytest.mark.parametrize(
@@ -61,8 +81,14 @@ def test_a_sink_of_ones_own_is_a_file_and_a_line_of_the_configuration(page, tmp_
         ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options: .*'hz'"),
         ([{"kind": "zenoh", "option": {}}], r"sinks\.0\.option: unknown key"),
         ([7], r"sinks\.0: expected a section"),
+        (["builtins:object"], r"sinks\.0\.kind: builtins:object is no sink: it has no tick\(\)"),
+        ([f"{__name__}:Endless"], r"sinks\.0\.kind: .*:Endless is no sink: it has no close\(\)"),
+        (
+            [{"kind": f"{__name__}:Written", "options": {"path": "/nowhere/way.csv"}}],
+            r"sinks\.0\.options: .*:Written: FileNotFoundError: .*'/nowhere/way\.csv'",
+        ),
     ],
 )
-def test_what_is_wrong_with_a_name_is_told_in_one_line(sinks, said):
+def test_what_is_wrong_with_it_is_told_in_one_line(sinks, said):
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
-        find_sinks(simulated({"sinks": sinks}))
+        made(sinks)

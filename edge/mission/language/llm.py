@@ -150,7 +150,7 @@ def _phrases(run: list[str]) -> Iterator[str]:
             yield " ".join(before[first:end])
 
 
-log = logging.getLogger("edge.mission")
+log = logging.getLogger(__name__)
 
 MAX_TOKENS = 256  # six objects in three branches with two conditions take about 120
 MAX_FORMULA_CHARACTERS = 4000

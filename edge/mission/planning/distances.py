@@ -60,9 +60,10 @@ def distances(
     # One cell of border, closed, so that the wavefront needs no checks.
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
-    corner, reach = np.array(snapshot.origin_xy_m) - side_m, snap_m / side_m
-    ends = [_ends(state, (np.reshape(p, (-1, 2)) - corner) / side_m, reach) for p in positions]
-    robot = nearest_cell(state, *(np.array(robot_xy_m) - corner) / side_m, reach)
+    x_m, y_m = snapshot.origin_xy_m
+    blocks, reach = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
+    ends = [_ends(state, blocks.of_metres(np.reshape(p, (-1, 2))), reach) for p in positions]
+    robot = nearest_cell(state, *blocks.of_metres(robot_xy_m), reach)
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
     weight = np.array([0, 1.0, unknown_cost])
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)

@@ -33,17 +33,17 @@ class Surveyor:
         rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
         return rested and self._worker.idle
 
-    def ask(self, grid: RollingMap, pose: SE2, places: list[np.ndarray], now_ns: int) -> None:
+    def ask(self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int) -> None:
         """Begin a survey.
 
         Args:
-            places: for each letter of the automaton the (m, 2) positions of its known instances.
+            positions: for each letter of the automaton the (m, 2) positions of its known instances.
         """
         self._asked_ns, round_ = now_ns, self._round
 
         def survey() -> tuple[int, np.ndarray]:
             here = (pose.x_m, pose.y_m)
-            return round_, distances(grid.snapshot(inflated=50), here, places)
+            return round_, distances(grid.snapshot(inflated=50), here, positions)
 
         self._worker.submit(survey)
 

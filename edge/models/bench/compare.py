@@ -21,17 +21,17 @@ from edge.host.children import python_module
 from edge.host.private_folder import private_folder
 from edge.models.bench import boxes, frames, report
 from edge.models.bench.frames import Frames
+from edge.models.bench.measure import Job, Measured
 from edge.models.bench.report import Report
 from edge.models.bench.variants import PROVIDERS, Variant, families, providers_here, variants
-from edge.models.bench.worker import Job, Measured
 from edge.perception.cards import how_to_get, load_detector_card
 from edge.perception.encoders import make_text_encoder
 from edge.perception.model_file import remembered_sha256
 
-log = logging.getLogger("edge.eval.bench")
+log = logging.getLogger(__name__)
 
 Results = list[tuple[Variant, Union[Measured, str]]]
-WORKER = python_module("edge.models.bench.worker")
+MEASURE = python_module("edge.models.bench.measure")
 VERSION = 1
 STAGES = ("pre", "session", "post")
 _FRAME_S = 2.0
@@ -87,7 +87,7 @@ class Bench:
     Attributes:
         folder: for files that pass between the processes.
         job: but for the model and its providers.
-        limit_s: a worker that takes longer is ended.
+        limit_s: a process that takes longer is ended.
     """
 
     folder: Path
@@ -104,7 +104,7 @@ class Bench:
         job_file.write_bytes(pickle.dumps(replace(self.job, detector=detector)))
         try:
             done = subprocess.run(
-                [*WORKER, str(job_file), str(out)], stdout=subprocess.PIPE, text=True,
+                [*MEASURE, str(job_file), str(out)], stdout=subprocess.PIPE, text=True,
                 errors="replace", check=False, timeout=self.limit_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
@@ -116,7 +116,7 @@ class Bench:
 
 
 def _reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Why a worker ended: its signal, or its last line on stdout."""
+    """Why a process ended: its signal, or its last line on stdout."""
     if done.returncode < 0:
         return f"its process was ended by signal {-done.returncode}"
     lines = done.stdout.split("\n")

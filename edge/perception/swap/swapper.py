@@ -26,7 +26,7 @@ from edge.perception.worker import DetectorWorker
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-log = logging.getLogger("edge.swap")
+log = logging.getLogger(__name__)
 
 Make = Callable[..., Detector]
 """Called like `make_detector`."""

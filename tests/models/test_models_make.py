@@ -29,10 +29,10 @@ SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "d
 
 
 @pytest.fixture
-def started(store, monkeypatch):
+def started(put_card, monkeypatch):
     """The command lines of the exporters that would have been started."""
     for card in (ORIGINAL, DERIVED, SCORER, TRAINED):
-        store(card)
+        put_card(card)
     lines = []
 
     class Done:
@@ -44,8 +44,8 @@ def started(store, monkeypatch):
 
 
 @pytest.mark.parametrize("sources", [[], ORIGINAL["sources"]])
-def test_no_weights_here(started, store, capsys, sources):
-    store({**DERIVED, "sources": sources})
+def test_no_weights_here(started, put_card, capsys, sources):
+    put_card({**DERIVED, "sources": sources})
     assert main(["models", "export", "small"]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
     assert "name them with --weights" in error

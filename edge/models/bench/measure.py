@@ -1,4 +1,4 @@
-"""One model alone in a process: `python -m edge.models.bench.worker JOB OUT`, both pickled.
+"""One model alone in a process: `python -m edge.models.bench.measure JOB OUT`, both pickled.
 
 Whatever it costs here, in time or memory, is this model's doing; if it crashes, nothing else does.
 """
@@ -32,7 +32,7 @@ WARM_FRAMES = 5
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a worker does.
+    """What such a process does.
 
     Attributes:
         detector: the model and how to run it.
@@ -48,7 +48,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What a worker leaves.
+    """What such a process leaves.
 
     Attributes:
         stages_ns: (n, 3) int64: making the input, the session, finding boxes, of each frame.
@@ -149,6 +149,6 @@ def _tell(health: Health) -> None:
 
 
 if __name__ == "__main__":
-    from edge.models.bench import worker  # whose types are pickled by this name
+    from edge.models.bench import measure as module  # whose types are pickled by this name
 
-    sys.exit(worker.main(sys.argv[1:]))
+    sys.exit(module.main(sys.argv[1:]))

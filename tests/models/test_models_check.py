@@ -58,12 +58,12 @@ def onnx_of(text):
 
 
 @pytest.fixture
-def put(store):
+def put(put_card):
     """put(task, change=(old, new)): a card named as its task, and the model it is of."""
     resources.models_dir().mkdir(parents=True)
 
     def write(task, change=("", ""), digest=None):
-        store({"name": task, "file": f"{task}.onnx", "task": task, **SHARED, **CARDS[task]})
+        put_card({"name": task, "file": f"{task}.onnx", "task": task, **SHARED, **CARDS[task]})
         content = onnx_of(MODELS[task].replace(*change))
         path = resources.models_dir() / f"{task}.onnx"
         path.write_bytes(content)
@@ -81,16 +81,16 @@ def check(capsys, *words):
     return code, out.splitlines(), err.splitlines()
 
 
-def test_nothing_to_check(store, capsys):
+def test_nothing_to_check(put_card, capsys):
     code, out, (error,) = check(capsys)
     assert (code, out) == (1, [])
     assert "edge models list" in error
 
 
-def test_all_that_is_here(put, store, capsys):
+def test_all_that_is_here(put, put_card, capsys):
     for task in MODELS:
         put(task)
-    store({"name": "missing", "file": "no.onnx", "task": "text", **SHARED, **CARDS["text"]})
+    put_card({"name": "missing", "file": "no.onnx", "task": "text", **SHARED, **CARDS["text"]})
     code, out, err = check(capsys)
     assert (code, err) == (0, [])
     assert out == [
@@ -100,11 +100,11 @@ def test_all_that_is_here(put, store, capsys):
     ]
 
 
-def test_a_scorer_is_checked_by_its_parts(put, store, capsys):
+def test_a_scorer_is_checked_by_its_parts(put, put_card, capsys):
     put("text")
     put("image")
     scorer = {"name": "clip", "family": "f", "task": "similarity", "license": "MIT"}
-    store(scorer | {"image_encoder": "image", "text_encoder": "text"})
+    put_card(scorer | {"image_encoder": "image", "text_encoder": "text"})
     code, out, _ = check(capsys, "clip")
     assert (code, len(out)) == (0, 2)
     assert main(["models", "check", "clip", "--file", "x.onnx"]) == os.EX_UNAVAILABLE
