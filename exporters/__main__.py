@@ -19,12 +19,12 @@ import yaml
 
 from edge.errors import UserError
 from edge.host import resources
-from edge.host.files import write_atomically
+from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
 from edge.perception.card_types import DetectCard
 from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
-from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.files import ExportError, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
 from exporters.parity import (

@@ -1,11 +1,7 @@
-"""Files in and out of an export: digests, atomic writes, errors that say what to do."""
+"""Files that an export reads: digests, errors that say what to do."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from edge.errors import UserError
@@ -32,20 +28,3 @@ def check_sha256(path: Path, expected: str) -> None:
             f"{path}: sha256 is {found[:12]}…, expected {expected[:12]}…; not loaded, since a "
             "checkpoint can run code: fetch the file again from the card's sources"
         )
-
-
-@contextmanager
-def replace_atomically(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place if the block succeeds."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.host.files import open_regular, read_regular
-from exporters.files import ExportError, replace_atomically
+from edge.host.files import open_regular, read_regular, replace_atomically
+from exporters.files import ExportError
 
 DIM = 512
 _METADATA = Path("datasets/metadata")

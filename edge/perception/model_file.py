@@ -54,7 +54,6 @@ def fresh_sha256(path: Path) -> str:
         return digest
     known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
     with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
-        file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps(known, indent=1).encode())
     return digest
 

@@ -22,8 +22,9 @@ import torch
 import yaml
 from torch import nn
 
+from edge.host.files import replace_atomically
 from exporters.calibration import Feed
-from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.files import ExportError, sha256_of
 from exporters.images import as_input
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import evaluate, looks

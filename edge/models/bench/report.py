@@ -209,7 +209,6 @@ def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int |
 
 def _replace(path: Path, text: str) -> None:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error.strerror}") from None
