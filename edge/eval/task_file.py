@@ -12,6 +12,7 @@ from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
 from edge.host.files import read_regular, write_atomically
 from edge.mission.ltl import parse, propositions, to_text
+from edge.text import read_json_object
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 
@@ -77,11 +78,9 @@ def _task(line: str) -> Task:
         ValueError, UserError: what is wrong with the line.
     """
     try:
-        data = json.loads(line)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON; every line is one task") from None
-    if not isinstance(data, dict):
-        raise ValueError(f"expected an object with {', '.join(FIELDS)}")
+        data = read_json_object(line)
+    except ValueError as error:
+        raise ValueError(f"{error}; every line is one task, with {', '.join(FIELDS)}") from None
     for field, kind in FIELDS.items():
         if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
             raise ValueError(f"{field}: expected {kind.__name__}, got {data.get(field)!r:.60}")

@@ -28,7 +28,7 @@ from edge.host.bars import counted
 from edge.host.files import open_regular
 from edge.mission.ltl import STRENGTH, UNARY, Formula, FormulaError, ap, conj, disj, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
-from edge.text import one_line
+from edge.text import aligned, one_line
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
@@ -166,15 +166,7 @@ def table(title: str, counts: dict[str, Any]) -> str:
     rows.append(["all", [counts[c] for c in columns]])
     head = [title, "cases", *OUTCOMES, "not expressible"]
     lines = [head, *([name, sum(cells[:-1]), *cells] for name, cells in rows)]
-    widths = [max(len(str(line[i])) for line in lines) for i in range(len(head))]
-    return "\n".join(
-        "  ".join([str(name).ljust(widths[0]), *map(_right, cells, widths[1:])])
-        for name, *cells in lines
-    )
-
-
-def _right(cell: object, width: int) -> str:
-    return str(cell).rjust(width)
+    return aligned(lines, left=1)
 
 
 def failure_lines(scores: Iterable[Score]) -> Iterator[str]:

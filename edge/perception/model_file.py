@@ -16,6 +16,7 @@ from pathlib import Path
 from edge.errors import UnavailableError
 from edge.host import resources
 from edge.host.files import open_regular, read_regular, write_atomically
+from edge.text import read_json_object
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
 """Variable of the environment; not empty, remembered hashes are not computed again."""
@@ -104,7 +105,6 @@ def _memory_file() -> Path:
 
 def _memory() -> dict[str, object]:
     try:
-        known = json.loads(read_regular(_memory_file()))
-    except (OSError, ValueError, RecursionError):
+        return read_json_object(read_regular(_memory_file()))
+    except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}

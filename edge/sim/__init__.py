@@ -1,1 +1,4 @@
-"""Simulated houses and robots, which speak to the service as real sensors do."""
+"""Simulated houses and robots, which speak to the service as real sensors do.
+
+Nothing that runs on a robot imports it.
+"""

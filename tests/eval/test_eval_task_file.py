@@ -40,7 +40,7 @@ def test_other_names_for_objects_are_mapped(tmp_path):
         (b"\xff\xfe", "not UTF-8"),
         ("{", "line 1: not JSON"),
         ("[" * 100_000, "line 1: not JSON"),
-        ("3", "line 1: expected an object with id, template"),
+        ("3", "line 1: not a JSON object; every line is one task, with id, template"),
         (json.dumps(GOOD) + "\n{}", "line 2: id: expected int, got None"),
         (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: id 0 was there before"),
         ({**GOOD, "id": True}, "id: expected int"),
