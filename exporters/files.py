@@ -1,7 +1,10 @@
-"""Files that an export reads: digests, errors that say what to do."""
+"""Files that an export reads, and errors that say what to do."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 
 from edge.errors import UserError
@@ -10,6 +13,21 @@ from edge.perception import model_file
 
 class ExportError(UserError):
     """An error that the user can act on; its text is one line: what, where, what to do."""
+
+
+def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., int]:
+    """A program whose errors that a user can act on are a line on stderr, and exit code 1."""
+
+    @wraps(main)
+    def told(argv: list[str] | None = None) -> int:
+        try:
+            main(argv)
+        except UserError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+        return 0
+
+    return told
 
 
 def sha256_of(path: Path) -> str:

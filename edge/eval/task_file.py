@@ -10,7 +10,7 @@ from edge import names
 from edge.errors import UserError
 from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
-from edge.host.files import read_regular, write_atomically
+from edge.host.files import read_regular, save
 from edge.mission.ltl import parse, propositions, to_text
 from edge.text import read_json_object
 
@@ -25,7 +25,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
     """Replace `path` with the tasks, one a line.
 
     Raises:
-        TaskFileError: the file cannot be written.
+        FileError: the file cannot be written.
     """
     lines = [
         json.dumps(
@@ -39,10 +39,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
         )
         for task in tasks
     ]
-    try:
-        write_atomically(path, ("\n".join(lines) + "\n").encode())
-    except OSError as error:
-        raise TaskFileError(f"{path}: cannot be written: {error.strerror}") from None
+    save(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_tasks(path: Path) -> list[Task]:

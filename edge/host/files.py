@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from edge.errors import FileError
+
 MAX_TEXT_BYTES = 64 << 20
 """No text that a person or a program writes for `edge` is longer."""
 
@@ -77,6 +79,18 @@ def write_atomically(path: Path, content: bytes) -> None:
     """Replace `path` with `content`; see `replace_atomically`."""
     with replace_atomically(path) as beside:
         beside.write_bytes(content)
+
+
+def save(path: Path, content: bytes) -> None:
+    """`write_atomically`, of a file that a user named.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def sync(path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from edge.errors import FileError
 from edge.eval.task_file import TaskFileError, read_tasks, write_tasks
 from edge.eval.task_templates import generate
 
@@ -78,5 +79,5 @@ def test_missing_and_unwritable_files(tmp_path):
     with pytest.raises(TaskFileError, match="cannot be read: No such file"):
         read_tasks(tmp_path / "none")
     (tmp_path / "file").touch()
-    with pytest.raises(TaskFileError, match="cannot be written: "):
+    with pytest.raises(FileError, match="cannot be written: "):
         write_tasks(tmp_path / "file" / "tasks.jsonl", generate(1))
