@@ -1,4 +1,4 @@
-"""Rigid transforms and the pinhole camera.
+"""Rigid transforms, the pinhole camera, boxes in images, grids.
 
 Frames follow REP-103/105: `map` and `base` have x forward, y left, z up; the camera's
 *optical* frame has z forward, x right, y down. `T_a_b` maps points of frame b into frame a.
@@ -254,3 +254,22 @@ def optical(T: np.ndarray) -> np.ndarray:
 def optical_yaw_rad(T: np.ndarray) -> float:
     """Which way a camera at the (4, 4) pose `T` (optical) looks, seen from above."""
     return math.atan2(T[1, 2], T[0, 2])
+
+
+def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, m) intersection over union of (n, 4) and (m, 4) boxes, and over the area of the first.
+
+    0 where an area is empty.
+    """
+    low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
+    high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
+    both = np.clip(high - low, 0, None).prod(axis=2, dtype=float)
+    a, b = _area(a_xyxy)[:, None], _area(b_xyxy)[None]
+    union = a + b - both
+    iou = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
+    share = np.divide(both, a, out=np.zeros_like(both), where=a > 0)
+    return iou, share
+
+
+def _area(xyxy: np.ndarray) -> np.ndarray:
+    return np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1, dtype=float)

@@ -1,8 +1,10 @@
-"""Text from outside, and what holds a secret, made safe to log, print and send on."""
+"""Text from outside read, and made safe to log, print and send on; tables."""
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Sequence
 from typing import Any
 
 MAX_CHARS = 200
@@ -48,6 +50,50 @@ def printable_lines(text: object) -> str:
 
 def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
+
+
+def read_json(text: bytes | str) -> Any:
+    """What JSON text from outside says.
+
+    Raises:
+        ValueError: it is no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise ValueError("not JSON") from None
+
+
+def read_json_object(text: bytes | str, most: int | None = None) -> dict[str, Any]:
+    """The object that JSON text from outside is.
+
+    Raises:
+        ValueError: it is none, or longer than `most` bytes; one line.
+    """
+    if most is not None and len(text) > most:
+        raise ValueError(f"{len(text)} bytes, at most {most} are taken")
+    data = read_json(text)
+    if not isinstance(data, dict):
+        raise ValueError("not a JSON object")
+    return data
+
+
+def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
+    """A table: every column as wide as its widest cell, the first `left` (all) flush left.
+
+    >>> aligned([["name", "n"], ["chair", 3], ["tv", 12]], left=1)
+    'name    n\\nchair   3\\ntv     12'
+    """
+    texts = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    left = len(widths) if left is None else left
+    return "\n".join(
+        "  ".join(
+            text.ljust(width) if k < left else text.rjust(width)
+            for k, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in texts
+    )
 
 
 def without_secrets(data: Any) -> Any:

@@ -17,14 +17,13 @@ import numpy as np
 import onnx
 import yaml
 
-from edge.errors import UserError
 from edge.host import resources
-from edge.host.files import write_atomically
+from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
 from edge.perception.card_types import DetectCard
 from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
-from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.files import ExportError, sha256_of, tells_errors
 from exporters.fp16 import write_fp16
 from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
 from exporters.parity import (
@@ -224,7 +223,8 @@ def _version(tool: str) -> str | None:
         return None
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters", description="make a card's model file from its weights"
     )
@@ -243,15 +243,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
     args = parser.parse_args(argv)
-    try:
-        card = load_card(args.card, args.cards)
-        report = export_card(card, args)
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    card = load_card(args.card, args.cards)
+    report = export_card(card, args)
     if report is not None:
         print(report.to_json())
-    return 0
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from edge import names
-from edge.errors import UserError
 from edge.sim.procthor import read_houses
+from exporters.files import ExportError, tells_errors
 
 _RARE = 5
 """Things in fewer rooms than this are left out: their counts say nothing."""
@@ -67,26 +67,22 @@ def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
     return odd
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     """Print the table of a file of houses as JSON."""
     parser = argparse.ArgumentParser(description="Count which things stand in the same room.")
     parser.add_argument("file", type=Path, help="houses, .jsonl.gz")
-    path = parser.parse_args(arguments).file
+    path = parser.parse_args(argv).file
     try:
         table = count(read_houses(path))
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 1
     except (KeyError, TypeError, ValueError) as error:
-        print(f"{path}: not houses with rooms and objects: {error!r}", file=sys.stderr)
-        return 1
+        raise ExportError(f"{path}: not houses with rooms and objects: {error!r}") from None
     about = {
         "about": "Rooms that hold two things; row i has entries for things 0 ... i. Made by "
         "python -m exporters.cooccurrence.",
         "licence": "Counts over houses of ProcTHOR (Allen Institute for AI), Apache-2.0.",
     }
     print(json.dumps({**about, **table}, separators=(",", ":")))
-    return 0
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Files in and out of an export: digests, atomic writes, errors that say what to do."""
+"""Files that an export reads, and errors that say what to do."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 
 from edge.errors import UserError
@@ -14,6 +13,21 @@ from edge.perception import model_file
 
 class ExportError(UserError):
     """An error that the user can act on; its text is one line: what, where, what to do."""
+
+
+def tells_errors(main: Callable[[list[str] | None], object]) -> Callable[..., int]:
+    """A program whose errors that a user can act on are a line on stderr, and exit code 1."""
+
+    @wraps(main)
+    def told(argv: list[str] | None = None) -> int:
+        try:
+            main(argv)
+        except UserError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+        return 0
+
+    return told
 
 
 def sha256_of(path: Path) -> str:
@@ -32,20 +46,3 @@ def check_sha256(path: Path, expected: str) -> None:
             f"{path}: sha256 is {found[:12]}…, expected {expected[:12]}…; not loaded, since a "
             "checkpoint can run code: fetch the file again from the card's sources"
         )
-
-
-@contextmanager
-def replace_atomically(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place if the block succeeds."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -12,8 +12,9 @@ import numpy as np
 import onnx
 
 from edge.host.bars import counted
+from edge.host.files import replace_atomically
 from exporters.calibration import Feed, float_tensors, tensor_session
-from exporters.files import ExportError, replace_atomically
+from exporters.files import ExportError
 from exporters.onnx_format import check_format
 from exporters.recipes import Recipe, nodes_like
 

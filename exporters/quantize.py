@@ -20,6 +20,7 @@ import numpy as np
 import onnx
 
 from edge.host.bars import counted
+from edge.host.files import replace_atomically
 from exporters.calibration import (
     Feed,
     collect_histograms,
@@ -27,7 +28,7 @@ from exporters.calibration import (
     least_loss_range,
     silu,
 )
-from exporters.files import ExportError, replace_atomically
+from exporters.files import ExportError
 from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import TextEmbeddings, list_images, load_input
 from exporters.onnx_format import check_format

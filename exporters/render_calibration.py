@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from exporters.files import ExportError
+from exporters.files import ExportError, tells_errors
 
 SIZES_HW = ((256, 320), (480, 640))
 CAMERA_HEIGHT_M = (0.4, 0.6)
@@ -176,20 +176,16 @@ def render_set(world: TexturedWorld, count: int, seed: int, out: Path) -> list[P
     return paths
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.render_calibration")
     parser.add_argument("world", type=Path, help="mesh file, z up, metres (.glb)")
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args(argv)
-    try:
-        paths = render_set(load_world(args.world), args.count, args.seed, args.out)
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    paths = render_set(load_world(args.world), args.count, args.seed, args.out)
     print(f"{len(paths)} images in {args.out}")
-    return 0
 
 
 if __name__ == "__main__":

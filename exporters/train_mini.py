@@ -15,14 +15,15 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from exporters.files import ExportError
+from exporters.files import ExportError, tells_errors
 
 SEED, HOUSES, CORES = 0, 3000, 2
 PER_HOUSE = 11
 """Pictures of each house."""
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.train_mini",
         description="train the small detector on pictures of random houses",
@@ -43,12 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--device", help="cpu, cuda, … (default: cuda when there is one)")
     args = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    try:
-        _train(args)
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    _train(args)
 
 
 def _train(args: argparse.Namespace) -> None:

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.host.files import open_regular, read_regular
-from exporters.files import ExportError, replace_atomically
+from edge.host.files import open_regular, read_regular, replace_atomically
+from exporters.files import ExportError, tells_errors
 
 DIM = 512
 _METADATA = Path("datasets/metadata")
@@ -81,22 +81,18 @@ def read_tables(detic: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters.vocabulary", description="make a vocabulary from Detic's tables"
     )
     parser.add_argument("detic", type=Path, help="folder of a clone of facebookresearch/Detic")
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
     args = parser.parse_args(argv)
-    try:
-        words = read_tables(args.detic)
-        with replace_atomically(args.out) as made, made.open("wb") as file:
-            np.savez(file, names=np.array(list(words)), emb=np.stack(list(words.values())))
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    words = read_tables(args.detic)
+    with replace_atomically(args.out) as made, made.open("wb") as file:
+        np.savez(file, names=np.array(list(words)), emb=np.stack(list(words.values())))
     print(f"{args.out}: {len(words)} words")
-    return 0
 
 
 if __name__ == "__main__":

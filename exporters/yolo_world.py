@@ -20,7 +20,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from exporters.files import check_sha256, replace_atomically
+from edge.host.files import replace_atomically
+from exporters.files import check_sha256
 from exporters.images import TextEmbeddings
 from exporters.onnx_format import check_format, export_module
 

@@ -89,3 +89,17 @@ def shared_dir() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"test data not there: {SHARED.name}/ beside the clone")
     return SHARED
+
+
+@pytest.fixture
+def cards(tmp_path, monkeypatch):
+    """An empty folder of cards beside an empty cache of models."""
+    from edge.host import resources
+
+    folder = tmp_path / "cards"
+    folder.mkdir()
+    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
+    resources.models_dir().mkdir(parents=True)
+    return folder

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.text import MAX_CHARS, one_line, without_secrets
+from edge.text import MAX_CHARS, one_line, read_json_object, without_secrets
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,13 @@ def test_what_a_url_hides_is_not_shown(said, shown):
 def test_a_long_word_is_searched_for_urls_once():
     word = "a" * 1_000_000
     assert without_secrets(word) == word
+
+
+NO_OBJECTS = [b"", b"\xff\x00", b"[" * 100_000, b"3", b'"x"', b"[1]", b'{"a": 1}']
+
+
+@pytest.mark.parametrize("data", NO_OBJECTS)
+def test_what_is_no_json_object_of_the_size_is_one_line(data):
+    says = r"^(not JSON|not a JSON object|8 bytes, at most 7 are taken)$"
+    with pytest.raises(ValueError, match=says):
+        read_json_object(data, 100_000 if len(data) > 8 else 7)

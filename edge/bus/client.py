@@ -11,7 +11,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from edge.errors import Stopped, UnavailableError
-from edge.text import one_line
+from edge.text import one_line, read_json_object
 
 if TYPE_CHECKING:
     import zenoh
@@ -87,9 +87,7 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
 
 def _object(key: str, content: bytes, what: str) -> dict:
     try:
-        data = json.loads(content)
-    except (ValueError, RecursionError):
-        data = None
-    if not isinstance(data, dict):
-        raise RequestError(f"{what}: {key}: not the answer of a service: {content[:60]!r}")
-    return data
+        return read_json_object(content)
+    except ValueError:
+        shown = f"{content[:60]!r}"
+        raise RequestError(f"{what}: {key}: not the answer of a service: {shown}") from None

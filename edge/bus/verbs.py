@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from edge.text import one_line
+from edge.text import one_line, read_json_object
 
 log = logging.getLogger(__name__)
 
@@ -43,12 +43,7 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    try:
-        data = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    if not isinstance(data, dict):
-        raise ValueError("not a JSON object")
+    data = read_json_object(payload)
     do = data.pop("do", None)
     if not isinstance(do, str) or do not in verbs:
         raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")

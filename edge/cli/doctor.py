@@ -25,6 +25,7 @@ from urllib.parse import urlsplit
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import calibration, machine, resources
+from edge.host.files import make_writable
 from edge.text import one_line, without_secrets
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
@@ -182,27 +183,16 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
 
 def check_cache(config: Config) -> Iterator[Finding]:
     path = resources.cache_dir()
-    reason = _unwritable(path)
-    if reason:
-        todo = "name another with EDGE_CACHE_DIR"
+    try:
+        make_writable(path)
+    except OSError as error:
+        todo, reason = "name another with EDGE_CACHE_DIR", error.strerror or error
         yield Finding("warn", f"cache {path} cannot be written: {reason}", todo)
         return
     free_mb = shutil.disk_usage(path).free // _MB
     level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
     todo = "" if level == "ok" else f"models and recordings want {MIN_FREE_MB} MB: make room"
     yield Finding(level, f"cache {path}: writable, {free_mb} MB free", todo)
-
-
-def _unwritable(directory: Path) -> str:
-    """Why no file can be made in a directory; empty when one can."""
-    probe = directory / f".doctor.{os.getpid()}"
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
 
 
 # -- what the loop stands on ------------------------------------------------------------------

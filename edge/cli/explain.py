@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.errors import FileError, UserError
+from edge.errors import UserError
 from edge.host import resources
 from edge.text import one_line
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
-    from edge.host.files import write_atomically
+    from edge.host.files import save
     from edge.report import canvas, dot
     from edge.report.drawing import draw
     from edge.report.scene import make_scene
@@ -62,7 +62,4 @@ def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
         ".png": lambda: canvas.png(draw(make_scene(automaton, 0, steps))),
         ".dot": lambda: dot.to_dot(automaton, 0, steps).encode(),
     }[path.suffix]()
-    try:
-        write_atomically(path, content)
-    except OSError as error:
-        raise FileError(f"--draw: {path}: {error.strerror}") from None
+    save(path, content)

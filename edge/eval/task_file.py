@@ -10,8 +10,9 @@ from edge import names
 from edge.errors import UserError
 from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
 from edge.eval.task_templates import Task
-from edge.host.files import read_regular, write_atomically
+from edge.host.files import read_regular, save
 from edge.mission.ltl import parse, propositions, to_text
+from edge.text import read_json_object
 
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 
@@ -24,7 +25,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
     """Replace `path` with the tasks, one a line.
 
     Raises:
-        TaskFileError: the file cannot be written.
+        FileError: the file cannot be written.
     """
     lines = [
         json.dumps(
@@ -38,10 +39,7 @@ def write_tasks(path: Path, tasks: Sequence[Task]) -> None:
         )
         for task in tasks
     ]
-    try:
-        write_atomically(path, ("\n".join(lines) + "\n").encode())
-    except OSError as error:
-        raise TaskFileError(f"{path}: cannot be written: {error.strerror}") from None
+    save(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_tasks(path: Path) -> list[Task]:
@@ -77,11 +75,9 @@ def _task(line: str) -> Task:
         ValueError, UserError: what is wrong with the line.
     """
     try:
-        data = json.loads(line)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON; every line is one task") from None
-    if not isinstance(data, dict):
-        raise ValueError(f"expected an object with {', '.join(FIELDS)}")
+        data = read_json_object(line)
+    except ValueError as error:
+        raise ValueError(f"{error}; every line is one task, with {', '.join(FIELDS)}") from None
     for field, kind in FIELDS.items():
         if not isinstance(data.get(field), kind) or isinstance(data[field], bool):
             raise ValueError(f"{field}: expected {kind.__name__}, got {data.get(field)!r:.60}")

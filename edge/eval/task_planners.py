@@ -12,13 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import PlannerExpected, PlannerVitl
-from edge.eval import optimal
 from edge.eval.executor import DONE, NOTHING, Choose, Problem, Situation
 from edge.eval.lifted import MAX_OBJECTS
-from edge.mission.planner import Knowledge, Planner, make_planner
+from edge.mission.planner import Knowledge, Planner, PlannerError, make_planner
 
 OTHERS = tuple(f"other object {i}" for i in range(MAX_OBJECTS))
 """Names for what is met but not named by the (lifted) formula."""
+
+DIRECT_COST = 1e-5
+"""Of going to a known object where only explorations are to be counted; waiting costs less."""
 
 MakeForProblem = Callable[[Problem], Callable[[float], Choose]]
 
@@ -48,13 +50,20 @@ def vitl_eq1(problem: Problem) -> Callable[[float], Choose]:
     return vitl(problem, known_reached=False)
 
 
-def expected(problem: Problem) -> Callable[[float], Choose]:
-    """The service's `expected` planner, told the true p_obs and how many other objects exist."""
+def expected(problem: Problem, **config: float) -> Callable[[float], Choose]:
+    """The service's `expected` planner, told the true p_obs and how many other objects exist.
+
+    Args:
+        config: of `PlannerExpected`, besides p_obs.
+
+    Raises:
+        PlannerError: by what it returns, for a problem that is too large to be solved.
+    """
     others = problem.n_objects - problem.n_letters
 
     def at(p_obs: float) -> Choose:
-        config = PlannerExpected(p_obs=p_obs)
-        planner = make_planner(config, problem.automaton, universe_extra=others)
+        settings = PlannerExpected(p_obs=p_obs, **config)
+        planner = make_planner(settings, problem.automaton, universe_extra=others)
         return _asking(planner, problem)
 
     return at
@@ -89,14 +98,22 @@ def clairvoyant(problem: Problem) -> Callable[[float], Choose]:
 
 
 def least_explorations(problem: Problem) -> Callable[[float], Choose]:
-    """The exact optimum under the planners' information (`edge.eval.optimal`)."""
+    """The exact optimum under the planners' information: going to a known object and waiting
+    only break ties.
 
-    def at(p_obs: float) -> Choose:
-        _, action = optimal.solve(problem, p_obs)
-        table = action.tolist()
-        return lambda situation: table[situation.state][situation.seen]
+    Targets are the formula's own objects, as for every planner. At p_obs < 1/6 one that explored
+    on behalf of objects that the task does not name would gain (see `edge.eval.executor`).
+    """
+    return expected(problem, w_det=DIRECT_COST)
 
-    return at
+
+def solvable(problem: Problem) -> bool:
+    """Whether a problem is small enough for its optimum to be found."""
+    try:
+        least_explorations(problem)(1.0)
+    except PlannerError:
+        return False
+    return True
 
 
 PLANNERS = {

@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.errors import UserError
-from edge.eval import optimal
 from edge.eval.executor import COMPLETE, Problem, draws_of, run_episode
 from edge.eval.lifted import lift
-from edge.eval.task_planners import PLANNERS
+from edge.eval.task_planners import PLANNERS, solvable
 from edge.eval.task_templates import Task
 
 BATCH_EPISODES = 20
@@ -133,7 +132,7 @@ def run_batch(batch: Batch, settings: Settings) -> np.ndarray:
     entrants = [
         (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all else 0)
         for k, name in enumerate(settings.planners)
-        if name != "optimal" or optimal.solvable(problem)
+        if name != "optimal" or solvable(problem)
     ]
     for j, p_obs in enumerate(settings.p_obs):
         choosers = [(k, make(p_obs), seen) for k, make, seen in entrants]

@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from edge.config import TranslatorGrammar, TranslatorLlm
-from edge.errors import FileError, UserError
+from edge.errors import UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.task_templates import generate
 from edge.host.bars import counted
-from edge.host.files import open_regular
+from edge.host.files import open_regular, save
 from edge.mission.ltl import STRENGTH, UNARY, Formula, FormulaError, ap, conj, disj, to_text
 from edge.mission.translate import TranslationError, Translator, make_translator
-from edge.text import one_line
+from edge.text import aligned, one_line
 
 _TASKS = 2000
 _SHOWN_FAILURES = 5
@@ -166,15 +166,7 @@ def table(title: str, counts: dict[str, Any]) -> str:
     rows.append(["all", [counts[c] for c in columns]])
     head = [title, "cases", *OUTCOMES, "not expressible"]
     lines = [head, *([name, sum(cells[:-1]), *cells] for name, cells in rows)]
-    widths = [max(len(str(line[i])) for line in lines) for i in range(len(head))]
-    return "\n".join(
-        "  ".join([str(name).ljust(widths[0]), *map(_right, cells, widths[1:])])
-        for name, *cells in lines
-    )
-
-
-def _right(cell: object, width: int) -> str:
-    return str(cell).rjust(width)
+    return aligned(lines, left=1)
 
 
 def failure_lines(scores: Iterable[Score]) -> Iterator[str]:
@@ -218,8 +210,10 @@ def run(args: argparse.Namespace) -> int:
         print(table(title, counts), *_shown(lines), sep="\n", end="\n\n")
         if stopped_by is not None:
             break
-    _write(args.failures, "".join(f"{line}\n" for line in failed))
-    _write(args.out, json.dumps(result, indent=2) + "\n")
+    if args.failures is not None:
+        save(args.failures, "".join(f"{line}\n" for line in failed).encode())
+    if args.out is not None:
+        save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
     if stopped_by is not None:
         raise stopped_by
     return 0
@@ -264,12 +258,3 @@ def _config(args: argparse.Namespace) -> TranslatorGrammar | TranslatorLlm:
         return TranslatorGrammar()
     given = {"url": args.url, "model": args.model, "constrain": args.constrain}
     return TranslatorLlm(**{key: value for key, value in given.items() if value is not None})
-
-
-def _write(path: Path | None, text: str) -> None:
-    if path is None:
-        return
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from error

@@ -150,7 +150,6 @@ def save(calibration: Calibration) -> Path:
     """
     file = path()
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps(asdict(calibration), indent=1).encode())
     except OSError as error:
         why = error.strerror or error

@@ -6,8 +6,12 @@ import errno
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+
+from edge.errors import FileError
 
 MAX_TEXT_BYTES = 64 << 20
 """No text that a person or a program writes for `edge` is longer."""
@@ -43,21 +47,59 @@ def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) 
         return file.read(max_bytes)
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Replace `path` with `content`; a reader sees the old file or the new, never a part.
+@contextmanager
+def replace_atomically(path: Path, beside: Path | None = None) -> Iterator[Path]:
+    """Yield a path whose file takes the place of `path` if the block succeeds.
+
+    A reader sees the old file or the new, never a part, also after a power cut. The folder is
+    made if need be.
+
+    Args:
+        beside: the path to yield, in the same folder, for one writer at a time: what it leaves
+            there when it is killed, the next writes over. By default one that nobody else has.
 
     Raises:
         OSError: the file cannot be written; nothing is left behind.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if beside is None:
+        handle, name = tempfile.mkstemp(path.suffix, f".{path.name}.", path.parent)
+        os.fchmod(handle, 0o644)  # mkstemp's 0600 would keep a web server from reading it
+        os.close(handle)
+        beside = Path(name)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(name, 0o644)  # mkstemp's 0600 would keep a web server from reading it
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+        yield beside
+        sync(beside)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Replace `path` with `content`; see `replace_atomically`."""
+    with replace_atomically(path) as beside:
+        beside.write_bytes(content)
+
+
+def save(path: Path, content: bytes) -> None:
+    """`write_atomically`, of a file that a user named.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def sync(path: Path) -> None:
+    """Have a file's content, or the names in a folder, on the disk and not only in its cache."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def make_writable(directory: Path) -> None:
@@ -67,6 +109,5 @@ def make_writable(directory: Path) -> None:
         OSError: they cannot.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    probe = directory / ".writable"
-    write_atomically(probe, b"")
-    probe.unlink()
+    with tempfile.NamedTemporaryFile(dir=directory, prefix=".writable."):
+        pass

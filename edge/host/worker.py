@@ -92,6 +92,7 @@ class Worker(Generic[Item, Result]):
         self._result: Result | None = None
         self._busy = self._closed = False
         self._serial = self._passes = 0
+        self._round = self._begun = 0  # times that all was forgotten: by now, when work began
         self._thread: threading.Thread | None = None
         if not inline:
             # A daemon: work that hangs must not keep the process from ending.
@@ -137,6 +138,18 @@ class Worker(Generic[Item, Result]):
             result, self._result = self._result, None
         return result
 
+    def forget(self) -> None:
+        """What was submitted before is void: no result of it can be polled any more."""
+        with self._changed:
+            self._round += 1
+            waiting, unread = list(self._waiting.values()), self._result
+            self._waiting.clear()
+            self._result = None
+        for item in waiting:
+            self._drop(item)
+        if unread is not None:
+            self._drop_result(unread)
+
     def stop(self) -> None:
         """Take nothing more."""
         with self._changed:
@@ -163,6 +176,7 @@ class Worker(Generic[Item, Result]):
             self._drop(item)
             return
         self.stats.submitted += 1
+        self._begun = self._round
         if self._do(item) or not self._pause_s:
             self._passes = self._every - 1
         else:
@@ -184,7 +198,7 @@ class Worker(Generic[Item, Result]):
             self._busy = False
             if not self._waiting and not self._closed:
                 self._changed.wait(BEAT_S if self._beat is not None else None)
-            self._busy = bool(self._waiting)
+            self._busy, self._begun = bool(self._waiting), self._round
             return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
 
     def _do(self, item: Item) -> bool:
@@ -203,7 +217,8 @@ class Worker(Generic[Item, Result]):
         with self._changed:
             stats.done += 1
             stats.in_a_row, stats.last_latency_ns = 0, took_ns
-            if result is not None and not self._closed:
+            wanted = not self._closed and self._begun == self._round
+            if result is not None and wanted:
                 unread, self._result = self._result, result
                 stats.unread += unread is not None
         if unread is not None:

@@ -36,7 +36,6 @@ class _Question(NamedTuple):
 
     observation: Observation
     targets: tuple[str, ...]
-    round: int
 
 
 class _SimilarityAnswers:
@@ -55,7 +54,7 @@ class _SimilarityAnswers:
         question, rgb = looked
         seen, targets = question.observation, question.targets
         score = self._scorer.score(rgb, targets)
-        return Similarity(seen.stamp_ns, seen.pose, targets, score, question.round)
+        return Similarity(seen.stamp_ns, seen.pose, targets, score)
 
     def close(self) -> None:
         self._scorer.close()
@@ -85,10 +84,10 @@ class Scorers:
         self.answers = Answers()
         self._from_detections = from_detections
         self._detector = ""
-        self._round = 0
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
         self._choice = None if choice is None else ScorerWorker("choice", choice, rest_s, inline)
+        self._workers = [w for w in (self._similarity, self._choice) if w is not None]
 
     def ask(
         self,
@@ -107,14 +106,13 @@ class Scorers:
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            similarity.submit(_Question(observation, targets, self._round))
+            similarity.submit(_Question(observation, targets))
         if choice is not None and choice.idle:
             c = candidates
             open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
             marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
-                seen = sightings(tracker, observation)
-                choice.submit(View(observation, target, marks, seen, self._round))
+                choice.submit(View(observation, target, marks, sightings(tracker, observation)))
 
     def saw(self, detections: Detections) -> None:
         """Take the running detector's scores, where they are the similarity that is wanted."""
@@ -122,28 +120,28 @@ class Scorers:
             seen = detections.observation
             self._detector = detections.model
             score = best_scores(detections)
-            said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score, self._round)
+            said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
             self.answers = replace(self.answers, similarity=said)
 
     def take_up(self) -> None:
-        """Answers that came meanwhile are the newest, unless they are of another round."""
+        """Answers that came meanwhile are the newest."""
         similarity = None if self._similarity is None else self._similarity.poll()
-        if similarity is not None and similarity.round == self._round:
+        if similarity is not None:
             self.answers = replace(self.answers, similarity=similarity)
         choice = None if self._choice is None else self._choice.poll()
-        if choice is not None and choice.round == self._round:
+        if choice is not None:
             self.answers = replace(self.answers, choice=choice)
 
     def forget(self) -> None:
         """Another map or mission: what was said, and what is being asked, is void."""
-        self._round += 1
+        for worker in self._workers:
+            worker.forget()
         self.answers = Answers()
 
     def names(self) -> list[str]:
         """What runs, for people."""
-        workers = (self._similarity, self._choice)
         running = [self._from_detections] if self._from_detections is not None else []
-        return running + [worker.name for worker in workers if worker is not None]
+        return running + [worker.name for worker in self._workers]
 
     def status(self) -> dict[str, object]:
         """For the status message: model, counts and newest answer of each scorer that runs."""
@@ -172,9 +170,8 @@ class Scorers:
 
     def close(self) -> None:
         """Give up every question; waits for no server."""
-        for worker in (self._similarity, self._choice):
-            if worker is not None:
-                worker.close()
+        for worker in self._workers:
+            worker.close()
 
 
 def sightings(tracker: InstanceTracker, observation: Observation) -> tuple[Sighting, ...]:

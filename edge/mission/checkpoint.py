@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.errors import FileError
+from edge.host.files import replace_atomically, sync
 from edge.host.worker import Worker
 from edge.mission.saved import MAX_BYTES, Saved, decode, encode
 
@@ -43,7 +44,10 @@ def save(path: Path, saved: Saved) -> None:
         OSError: it cannot be written; the one before is untouched.
         ValueError: `saved` is no state that `load` would take.
     """
-    _replace(_real(path), encode(saved))
+    path, content = _real(path), encode(saved)
+    with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as beside:
+        beside.write_bytes(content)
+    sync(path.parent)  # or the old file may be back after a power cut
 
 
 def load(path: Path) -> Loaded:
@@ -155,34 +159,13 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _replace(path: Path, content: bytes) -> None:
-    """Put `content` in the place of `path`, on the disk and not only in its cache."""
-    # One name for all: what a killed writer leaves behind is written over by the next.
-    beside = path.with_name(f".{path.name}.tmp")
-    try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # or the old file may be back after a power cut
-    finally:
-        os.close(folder)
-
-
 def _probe(path: Path) -> None:
     """CheckpointError unless a file can be written at `path`."""
     _no_other_thing(path)
     try:
-        # Not the name that `_replace` takes: a running service may be writing there.
-        file, probe = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        os.close(file)
-        os.unlink(probe)
+        # Not the name that `save` takes: a running service may be writing there.
+        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", dir=path.parent):
+            pass
     except OSError as error:
         raise _unusable(path, error) from None
 

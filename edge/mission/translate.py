@@ -27,7 +27,6 @@ class Translation:
         english: the formula in plain English, to be shown to whoever gave the instruction.
         backend: the translator's kind.
         seconds: how long it took.
-        attempts: requests made; 1 where no server is asked.
     """
 
     instruction: str
@@ -35,7 +34,6 @@ class Translation:
     english: str
     backend: str
     seconds: float = 0.0
-    attempts: int = 1
 
     @property
     def understood(self) -> str:
@@ -48,11 +46,11 @@ class Translator:
     """Turns instructions into formulas.
 
     Attributes:
-        read: the formula that an instruction asks for, and how many requests that took.
+        read: the formula that an instruction asks for.
     """
 
     kind: str
-    read: Callable[[str], tuple[ltl.Formula, int]]
+    read: Callable[[str], ltl.Formula]
 
     def translate(self, instruction: str) -> Translation:
         """The instruction's formula.
@@ -61,9 +59,9 @@ class Translator:
             UserError: it cannot be translated; a TranslationError names the part.
         """
         began_s = time.monotonic()
-        formula, attempts = self.read(instruction)
+        formula = self.read(instruction)
         english, seconds = describe(validated(formula)), time.monotonic() - began_s
-        return Translation(instruction, formula, english, self.kind, seconds, attempts)
+        return Translation(instruction, formula, english, self.kind, seconds)
 
 
 def validated(formula: ltl.Formula) -> ltl.Formula:
@@ -81,6 +79,9 @@ def validated(formula: ltl.Formula) -> ltl.Formula:
     return formula
 
 
+_READERS = {"ltl": ltl.parse, "grammar": grammar.parse_english}
+
+
 def make_translator(config: TranslatorLtl | TranslatorGrammar | TranslatorLlm) -> Translator:
     """The translator that a configuration names.
 
@@ -91,5 +92,4 @@ def make_translator(config: TranslatorLtl | TranslatorGrammar | TranslatorLlm) -
         from edge.mission.language.llm import Model  # needs the chat client; the others do not
 
         return Translator("llm", Model(config).read)
-    parse = {"ltl": ltl.parse, "grammar": grammar.parse_english}[config.kind]
-    return Translator(config.kind, lambda instruction: (parse(instruction), 1))
+    return Translator(config.kind, _READERS[config.kind])

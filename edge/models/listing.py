@@ -6,7 +6,7 @@ import argparse
 import json
 
 from edge.perception.cards import Card, all_cards, made_parity
-from edge.text import one_line, without_secrets
+from edge.text import aligned, one_line, without_secrets
 
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
@@ -31,9 +31,7 @@ def as_table() -> str:
     rows = [_HEADINGS, *(_row(card) for card in all_cards())]
     if len(rows) == 1:
         return "no model cards"
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEADINGS))]
-    lines = ("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)
+    return aligned(rows)
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]

@@ -124,7 +124,6 @@ def keep_vocabulary(source: Path) -> Path:
     path = resources.models_dir() / VOCABULARY_FILE
     try:
         content = read_regular(source, MAX_VOCABULARY_BYTES)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content)
     except OSError as error:
         raise ModelError(

@@ -13,7 +13,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-from edge.host.files import write_atomically
+from edge.host.files import sync, write_atomically
 from edge.perception.model_file import ModelError
 
 MAX_BYTES = 4 << 30
@@ -153,7 +153,7 @@ class Part:
             if self._beside is not None:
                 write_atomically(*self._beside)
             self.path.replace(self.target)
-            _sync_folder(self.target.parent)
+            sync(self.target.parent)  # or the new name may be lost with the power
         except OSError as error:
             raise ModelError(f"{self.target}: cannot be written ({error.strerror})") from None
         return self.target
@@ -161,12 +161,3 @@ class Part:
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()  # lets the lock go too
-
-
-def _sync_folder(folder: Path) -> None:
-    """So that the new name survives a loss of power."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import zenoh
@@ -27,6 +27,7 @@ from edge.geometry import SE2, Grid, se2_of
 from edge.host.interruptible import unless_stopped
 from edge.motion.controller import Controller
 from edge.motion.pursuit import STOP, Command
+from edge.text import read_json_object
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.motion")
@@ -137,13 +138,7 @@ def parse_tick(payload: bytes) -> int:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    if len(payload) > _MAX_JSON:
-        raise ValueError(f"{len(payload)} bytes, at most {_MAX_JSON} are taken")
-    try:
-        data: Any = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    stamp = data.get("stamp") if isinstance(data, dict) else None
+    stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
         raise ValueError(f"stamp: expected nanoseconds, got {stamp!r:.40}")
     return stamp

@@ -6,7 +6,6 @@ has too means the package's card.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from pathlib import Path
@@ -30,7 +29,7 @@ from edge.perception.card_types import (
 )
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.perception.onnx_file import check_file
-from edge.text import one_line
+from edge.text import one_line, read_json_object
 
 log = logging.getLogger(__name__)
 
@@ -216,10 +215,9 @@ def _sidecar(path: Path) -> Path:
 
 def _made(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(read_regular(_sidecar(path)))
-    except (OSError, ValueError, RecursionError):
+        return read_json_object(read_regular(_sidecar(path)))
+    except (OSError, ValueError):
         return {}
-    return data if isinstance(data, dict) else {}
 
 
 def made_parity(card: FileCard) -> Parity | None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from edge.errors import UnavailableError
 from edge.host import resources
 from edge.host.files import open_regular, read_regular, write_atomically
+from edge.text import read_json_object
 
 TRUST_CACHE = "EDGE_TRUST_CACHE"
 """Variable of the environment; not empty, remembered hashes are not computed again."""
@@ -54,7 +55,6 @@ def fresh_sha256(path: Path) -> str:
         return digest
     known = {k: v for k, v in known.items() if not k.startswith(prefix)} | {key: digest}
     with contextlib.suppress(OSError):  # a read-only cache only costs hashing again
-        file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps(known, indent=1).encode())
     return digest
 
@@ -105,7 +105,6 @@ def _memory_file() -> Path:
 
 def _memory() -> dict[str, object]:
     try:
-        known = json.loads(read_regular(_memory_file()))
-    except (OSError, ValueError, RecursionError):
+        return read_json_object(read_regular(_memory_file()))
+    except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}

@@ -12,7 +12,7 @@ import numpy as np
 from edge import config, names
 from edge.perception import kernels
 from edge.perception.detector import Health
-from edge.perception.text import PromptError
+from edge.perception.text import PromptError, check_prompts
 from edge.types import Detections, Observation
 
 _FULL_VIEW = 0.02
@@ -75,13 +75,12 @@ class SimDetector:
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`."""
-        if isinstance(prompts, str) or not prompts:
-            raise PromptError("no prompt: name at least one thing to look for")
+        prompts = check_prompts(prompts)
         try:
             nouns = tuple(_noun(prompt) for prompt in prompts)
         except names.NotANameError as error:
             raise PromptError(f"prompt: {error}, such as 'chair'") from None
-        self._asked = (tuple(prompts), nouns)
+        self._asked = (prompts, nouns)
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; the observation must have depth, and a segmentation be there."""

@@ -63,14 +63,12 @@ class Similarity:
     Attributes:
         stamp_ns: of the observation, `pose` is where the robot stood then.
         score: (n,) float32, one for each target; see `SimilarityScorer.score` for the scale.
-        round: see `edge.perception.choice.question.View.round`.
     """
 
     stamp_ns: int
     pose: SE2
     targets: tuple[str, ...]
     score: np.ndarray
-    round: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,17 +45,13 @@ def spans(record: RunRecord) -> list[Span]:
     done: list[Span] = []
     pursued: Step | None = None
     settled = False
-    for step in _steps(record):
+    for step in record.steps:
         if step.kind in ("target", "end"):
             done += _span(record, pursued, record.seconds(step.stamp_ns), settled)
             pursued, settled = (step if step.kind == "target" else None), False
         elif pursued is not None and step.label == pursued.label:
             settled |= step.kind in ("reached", "failed")
     return done + _span(record, pursued, _last_s(record), True)
-
-
-def _steps(record: RunRecord) -> tuple[Step, ...]:
-    return record.story.steps if record.story is not None else ()
 
 
 def _span(record: RunRecord, step: Step | None, end_s: float, settled: bool) -> list[Span]:
@@ -69,13 +65,13 @@ def _last_s(record: RunRecord) -> float:
     """When the newest thing that the record knows of happened."""
     times = [t_s for t_s, _ in record.events[-1:]]
     times += record.trajectory_t_s[-1:].tolist()
-    times += [record.seconds(step.stamp_ns) for step in _steps(record)[-1:]]
+    times += [record.seconds(step.stamp_ns) for step in record.steps[-1:]]
     return max(times, default=0.0)
 
 
 def draw(record: RunRecord) -> Axes | None:
     """Bars for what was pursued, marks for what happened; None when there is nothing to show."""
-    steps = _steps(record)
+    steps = record.steps
     labels = list(dict.fromkeys(s.label for s in steps if s.label))
     if not labels:
         return None
@@ -146,7 +142,7 @@ def _bars(
 
 def _marks(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
     """The mission's end, and what happened to its targets; the reached ones are numbered."""
-    steps = _steps(record)
+    steps = record.steps
     for step in steps:
         if step.kind == "end":
             colour = palette.outcome_colour(record.mission.phase)

@@ -79,9 +79,9 @@ def _order_reached(record: RunRecord) -> dict[int, str]:
     Where several of a name were reached, the one nearest to the robot at that time counts.
     """
     numbers: dict[int, str] = {}
-    if record.story is None or record.story.simple:
+    if record.simple:
         return numbers
-    for number, step in enumerate(record.story.reached, start=1):
+    for number, step in enumerate(record.reached, start=1):
         there = [i for i in record.instances if i.state == "reached" and _named(i, step.label)]
         if there:
             nearest = min(there, key=lambda i: _distance_m(record, step, i))

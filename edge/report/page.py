@@ -126,9 +126,9 @@ def _tiles(record: RunRecord) -> str:
 
 
 def _reached(record: RunRecord) -> list[tuple[str, str]]:
-    if record.story is None or record.story.simple:
+    if record.simple:
         return []
-    return [(f"{len(record.story.reached)}", "reached")]
+    return [(f"{len(record.reached)}", "reached")]
 
 
 def _ms(value_ms: float, n: int) -> str:
@@ -232,8 +232,7 @@ def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) ->
 
 def _timeline(record: RunRecord) -> str:
     """Events and goals in order of time; what a mission turns on stands out."""
-    steps = record.story.steps if record.story is not None else ()
-    kinds = {step.text: step.kind for step in steps if step.kind in LOUD}
+    kinds = {step.text: step.kind for step in record.steps if step.kind in LOUD}
     goals = [
         (record.seconds(g.stamp_ns), f"goal {i}: {g.kind} {g.candidate_id} at "
          f"({g.candidate_xy_m[0]:.1f}, {g.candidate_xy_m[1]:.1f}), score {g.score:.2f}")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edge.host.files import write_atomically
 from edge.report import key, marks, palette, raster, way
 from edge.report.canvas import content
 from edge.report.record import RunRecord
@@ -40,15 +38,6 @@ class Layout(NamedTuple):
         """A box given from the upper left corner, as matplotlib wants it."""
         bottom = self.height - top - height
         return (left / self.width, bottom / self.height, width / self.width, height / self.height)
-
-
-def draw(record: RunRecord, path: Path) -> None:
-    """Draw `record` into the PNG file `path`; what it does not have is left out.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_atomically(path, png(record))
 
 
 def png(record: RunRecord) -> bytes:

@@ -11,7 +11,7 @@ import numpy as np
 from edge import names
 from edge.geometry import Grid
 from edge.loop.latency import LatencyReport
-from edge.mission.automaton import Automaton
+from edge.loop.result import MissionFacts
 from edge.types import Goal, Instance, MissionStatus, Step
 
 _NS = 1e-9
@@ -53,45 +53,12 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Story:
-    """The mission of a run: what was asked, what was understood, what became of it.
-
-    Attributes:
-        backend: what translated the instruction; `target` when there was nothing to translate.
-        state: of the automaton, at the end.
-        word: letters taken so far.
-        plan: letters to come.
-        steps: what happened, in order of time.
-    """
-
-    instruction: str
-    english: str
-    formula: str
-    backend: str
-    automaton: Automaton
-    state: int = 0
-    word: tuple[str, ...] = ()
-    plan: tuple[str, ...] = ()
-    steps: tuple[Step, ...] = ()
-
-    @property
-    def simple(self) -> bool:
-        """Whether it is about reaching one thing and no more."""
-        return len(self.automaton.letters) <= 1 and self.automaton.n_states <= 2
-
-    @property
-    def reached(self) -> tuple[Step, ...]:
-        """The steps in which something was reached."""
-        return tuple(step for step in self.steps if step.kind == "reached")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """Everything a report shows.
 
     Attributes:
         targets: boxes and instances of these names, or others for the same, are targets'.
-        story: None when it is not known.
+        story: the mission, what was understood, what became of it; None when it is not known.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
@@ -119,7 +86,25 @@ class RunRecord:
     counters: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
     machine: str = ""
-    story: Story | None = None
+    story: MissionFacts | None = None
+
+    @property
+    def simple(self) -> bool:
+        """Whether the mission was about reaching one thing and no more, as far as is known."""
+        if self.story is None:
+            return True
+        automaton = self.story.brief.automaton
+        return len(automaton.letters) <= 1 and automaton.n_states <= 2
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What happened to the mission, in order of time."""
+        return () if self.story is None else self.story.steps
+
+    @property
+    def reached(self) -> tuple[Step, ...]:
+        """The steps in which something was reached."""
+        return tuple(step for step in self.steps if step.kind == "reached")
 
     def is_target(self, label: str) -> bool:
         """Whether a prompt or an instance's label is another word for a target."""

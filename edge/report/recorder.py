@@ -13,9 +13,10 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2
 from edge.host.machine import this_cpu
-from edge.loop.result import Event, MissionFacts, TickResult
+from edge.loop.result import Event, TickResult
+from edge.mission.translate import Translation
 from edge.report.album import Album
-from edge.report.record import RunRecord, Story
+from edge.report.record import RunRecord
 from edge.text import shorten, without_secrets
 from edge.types import Goal, MissionStatus
 
@@ -130,9 +131,9 @@ class Recorder:
         more = {"goals": self._goals.count}
         if self._events.left_out:
             more["events not shown"] = self._events.left_out
-        story = story_of(end.mission())
+        story = end.mission()
         return RunRecord(
-            title=_title(story, end.status),
+            title=_title(story.brief.translation, end.status),
             config_path=self._config.path,
             robot=self._config.robot.name,
             detector=detector_name(self._config),
@@ -162,26 +163,10 @@ def _first_ns(result: TickResult) -> int | None:
     return result.events[0].now_ns if result.events else None
 
 
-def story_of(mission: MissionFacts) -> Story:
-    """A mission as its report tells it."""
-    translation, automaton = mission.brief.translation, mission.brief.automaton
-    return Story(
-        instruction=translation.instruction,
-        english=translation.english,
-        formula=str(automaton.formula),
-        backend=translation.backend,
-        automaton=automaton,
-        state=mission.state,
-        word=mission.word,
-        plan=() if automaton.accepting[mission.state] else mission.plan.steps,
-        steps=mission.steps,
-    )
-
-
-def _title(story: Story, mission: MissionStatus) -> str:
-    if story.backend == "target":
+def _title(asked: Translation, mission: MissionStatus) -> str:
+    if asked.backend == "target":
         return f"Find the {mission.target}"
-    return shorten(story.instruction, MAX_TITLE)
+    return shorten(asked.instruction, MAX_TITLE)
 
 
 def detector_name(config: Config) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from html import escape
 
+from edge.loop.result import MissionFacts
 from edge.report import canvas, drawing, gantt
-from edge.report.record import RunRecord, Story
+from edge.report.record import RunRecord
 from edge.report.scene import make_scene
 from edge.text import shorten
 
@@ -15,21 +16,29 @@ MAX_TEXT = 4000
 def section(record: RunRecord) -> str:
     """Nothing for a run that was told just to find one thing."""
     story = record.story
-    if story is None or (story.simple and story.backend == "target"):
+    if story is None:
+        return ""
+    translation, automaton = story.brief.translation, story.brief.automaton
+    if record.simple and translation.backend == "target":
         return ""
     pairs = [
-        ("asked", story.instruction),
-        ("understood as", f"{story.english} ({story.backend})"),
-        ("formula", story.formula),
-        ("reached", ", then ".join(step.label for step in story.reached) or "nothing"),
+        ("asked", translation.instruction),
+        ("understood as", f"{translation.english} ({translation.backend})"),
+        ("formula", str(automaton.formula)),
+        ("reached", ", then ".join(step.label for step in record.reached) or "nothing"),
     ]
-    if story.plan:
-        pairs.append(("left to reach", ", then ".join(a or "nothing" for a in story.plan)))
+    if to_come := _to_come(story):
+        pairs.append(("left to reach", ", then ".join(a or "nothing" for a in to_come)))
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
-    drawings = "" if story.simple else _timeline(record) + _automaton(story)
+    drawings = "" if record.simple else _timeline(record) + _automaton(story)
     return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
+
+
+def _to_come(story: MissionFacts) -> tuple[str, ...]:
+    """The letters of the plan, of which the last stays when the mission is fulfilled."""
+    return () if story.brief.automaton.accepting[story.state] else story.plan.steps
 
 
 def _class(key: str) -> str:
@@ -43,9 +52,10 @@ def _timeline(record: RunRecord) -> str:
     return f'<div class="drawing">{canvas.img(axes, gantt.in_words(record))}</div>'
 
 
-def _automaton(story: Story) -> str:
-    scene = make_scene(story.automaton, story.state, story.plan, story.word)
-    title = f"Automaton with {story.automaton.n_states} states, now in state {story.state}"
+def _automaton(story: MissionFacts) -> str:
+    automaton = story.brief.automaton
+    scene = make_scene(automaton, story.state, _to_come(story), story.word)
+    title = f"Automaton with {automaton.n_states} states, now in state {story.state}"
     words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
     return (
         f'<h2>Automaton</h2><div class="drawing">{canvas.img(drawing.draw(scene), words)}</div>'

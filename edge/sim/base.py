@@ -141,11 +141,6 @@ class World(Protocol):
         """Fill (rings, columns) float32 with ranges, NaN where nothing returns."""
 
 
-def collides(world: World, x_m: float, y_m: float, radius_m: float) -> bool:
-    """Whether a disc at a place touches anything, or leaves the world."""
-    return world.plan.clearance_at(x_m, y_m) < radius_m
-
-
 def free_poses(
     world: World, count: int, seed: int, radius_m: float, margin_m: float = 0.1
 ) -> list[SE2]:

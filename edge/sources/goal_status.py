@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 
 import zenoh
@@ -11,7 +10,7 @@ from edge.bus import topics
 from edge.bus.session import Ring
 from edge.config import Zenoh
 from edge.geometry import FARTHEST_M
-from edge.text import one_line
+from edge.text import one_line, read_json_object
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.sources.goal_status")
@@ -29,14 +28,7 @@ def parse_goal_status(payload: bytes) -> GoalStatus:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    if len(payload) > _MAX_BYTES:
-        raise ValueError(f"{len(payload)} bytes, at most {_MAX_BYTES} are taken")
-    try:
-        data = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    if not isinstance(data, dict):
-        raise ValueError("not a JSON object")
+    data = read_json_object(payload, _MAX_BYTES)
     stamp, state, reason = data.get("stamp"), data.get("state"), data.get("reason", "")
     if type(stamp) is not int:
         raise ValueError(f"stamp: expected nanoseconds, got {stamp!r:.40}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections import deque
 
@@ -15,6 +14,7 @@ from edge.bus.session import Ring
 from edge.bus.wire import DecodeError, messages
 from edge.config import Config
 from edge.perception.sim_detector import Segmentation, TruthAt
+from edge.text import read_json
 
 log = logging.getLogger("edge.sources.truth")
 
@@ -83,10 +83,7 @@ def parse_labels(payload: bytes) -> tuple[str, ...]:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    try:
-        labels = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
+    labels = read_json(payload)
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise ValueError("not a JSON list of words")
     for label in labels:

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from exporters.files import ExportError, replace_atomically
+from edge.host.files import replace_atomically
+from exporters.files import ExportError
 
 if TYPE_CHECKING:
     from exporters.mini.training import Plan

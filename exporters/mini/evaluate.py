@@ -22,7 +22,7 @@ from onnxruntime import InferenceSession
 
 from edge.config import Perception
 from edge.models.bench.boxes import overlaps
-from exporters.files import ExportError
+from exporters.files import ExportError, tells_errors
 from exporters.images import as_input
 from exporters.mini import looks
 from exporters.mini.houses import HELD_OUT
@@ -254,21 +254,17 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
         )
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.mini.evaluate")
     parser.add_argument("model", type=Path)
     parser.add_argument("--text", type=Path, help="default: mini-house-text.onnx beside the model")
     parser.add_argument("--data", type=Path, help="folder that keeps the rendered test set")
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
-    try:
-        with tempfile.TemporaryDirectory() as scratch:
-            frames = held_out_frames(args.data or Path(scratch))
-            print(measure(args.model, text, frames).table())
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    with tempfile.TemporaryDirectory() as scratch:
+        frames = held_out_frames(args.data or Path(scratch))
+        print(measure(args.model, text, frames).table())
 
 
 if __name__ == "__main__":

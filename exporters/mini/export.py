@@ -22,8 +22,9 @@ import torch
 import yaml
 from torch import nn
 
+from edge.host.files import replace_atomically
 from exporters.calibration import Feed
-from exporters.files import ExportError, replace_atomically, sha256_of
+from exporters.files import ExportError, sha256_of, tells_errors
 from exporters.images import as_input
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import evaluate, looks
@@ -167,7 +168,8 @@ def make_files(run: Path, model: Model) -> dict[str, float | int]:
     return held_out_figures(before, after, int8.stat().st_size)
 
 
-def main(argv: list[str] | None = None) -> int:
+@tells_errors
+def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(prog="python -m exporters.mini.export")
     parser.add_argument("run", type=Path, help="folder of exporters.train_mini")
     parser.add_argument("--out", type=Path, default=Path("models"))
@@ -176,20 +178,13 @@ def main(argv: list[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    try:
-        model, kept = load_model(args.run / "checkpoint.pt")
-        held_out = make_files(args.run, model)
-        if not args.no_gate:
-            evaluate.check_gate(
-                held_out, kept["step"], sum(steps for steps, *_ in kept["plan"]["stages"])
-            )
-        publish(
-            args.run, args.out, {"training": training_figures(kept), "held-out houses": held_out}
+    model, kept = load_model(args.run / "checkpoint.pt")
+    held_out = make_files(args.run, model)
+    if not args.no_gate:
+        evaluate.check_gate(
+            held_out, kept["step"], sum(steps for steps, *_ in kept["plan"]["stages"])
         )
-    except ExportError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    publish(args.run, args.out, {"training": training_figures(kept), "held-out houses": held_out})
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from edge.errors import FileError
 from edge.eval.task_file import TaskFileError, read_tasks, write_tasks
 from edge.eval.task_templates import generate
 
@@ -40,7 +41,7 @@ def test_other_names_for_objects_are_mapped(tmp_path):
         (b"\xff\xfe", "not UTF-8"),
         ("{", "line 1: not JSON"),
         ("[" * 100_000, "line 1: not JSON"),
-        ("3", "line 1: expected an object with id, template"),
+        ("3", "line 1: not a JSON object; every line is one task, with id, template"),
         (json.dumps(GOOD) + "\n{}", "line 2: id: expected int, got None"),
         (json.dumps(GOOD) + "\n" + json.dumps(GOOD), "line 2: id 0 was there before"),
         ({**GOOD, "id": True}, "id: expected int"),
@@ -77,5 +78,6 @@ def test_bad_files(tmp_path, content, message):
 def test_missing_and_unwritable_files(tmp_path):
     with pytest.raises(TaskFileError, match="cannot be read: No such file"):
         read_tasks(tmp_path / "none")
-    with pytest.raises(TaskFileError, match="cannot be written: No such file"):
-        write_tasks(tmp_path / "no" / "folder", generate(1))
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="cannot be written: "):
+        write_tasks(tmp_path / "file" / "tasks.jsonl", generate(1))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.eval import optimal, task_runs
+from edge.eval import task_runs
 from edge.eval.task_runs import NOT_RUN, Settings, run_tasks
 from edge.eval.task_templates import generate
+from edge.mission.planning import expected
 
 SETTINGS = Settings(("vitl", "random-valid", "optimal"), (0.3, 1.0), episodes=2)
 
@@ -50,7 +51,7 @@ def test_seed_is_the_luck():
 
 
 def test_optimum_of_what_is_too_large_is_left_out(monkeypatch):
-    monkeypatch.setattr(optimal, "MAX_CELLS", 1)
+    monkeypatch.setattr(expected, "MAX_VALUES", 1)
     results = run_tasks(generate(3), SETTINGS)
     assert (results.outcome[2] == NOT_RUN).all()
     assert results.complete[:2].all()

@@ -16,7 +16,7 @@ from edge.host import resources
 from edge.perception.model_file import ModelError
 from edge.perception.onnx_file import MAX_IR, MAX_OPSET
 from exporters.__main__ import load_card
-from exporters.files import ExportError, check_sha256, replace_atomically, sha256_of
+from exporters.files import ExportError, check_sha256, sha256_of
 from exporters.images import letterbox, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format
 
@@ -33,23 +33,6 @@ def test_check_sha256(tmp_path: Path):
         check_sha256(file, "0" * 64)
     with pytest.raises(ExportError, match="cannot be read"):
         sha256_of(tmp_path / "missing.pt")
-
-
-def test_replace_atomically_keeps_the_old_file_on_failure(tmp_path: Path):
-    file = tmp_path / "model.onnx"
-    file.write_text("old")
-
-    def fail_halfway() -> None:
-        with replace_atomically(file) as temporary:
-            temporary.write_text("half")
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        fail_halfway()
-    assert file.read_text() == "old"
-    with replace_atomically(file) as temporary:
-        temporary.write_text("new")
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["new"]
 
 
 def test_list_images_names_an_empty_folder(tmp_path: Path):

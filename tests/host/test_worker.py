@@ -56,6 +56,24 @@ def test_nothing_submitted_nothing_done(inline):
     assert (got, worker.stats) == ([], host.Stats())
 
 
+def test_what_was_submitted_before_a_forget_is_void(gate):
+    dropped, unread = [], []
+    worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
+    worker.submit("waits")
+    worker.forget()
+    assert dropped == ["waits"]
+    gate.open.set()
+    eventually(lambda: worker.idle)
+    assert (unread, worker.poll()) == (["first"], None)
+    worker.submit("unread")
+    eventually(lambda: worker.idle)
+    worker.forget()
+    assert (unread, worker.poll()) == (["first", "unread"], None)
+    worker.submit("after")
+    assert eventually(worker.poll) == "after"
+    worker.close()
+
+
 def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)

@@ -451,7 +451,7 @@ def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_canno
     shipped = card_path("tiny-fp32")
     own = resources.models_dir() / "tiny-own.yaml"
     own.write_text(shipped.read_text().replace("tiny-fp32", "tiny-own"))
-    monkeypatch.setattr(report, "write_atomically", refuse_the_package)
+    monkeypatch.setattr("edge.host.files.write_atomically", refuse_the_package)
     written = report.update_cards({**REPORT, "rows": [ROW, {**ROW, "name": "tiny-own"}]})
     assert next(written) == own
     with pytest.raises(UserError, match=r"^\S*fp32.yaml: cannot be written: Permission denied; "):

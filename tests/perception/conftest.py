@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from edge.geometry import CameraModel, optical, se3
-from edge.host import resources
 from edge.types import Observation
 
 sys.path.insert(0, str(Path(__file__).parent))  # for `twins`, `tiny_clip`
@@ -22,18 +21,6 @@ def vocabulary(tmp_path):
     path = tmp_path / "words.npz"
     np.savez(path, names=np.array(words), emb=2 * np.eye(len(words), 512, dtype=np.float16))
     return path
-
-
-@pytest.fixture
-def cards(tmp_path, monkeypatch):
-    """An empty folder of cards beside an empty cache of models."""
-    folder = tmp_path / "cards"
-    folder.mkdir()
-    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
-    resources.models_dir().mkdir(parents=True)
-    return folder
 
 
 @pytest.fixture

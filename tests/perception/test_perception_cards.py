@@ -32,16 +32,11 @@ DATA = onnx_bytes.detector()
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(cards):
     """An empty folder of cards and an empty cache; `write(**changes)` puts a card there."""
-    folder = tmp_path / "cards"
-    folder.mkdir()
-    monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
-    resources.models_dir().mkdir(parents=True)
 
     def write(stem="tiny", **changes):
-        (folder / f"{stem}.yaml").write_text(yaml.safe_dump({**CARD, **changes}))
+        (cards / f"{stem}.yaml").write_text(yaml.safe_dump({**CARD, **changes}))
 
     return write
 

@@ -311,7 +311,7 @@ def test_the_questions_are_the_papers(n, letters):
 def view(make_observation, **arrays):
     marks = (Mark(7, 20.0, 40.0, 0.5, 2.04), Mark(9, 60.0, 40.0, -0.1, 4.0))
     seen = (Sighting("bed", 0.21, 1.0), Sighting("tv", -0.3, 3.25))
-    return View(make_observation(seq=3, **arrays), "lamp", marks, seen, round=5)
+    return View(make_observation(seq=3, **arrays), "lamp", marks, seen)
 
 
 def test_a_view_in_words(make_observation):
@@ -357,7 +357,7 @@ def test_both_questions_make_a_choice(make_observation, kind):
         asks = scorer_of(server, kind)
         choice = put_to(asks, view(make_observation, rgb=rgb))
     assert asks.name == f"vlm at {server.url}"
-    assert (choice.stamp_ns, choice.target, choice.round) == (300_000_000, "lamp", 5)
+    assert (choice.stamp_ns, choice.target) == (300_000_000, "lamp")
     assert choice.ids == (7, 9)
     np.testing.assert_allclose(choice.p, [0.5, 0.25], rtol=1e-5)
     assert choice.elsewhere == pytest.approx(0.25)

@@ -8,16 +8,18 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from results import result
+from results import facts, result
 from simulated import simulated
 
 from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyRing
-from edge.loop.result import Event
+from edge.loop.result import Event, MissionFacts
 from edge.loop.stages import STAGES
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse as parse_ltl
-from edge.report.record import RunRecord, Story
+from edge.mission.planning.plan import DEAD
+from edge.mission.translate import Translation
+from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
 from edge.types import Detections, Goal, Instance, MissionStatus, Observation, Step
 
@@ -173,27 +175,34 @@ def story_of(
     word: tuple[str, ...] = (),
     steps: Sequence[tuple[float, str, str, str]] = (),
     instruction: str = "go there",
-) -> Story:
+) -> MissionFacts:
     """A mission that was given as a formula; steps as (seconds, kind, label, text)."""
-    automaton = compile_formula(parse_ltl(formula))
+    parsed = parse_ltl(formula)
+    automaton = compile_formula(parsed)
+    brief = replace(
+        facts().brief, automaton=automaton, targets=automaton.letters,
+        translation=Translation(instruction, parsed, "in words", "ltl"),
+    )  # fmt: skip
     told = tuple(
         Step(round(t_s * S), kind, label, 0, text)  # the states are not looked at
         for t_s, kind, label, text in steps
     )
-    state = automaton.run(word)
-    return Story(instruction, "in words", formula, "ltl", automaton, state, word, steps=told)
+    return replace(
+        facts(), brief=brief, state=automaton.run(word), word=word, plan=DEAD, steps=told
+    )
 
 
 def mission_run() -> RunRecord:
     """The same way through the flat, with a choice, a switch and a failure on it."""
     found = flat_run()
-    story = story_of(FORMULA, ("sofa", "tv"), STORY, "Go to the chair or the sofa, then to the tv.")
+    asked = "Go to the chair or the sofa, then to the tv."
+    story = story_of(FORMULA, ("sofa", "tv"), STORY, asked)
     things = [
         instance(k, label, 0.9 - 0.1 * k, "reached" if label in ("sofa", "tv") else "seen")
         for k, label in enumerate(("chair", "sofa", "tv", "bed"))
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]
     return replace(
-        found, title=story.instruction, targets=("chair", "sofa", "tv", "bed"), story=story,
+        found, title=asked, targets=("chair", "sofa", "tv", "bed"), story=story,
         instances=tuple(things), events=tuple(texts),
     )  # fmt: skip

@@ -118,13 +118,6 @@ def test_points_that_are_not_finite_do_not_stretch_the_picture(run):
     assert count(image, palette.OCCUPIED) > 5000
 
 
-def test_where_it_cannot_be_written(run, tmp_path):
-    with pytest.raises(OSError, match="nowhere"):
-        picture.draw(run, tmp_path / "nowhere" / "a.png")
-    picture.draw(run, tmp_path / "a.png")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
-
-
 def test_reached_targets_are_numbered_in_order(long_run):
     assert marks._order_reached(long_run) == {1: "1", 2: "2"}
     simple = replace(long_run, story=None)

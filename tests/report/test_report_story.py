@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import pytest
 from report_runs import FORMULA, story_of
+from results import facts
 from test_report_page import Reader
 
+from edge.mission.ltl import parse
+from edge.mission.planning.plan import DEAD
 from edge.report import page, picture, story, way
 
 BAD = '<script>alert("x")</script>'
@@ -15,8 +18,7 @@ BAD = '<script>alert("x")</script>'
 
 def test_a_run_with_one_target_has_none(run):
     assert story.section(run) == ""
-    simple = replace(story_of("F chair"), backend="target", instruction="chair")
-    assert story.section(replace(run, story=simple)) == ""
+    assert story.section(replace(run, story=facts())) == ""
 
 
 def test_an_instruction_about_one_thing_is_explained_without_drawings(run):
@@ -28,8 +30,8 @@ def test_an_instruction_about_one_thing_is_explained_without_drawings(run):
 
 def test_a_mission_is_explained_and_drawn(long_run):
     reader = Reader(page.html(long_run, b"png"))
-    for words in ("Go to the chair or the sofa, then to the tv.", "in words (ltl)", FORMULA,
-                  "sofa, then tv", "Automaton with 6 states, now in state 4",
+    for words in ("Go to the chair or the sofa, then to the tv.", "in words (ltl)",
+                  str(parse(FORMULA)), "sofa, then tv", "Automaton with 6 states, now in state 4",
                   "The mission over time", "best views of the targets"):  # fmt: skip
         assert words in reader.text
     assert "left to reach" not in reader.text
@@ -37,7 +39,8 @@ def test_a_mission_is_explained_and_drawn(long_run):
 
 
 def test_a_mission_under_way_says_what_is_to_come(long_run):
-    under_way = replace(long_run.story, word=(), state=0, steps=(), plan=("sofa", "", "tv"))
+    plan = replace(DEAD, steps=("sofa", "", "tv"))
+    under_way = replace(long_run.story, word=(), state=0, steps=(), plan=plan)
     text = Reader(story.section(replace(long_run, story=under_way))).text
     assert "left to reachsofa, then nothing, then tv" in text
     assert "reachednothing" in text
@@ -56,7 +59,7 @@ def test_any_names_and_many(run, name, n):
     letters = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
     steps = [(0.5 * k, "target", letter.strip('"'), BAD) for k, letter in enumerate(letters)]
     told = story_of(f"F({' | '.join(letters)}) & F tv", (), steps, BAD * 300)
-    record = replace(run, story=told, targets=told.automaton.letters)
+    record = replace(run, story=told, targets=told.brief.automaton.letters)
     text = page.html(record, picture.png(record))
     reader = Reader(text)
     assert "script" not in reader.tags

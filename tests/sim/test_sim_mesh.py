@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from collisions import collides
 from simulated import simulated
 
 from edge.config import Lidar
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.sim import mesh_kernels
-from edge.sim.base import Fan, WorldError, collides
+from edge.sim.base import Fan, WorldError
 from edge.sim.worlds import load_world
 
 pytest.importorskip("trimesh", reason="needs the extra `worlds`")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 import pytest
+from collisions import collides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.config import Robot, Sim
 from edge.geometry import SE2
-from edge.sim.base import WorldError, collides
+from edge.sim.base import WorldError
 from edge.sim.house import House, build_house
 from edge.sim.robot import SUBSTEP_S, DriveTrain
 

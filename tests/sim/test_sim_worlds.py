@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from collisions import collides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import simulated
@@ -18,7 +19,7 @@ from edge import names
 from edge.config import Lidar, WorldHouse
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.sim import assemblies
-from edge.sim.base import Fan, WorldError, WorldObject, collides, free_poses
+from edge.sim.base import Fan, WorldError, WorldObject, free_poses
 from edge.sim.boxworld import CELL_M, BoxWorld
 from edge.sim.house import HOUSES, House, build_house, load_house, read_house
 from edge.sim.mesh import read_objects

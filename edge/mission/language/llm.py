@@ -197,9 +197,8 @@ class Model:
         self._config = config
         self._client = client_of(config)
 
-    def read(self, instruction: str) -> tuple[Formula, int]:
-        """The instruction's formula, its propositions canonical names that the instruction names,
-        and how many requests it took.
+    def read(self, instruction: str) -> Formula:
+        """The instruction's formula, its propositions canonical names that the instruction names.
 
         Raises:
             TranslationError: the instruction names no object, or no answer was a usable formula.
@@ -212,7 +211,7 @@ class Model:
             raise TranslationError(f"no object to reach is named in {one_line(instruction, 100)!r}")
         messages = conversation(instruction)
         options = {"temperature": 0, **constraint(self._config.constrain, objects)}
-        for attempt in (1, 2):
+        for _ in range(2):
             left_s = self._config.time_limit_s - (time.monotonic() - begin_s)
             try:
                 answer = self._client.ask(messages, left_s=left_s, **options)
@@ -223,7 +222,7 @@ class Model:
                 fault = str(error)
             else:
                 _report_left_out(formula, objects)
-                return formula, attempt
+                return formula
             messages += repair(answer, fault)
         shown = one_line(bare(answer), SHOWN_TO_USER)
         raise TranslationError(

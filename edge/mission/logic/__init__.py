@@ -1,1 +1,4 @@
-"""From formulas to automata, and what is wrong with a formula. No robot in it."""
+"""From formulas to automata, and what is wrong with a formula.
+
+Bounded in states and steps, never in time; no robot in it, and no English.
+"""

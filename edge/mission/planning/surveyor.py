@@ -26,7 +26,6 @@ class Surveyor:
     def __init__(self, inline: bool) -> None:
         self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
-        self._round = 0
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time for another survey."""
@@ -39,22 +38,21 @@ class Surveyor:
         Args:
             positions: for each letter of the automaton the (m, 2) positions of its known instances.
         """
-        self._asked_ns, round_ = now_ns, self._round
+        self._asked_ns = now_ns
 
-        def survey() -> tuple[int, np.ndarray]:
+        def survey() -> np.ndarray:
             here = (pose.x_m, pose.y_m)
-            return round_, distances(grid.snapshot(inflated=50), here, positions)
+            return distances(grid.snapshot(inflated=50), here, positions)
 
         self._worker.submit(survey)
 
     def poll(self) -> np.ndarray | None:
         """The distances, once, when they are there: see `Knowledge.distance_m`."""
-        round_, found = self._worker.poll() or (-1, None)
-        return found if round_ == self._round else None
+        return self._worker.poll()
 
     def forget(self) -> None:
         """The survey under way is of targets that no longer are; its result is not wanted."""
-        self._round += 1
+        self._worker.forget()
         self._asked_ns = None
 
     def close(self) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from edge.geometry import overlaps
+
 MATCH_IOU = 0.5
 COVERED = 0.5
 """A box that lies this much in something that does not count, does not count either."""
@@ -75,25 +77,6 @@ class Tally:
 
 def _ratio(part: float, whole: int) -> float | None:
     return round(part / whole, 4) if whole else None
-
-
-def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, m) intersection over union of (n, 4) and (m, 4) boxes, and over the area of the first.
-
-    0 where an area is empty.
-    """
-    low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
-    high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
-    both = np.clip(high - low, 0, None).prod(axis=2, dtype=float)
-    a, b = _area(a_xyxy)[:, None], _area(b_xyxy)[None]
-    union = a + b - both
-    iou = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
-    share = np.divide(both, a, out=np.zeros_like(both), where=a > 0)
-    return iou, share
-
-
-def _area(xyxy: np.ndarray) -> np.ndarray:
-    return np.clip(xyxy[:, 2:] - xyxy[:, :2], 0, None).prod(axis=1, dtype=float)
 
 
 def judge(xyxy_px: np.ndarray, truth: Truth, how: np.ndarray) -> Tally:

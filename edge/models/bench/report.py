@@ -11,9 +11,9 @@ from typing import Any
 
 import yaml
 
-from edge.errors import FileError, UserError
+from edge.errors import UserError
 from edge.host import machine, resources
-from edge.host.files import write_atomically
+from edge.host.files import save
 from edge.models.bench.variants import RUNTIMES
 from edge.perception.cards import card_path
 
@@ -136,7 +136,7 @@ def keep(report: Report, also: Path | None) -> str:
     paths += [also] if also is not None else []
     text = json.dumps(report, indent=1)
     for path in paths:
-        _replace(path, text)
+        save(path, text.encode())
     return " and ".join(map(str, paths))
 
 
@@ -171,7 +171,7 @@ def _update_card(path: Path, report: Report, rows: list[dict[str, Any]]) -> None
         card["measured"] = {**card.get("measured", {}), key: card_figures(report, row)}
     remarks = takewhile(lambda line: line.startswith("#"), text.splitlines(keepends=True))
     body = yaml.safe_dump(card, sort_keys=False, width=_CARD_WIDTH)
-    _replace(path, "".join(remarks) + body)
+    save(path, ("".join(remarks) + body).encode())
 
 
 def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int | str]:
@@ -205,11 +205,3 @@ def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int |
         "precision": truth.get("precision"),
     }
     return {key: value for key, value in found.items() if value is not None}
-
-
-def _replace(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,1 +1,4 @@
-"""What models run on: onnxruntime on a CPU or GPU, TensorRT, and buffers on the device."""
+"""What models run on: onnxruntime on a CPU or GPU, TensorRT, and buffers on the device.
+
+Tensors in and out: nothing here knows what a model is for.
+"""

@@ -15,7 +15,6 @@ import fcntl
 import hashlib
 import json
 import logging
-import os
 import shutil
 import tempfile
 import threading
@@ -25,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.host import resources
-from edge.host.files import read_regular
+from edge.host.files import make_writable, read_regular, sync
 from edge.perception.backends.cuda import gpu_of
 from edge.perception.detector import Health, Tell, log_progress
 from edge.perception.model_file import ModelError, check_unchanged, remembered_sha256, sha256_of
@@ -203,9 +202,7 @@ def check_usable(cache: Path) -> None:
     """Raise ModelError unless engines can be written to `cache`; a build may take minutes."""
     todo = "make it writable, or set perception.detector.engine_cache"
     try:
-        cache.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=cache, prefix=".probe."):
-            pass
+        make_writable(cache)
         free = shutil.disk_usage(cache).free
     except OSError as error:
         reason = error.strerror or str(error)
@@ -238,8 +235,7 @@ def _seal(made: Path, key: Key) -> None:
     (made / _MANIFEST).write_text(content, encoding="utf-8")
     for path in made.iterdir():
         if path.is_file():
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
+            sync(path)
 
 
 @contextlib.contextmanager

@@ -60,14 +60,12 @@ class View:
         observation: its image is read while whoever asks holds it.
         target: what is looked for.
         marks: at most `MAX_MARKS`, from left to right.
-        round: tells the views of one map and mission from those of another.
     """
 
     observation: Observation
     target: str
     marks: tuple[Mark, ...]
     sightings: tuple[Sighting, ...] = ()
-    round: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +79,6 @@ class Choice:
         p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4.
         elsewhere: the probability of "explore elsewhere"; it and `p` sum to 1.
         scene: S_curr of ViTL eq. 5, in [0, 1].
-        round: the view's.
     """
 
     stamp_ns: int
@@ -90,7 +87,6 @@ class Choice:
     p: np.ndarray
     elsewhere: float
     scene: float
-    round: int = 0
 
     @property
     def value(self) -> np.ndarray:

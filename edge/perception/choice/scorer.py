@@ -111,7 +111,6 @@ class ChoiceScorer:
             p=p[:n],
             elsewhere=float(p[n]),
             scene=float(scene[0]),
-            round=view.round,
         )
 
     def close(self) -> None:

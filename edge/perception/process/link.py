@@ -23,6 +23,7 @@ from edge.logs import LEVELS, JsonFormatter
 from edge.perception.detector import Tell
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, ModelProcessError, shared_dir
+from edge.text import read_json_object
 
 log = logging.getLogger(__name__)
 
@@ -101,7 +102,7 @@ class Link:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
                 raise self.give_up(f"{_how(code)} before it was ready")
-        return self._decode(wire.decode_header, said)
+        return self._decode(read_json_object, said)
 
     def _decode(self, decode: Callable[[Any], T], said: Any) -> T:
         """What a process says that is not yet ready; nonsense is its end."""
@@ -135,7 +136,7 @@ class Link:
             )
         try:
             head, _, block = said.partition(wire.END_OF_HEADER)
-            header = wire.decode_header(head)
+            header = read_json_object(head)
             answer = None if "error" in header else wire.decode_answer(seq, header, block)
         except ValueError as error:
             raise self.give_up(f"damaged answer ({error}): killed") from None
@@ -180,7 +181,7 @@ class Link:
                     return False
                 if said := _receive(self._control):
                     try:
-                        header = wire.decode_header(said)
+                        header = read_json_object(said)
                     except ValueError as error:  # not what the prompts are to blame for
                         self.give_up(f"damaged message ({error}): killed")
                         return False

@@ -23,6 +23,7 @@ from edge.perception.detector import Detector, Health, Tell
 from edge.perception.factory import make_detector
 from edge.perception.process import wire
 from edge.perception.process.wire import FrameView
+from edge.text import read_json_object
 from edge.types import Observation
 
 log = logging.getLogger(__name__)
@@ -87,7 +88,7 @@ def _run_empty(detector: Detector) -> None:
 def check_prompts(control: socket.socket, detector: Detector) -> None:
     """Answer whether prompts can be looked for, while images are being looked at."""
     while said := control.recv(wire.MAX_BYTES):
-        request = wire.decode_header(said)
+        request = read_json_object(said)
         try:
             detector.set_prompts(request["prompts"])
             control.send(wire.encode(id=request["id"]))
@@ -98,7 +99,7 @@ def check_prompts(control: socket.socket, detector: Detector) -> None:
 def answer_images(images: socket.socket, detector: Detector, frames: FrameView) -> None:
     """Answer every image with what is found in it, or what was raised."""
     while said := images.recv(wire.MAX_BYTES):
-        request = wire.decode_header(said)
+        request = read_json_object(said)
         seq, prompts = request["seq"], tuple(request["prompts"])
         try:
             if prompts != detector.prompts:

@@ -72,20 +72,6 @@ def encode_error(error: BaseException, **header: int) -> bytes:
     return encode(**header, error=type(error).__name__, text=str(error))
 
 
-def decode_header(data: bytes) -> dict[str, Any]:
-    """
-    Raises:
-        ValueError: it is no JSON object.
-    """
-    try:
-        header = json.loads(data)
-    except (ValueError, RecursionError):
-        raise ValueError("not JSON") from None
-    if not isinstance(header, dict):
-        raise ValueError(f"not an object: {header!r:.40}")
-    return header
-
-
 def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
     """Check and unpack what `encode_answer` made.
 

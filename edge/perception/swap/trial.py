@@ -10,8 +10,8 @@ import numpy as np
 
 from edge.config import Perception
 from edge.errors import UserError
+from edge.geometry import overlaps
 from edge.perception.detector import Detector
-from edge.perception.kernels import iou
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -139,7 +139,7 @@ def boxes_found_again(
         for i in np.flatnonzero(was.unrivalled() & (was.score >= tau)):
             alike = new.class_id == was.class_id[i]
             alike &= new.score >= MATCH_SCORE * was.score[i]
-            boxes = np.vstack([was.xyxy_px[i], new.xyxy_px[alike]])
-            found += any(iou(boxes, 0, j) >= MATCH_IOU for j in range(1, len(boxes)))
+            iou, _ = overlaps(was.xyxy_px[i : i + 1], new.xyxy_px[alike])
+            found += bool((iou >= MATCH_IOU).any())
             old += 1
     return old, found

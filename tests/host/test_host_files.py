@@ -1,4 +1,4 @@
-"""Files are read at once or not at all: what is no file is one line, wherever it is named."""
+"""Files are read at once and written whole, or not at all; what is no file is one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
 from edge.eval.task_file import read_tasks
 from edge.eval.translate import lang2ltl_cases
-from edge.host.files import open_regular, read_regular
+from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
 from edge.mission.checkpoint import load as load_checkpoint
 from edge.models.bench.frames import from_folder
 from edge.models.local import extract
@@ -126,3 +126,23 @@ def test_a_pipe_among_the_cards_is_told_and_passed_over(tmp_path, monkeypatch, c
     told = capsys.readouterr()
     assert "pipe.yaml: cannot be read: [Errno 22] Not a regular file" in told.err
     assert "mini-house-text" in told.out
+
+
+@pytest.mark.parametrize("beside", [None, ".half"])
+def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, beside):
+    folder = tmp_path / "new"
+    file = folder / "model.onnx"
+    write_atomically(file, b"old")
+
+    def fail_halfway() -> None:
+        with replace_atomically(file, beside and folder / beside) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_halfway()
+    assert file.read_text() == "old"
+    with replace_atomically(file, beside and folder / beside) as temporary:
+        temporary.write_text("new")
+    assert [path.read_text() for path in folder.iterdir()] == ["new"]
+    assert file.stat().st_mode & 0o444 == 0o444
