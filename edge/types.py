@@ -5,7 +5,7 @@ Frozen but for `Instance`, which its tracker changes from frame to frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -97,6 +97,17 @@ class Detections:
             return np.ones(len(self), np.bool_)
         return self.score >= self.rival
 
+    def without_rivals(self) -> Detections:
+        """Only the boxes that nothing else explains better."""
+        mine = np.flatnonzero(self.unrivalled())
+        return replace(
+            self,
+            xyxy_px=self.xyxy_px[mine],
+            score=self.score[mine],
+            class_id=self.class_id[mine],
+            rival=None,
+        )
+
 
 InstanceState = Literal["seen", "confirmed", "refuted", "reached"]
 
@@ -126,6 +137,13 @@ class Instance:
     first_seen_ns: int
     last_seen_ns: int
     state: InstanceState = "seen"
+
+    def copied(self) -> Instance:
+        """As it stands now; the arrays are shared, since they are replaced and never written to."""
+        return Instance(
+            self.id, self.label, self.center_m, self.points_m, self.score, self.hits,
+            self.first_seen_ns, self.last_seen_ns, self.state,
+        )  # fmt: skip
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         """Planar distance from a point to the nearest known surface point."""

@@ -14,6 +14,7 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
+from edge.mapping.view import MapView
 from edge.perception.instances import InstanceTracker
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context, scores_of
@@ -68,9 +69,9 @@ def test_score_and_select_200(benchmark):
     context = Context(
         seen.observation,
         POSE,
-        m,
+        MapView(m),
         (0, 0, 0, 0),
-        pool.candidates,
+        pool.shown,
         seen,
         Answers(),
         ("chair",),
@@ -83,7 +84,7 @@ def test_score_and_select_200(benchmark):
         goals.drop()
 
     def score_and_select():
-        return goals.choose(context, scores_of(policy, context), 0)
+        return goals.choose(context, m, scores_of(policy, context), 0)
 
     goal = benchmark.pedantic(score_and_select, setup=fresh, rounds=500, warmup_rounds=20)
     assert context.candidates.n == CANDIDATES

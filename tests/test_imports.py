@@ -14,7 +14,7 @@ import edge
 ROOT = Path(edge.__file__).parent
 # A package imports from itself and from the lines above its own.
 LAYERS = (
-    ("__init__", "errors", "text", "geometry", "types", "logs", "names"),
+    ("__init__", "errors", "text", "geometry", "types", "logs", "names", "stuck"),
     ("host",),
     ("config",),
     ("bus", "chat"),

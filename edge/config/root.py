@@ -43,6 +43,13 @@ class Config(Section):
     report: Report = Report()
     sinks: Sinks = (Sink(kind="zenoh"),)
 
+    @property
+    def observed_hz(self) -> float:
+        """How often observations come: as what the map is made of."""
+        camera, lidar = self.sensors.camera, self.sensors.lidar
+        by_lidar = self.mapping.input == "cloud" and lidar is not None
+        return lidar.rate_hz if by_lidar else camera.rate_hz
+
 
 def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
     """Read a configuration, apply the environment's overrides, validate.

@@ -23,11 +23,13 @@ class CandidatePool:
 
     Attributes:
         candidates: refreshed in place by every update.
+        shown: the same, read-only.
         anchor_m: (capacity, 2) float32, where each frontier was first seen.
     """
 
     def __init__(self, capacity: int, r_assoc_m: float) -> None:
         c = self.candidates = Candidates(capacity)
+        self.shown = c.read_only()
         self.anchor_m = np.zeros((capacity, 2), np.float32)
         self._lasting = (c.xy_m, self.anchor_m, c.id, c.first_seen_ns)
         self._before = tuple(np.empty_like(array) for array in self._lasting)
@@ -90,6 +92,7 @@ class CandidatePool:
             self._discarded_xy_m, self._discarded_kind, self._discarded_id,
             self._discarded_until_ns, now_ns, self._r_assoc_m, c.blocked,
         )  # fmt: skip
+        self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
 
     def discard(
         self, kind: int, candidate_id: int, xy_m: tuple[float, float], until_ns: int
@@ -112,7 +115,7 @@ class CandidatePool:
 
     def clear(self) -> None:
         """Forget every candidate and every discarded point."""
-        self.candidates.n = 0
+        self.candidates.n = self.shown.n = 0
         self.lift_discards()
 
 

@@ -20,10 +20,10 @@ from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.loop.candidates import CandidatePool
 from edge.loop.search import LASTING_NS, TURNS, NextBestView, Search
+from edge.loop.standstill import Standstill
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
-from edge.motion.stuck import StuckDetector
 from edge.perception.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, Context
 from edge.policies.select import Held, choose, ranked
@@ -36,8 +36,6 @@ MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
 SILENT_NS = 3_000_000_000
-# A controller that says that the robot is held up farther away than this mistakes the frame.
-_HELD_UP_M = 2.0
 
 Verdict = Literal["reached", "refuted", "out of reach"]
 
@@ -96,10 +94,9 @@ class GoalTracker:
         self._present: _Present | None = None
         self._search = Search()
         self._next_view = NextBestView(config.perception.confirm_hits)
-        self._stuck, self._stuck_far = (
-            StuckDetector(config.mission.stuck_s, config.motion.stuck_m) for _ in range(2)
-        )
+        self._standstill = Standstill(config, event)
         self._warned_of: set[int] = set()
+        self._turns = -1
         self._without_since_ns: int | None = None
         self._unanswered_since_ns: int | None = None
         self._grace_ns = GRACE_NS
@@ -127,9 +124,18 @@ class GoalTracker:
         """How many views of what had been seen badly it has seen, in this mission."""
         return self._next_view.views
 
+    def why_in_vain(self, mission: MissionRun, grid: RollingMap) -> str:
+        """What was tried to get to the mission's target, when it is exhausted, and what barred."""
+        target, views = mission.target, self.views
+        found = "no way to" if target in mission.detected else "found no"
+        again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
+        return f"explored all that can be reached{again}, {found} {target}{_barred(grid)}"
+
     # -- choosing ---------------------------------------------------------------------------
 
-    def choose(self, context: Context, score: np.ndarray, images: int) -> Goal | None:
+    def choose(
+        self, context: Context, grid: RollingMap, score: np.ndarray, images: int
+    ) -> Goal | None:
         """Algorithm 2 of VL-Nav over the scored candidates: the goal of this tick.
 
         With none left the robot turns on the spot. Then those that were given up come once more,
@@ -137,6 +143,7 @@ class GoalTracker:
         what the detector has seen badly is looked at again.
 
         Args:
+            grid: opened again where the robot was held up, and searched for views.
             score: (n,) float32, of the context's candidates.
             images: how many the detector has searched so far.
 
@@ -148,8 +155,8 @@ class GoalTracker:
         chosen = self._towards_best(context, score) or self._turn(context)
         if chosen is not None or not self._search.exhausted:
             self._next_view.drop()
-        elif not self._search.trying_again(context, self._pool, self._tracker):
-            chosen = self._look_again(context, images)
+        elif not self._search.trying_again(context, grid, self._pool, self._tracker):
+            chosen = self._look_again(context, grid, images)
         self._present = chosen
         return self.goal
 
@@ -187,14 +194,14 @@ class GoalTracker:
         yaw_rad = at.yaw_rad + 2.0 * math.pi / TURNS
         return _Present(_look(SE2(at.x_m, at.y_m, yaw_rad), context.now_ns, context.target))
 
-    def _look_again(self, context: Context, images: int) -> _Present | None:
+    def _look_again(self, context: Context, grid: RollingMap, images: int) -> _Present | None:
         """To where something can be seen that was seen badly."""
-        view, present = self._next_view.choose(context.map, images), self._present
+        view, present = self._next_view.choose(grid, images), self._present
         if view is None:
             return None
         if present is not None and present.view is view:
             return present
-        yaw_rad = wrap_angle(view.heading_rad - context.map.coverage.camera_yaw_rad)
+        yaw_rad = wrap_angle(view.heading_rad - grid.coverage.camera_yaw_rad)
         pose = SE2(view.x_m, view.y_m, yaw_rad)
         return _Present(_look(pose, context.now_ns, context.target), view=view)
 
@@ -276,17 +283,19 @@ class GoalTracker:
 
     # -- following up -----------------------------------------------------------------------
 
-    def judge(self, context: Context, mission: MissionRun, images: int) -> None:
+    def judge(
+        self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
+    ) -> None:
         """What has become of the present goal.
 
         Args:
+            grid: closed where the robot is held up.
             images: how many the detector has searched so far.
         """
-        present, pose, now_ns = self._present, context.pose, context.now_ns
+        present = self._present
         if present is not None:
             blocked, present.blocked = present.blocked, None
-            if blocked is not None and pose.distance_to(*blocked) <= _HELD_UP_M:
-                self._hold_up(context.map, pose, blocked, now_ns)
+            self._standstill.told(grid, pose, blocked, now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
@@ -299,7 +308,11 @@ class GoalTracker:
             self._act_on(verdict, instance, mission, now_ns)
         elif present is not None:
             self._follow(present, pose, now_ns, images)
-        self._notice_standstill(context.map, pose, now_ns)
+        # Where no controller answers, it is no candidate's fault that the robot stands.
+        driven_to = self.goal if self.heard and self.driving else None
+        if self._standstill.noticed(grid, pose, driven_to, now_ns):
+            self._event("stuck: goal discarded", now_ns)
+            self._discard(now_ns)
 
     def _verdict(
         self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
@@ -368,33 +381,6 @@ class GoalTracker:
             # turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
 
-    def _notice_standstill(self, grid: RollingMap, pose: SE2, now_ns: int) -> None:
-        """Whichever goals they are: a robot that is held up may be given one after another.
-
-        Where no controller answers, it is no candidate's fault that the robot stands; and a robot
-        that was only to turn on the spot is not held up by what is ahead.
-        """
-        goal, radius_m = self.goal, self._config.robot.radius_m
-        told = goal is not None and self.heard and self.driving
-        far = told and pose.distance_to(goal.pose.x_m, goal.pose.y_m) > radius_m
-        stuck = self._stuck.update(pose, told, now_ns)
-        if self._stuck_far.update(pose, far, now_ns):
-            self._hold_up(grid, pose, pose.ahead(radius_m), now_ns)
-        if stuck:
-            self._event("stuck: goal discarded", now_ns)
-            self._discard(now_ns)
-
-    def _hold_up(
-        self, grid: RollingMap, pose: SE2, place: tuple[float, float], now_ns: int
-    ) -> None:
-        """Where no sensor shows what is there only driving can tell: the map closes."""
-        where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
-        if grid.bumps.explained(pose, place, self._config.robot.radius_m):
-            self._event(f"{where} by what the map shows", now_ns)
-            return
-        self._event(f"{where}: the map closes there", now_ns)
-        grid.bumps.close(*place, now_ns)
-
     # -- leaving ----------------------------------------------------------------------------
 
     def drop(self) -> None:
@@ -407,14 +393,20 @@ class GoalTracker:
         self.drop()
         self._grace_ns = 0
 
-    def set_out(self) -> None:
+    def follows(self, mission: MissionRun) -> bool:
+        """Whether it has set out for the mission's present target."""
+        return self._turns == mission.turns
+
+    def set_out(self, mission: MissionRun) -> None:
         """For another target: nothing that held for the last one does."""
+        self._turns = mission.turns
         self.drop()
         self._search = Search()
 
     def forget_mission(self) -> None:
         """Another mission has other goals, and forbids other things."""
         self._warned_of = set()
+        self._turns = -1
         self.drop()
         self._next_view.start_over()
 
@@ -422,8 +414,7 @@ class GoalTracker:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
         self.rest()
         self._search = Search()
-        self._stuck.reset()
-        self._stuck_far.reset()
+        self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:
         """Leave the present goal's candidate alone for a while and choose another."""
@@ -439,6 +430,16 @@ class GoalTracker:
             until_ns = now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.drop()
+
+
+def _barred(grid: RollingMap) -> str:
+    """What held the robot up, for the end of a reason; empty where nothing did."""
+    places_m = grid.bumps.known_m
+    if not places_m:
+        return ""
+    x, y = places_m[0]
+    more = f" and {len(places_m) - 1} more" if len(places_m) > 1 else ""
+    return f"; held up at ({x:.1f}, {y:.1f}){more}"
 
 
 def _look(pose: SE2, now_ns: int, target: str) -> Goal:

@@ -57,8 +57,9 @@ def facts_of(mission: MissionRun) -> MissionFacts:
 class TickResult:
     """All that a sink may know of a tick, or of a moment in which there was nothing to see.
 
-    What is dear to gather is to be called for, in `Sink.tick` or after the loop's end. Only
-    `snapshot` and `latency` may be called later, and by another thread.
+    It says the same whenever it is read, but for what is dear to gather: `known_m2`, `snapshot`,
+    `latency` and `health` tell how things stand when they are called, in `Sink.tick` or after the
+    loop's end. Only `snapshot` and `latency` may be called at other times, by another thread.
 
     Attributes:
         now_ns: the loop's time.

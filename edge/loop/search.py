@@ -75,14 +75,16 @@ class Search:
         """A turn is done, or failed."""
         self._idle_since_ns = now_ns
 
-    def trying_again(self, context: Context, pool: CandidatePool, tracker: InstanceTracker) -> bool:
+    def trying_again(
+        self, context: Context, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
+    ) -> bool:
         """Give all that was given up one more chance; whether that may yet come to something."""
-        reach = context.map.reach
+        reach = grid.reach
         if not self._second_chance:
             self._second_chance = True
             pool.lift_discards()
             tracker.forget_refuted(context.target)
-            if context.map.bumps.open_all():  # doors open, and people go
+            if grid.bumps.open_all():  # doors open, and people go
                 # The reach field that is growing may have begun before; the one after it leads
                 # there.
                 self._retry = (reach.generation + 2, context.now_ns + _RETRY_NS)

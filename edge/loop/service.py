@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import replace
-from functools import partial
 from time import perf_counter_ns
 
 import numpy as np
 
-from edge.config import Config, PlannerVitl
+from edge.config import Config
 from edge.geometry import SE2
 from edge.host.calibration import Calibration
 from edge.loop import stages
@@ -29,8 +26,9 @@ from edge.loop.result import Event, Sink, TickResult, facts_of
 from edge.loop.scorers import Scorers
 from edge.loop.status import HealthWatch
 from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
 from edge.mission.brief import Brief
-from edge.mission.planning.surveyor import Surveyor
+from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
@@ -43,7 +41,7 @@ log = logging.getLogger("edge.loop.service")
 
 INGEST, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(stages.STAGES))
 NOTHING_CHANGED = (0, 0, 0, 0)
-BLIND_S = 1.0  # or three frames, where they come less often
+BLIND_S = 1.0  # no one drives on for longer, or three frames where they come less often
 
 
 class Service:
@@ -85,6 +83,7 @@ class Service:
         self.config = config
         self.keeper = keeper
         self.grid = RollingMap(config.mapping)
+        self._seen_map = MapView(self.grid)
         self.tracker = InstanceTracker(config.perception)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
@@ -97,9 +96,7 @@ class Service:
         self.goals = GoalTracker(config, self.pool, self.tracker, self._tell, self.event)
         self.epoch = 0
         self.stamp_ns = 0
-        planner = config.mission.planner
-        by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
-        self._surveyor = Surveyor(config.loop.lockstep) if by_distance else None
+        self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
         self.faults = Faults(self.event)
         self.stage = INGEST
         self._worker = worker
@@ -110,11 +107,12 @@ class Service:
         )
         self._lifter = Lifter(config.perception)
         self._changed = NOTHING_CHANGED
-        self._detections: Detections | None = None  # of this tick
+        self._detections: Detections | None = None  # of this tick, as what follows
+        self._context: Context | None = None
+        self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
-        self._turns = -1  # the mission's, when the present goal's target was set out for
         self._looked_ns = 0  # when the last observation was dealt with
-        self._blind_ns = _blind_ns(config)
+        self._blind_ns = int(1e9 * max(BLIND_S, 3.0 / config.observed_hz))
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
             keeper.resume(self.mission)
@@ -207,7 +205,7 @@ class Service:
         self.grid.coverage.look(
             detections.observation, perception.confirm_range_m, perception.confirm_hits
         )
-        self._detections = _unrivalled(detections)
+        self._detections = detections.without_rivals()
         self._publisher.saw(self._detections)
 
     def _instances(self) -> list[Instance]:
@@ -235,9 +233,9 @@ class Service:
         self._context = Context(
             observation,
             observation.pose,
-            self.grid,
+            self._seen_map,
             self._changed,
-            self.pool.candidates,
+            self.pool.shown,
             self._detections,
             Answers() if self._scorers is None else self._scorers.answers,
             self.mission.brief.targets,
@@ -256,13 +254,13 @@ class Service:
         mission.observe(pose, now_ns)
         mission.see(self._newest_ids(), now_ns)
         if self._surveyor is not None:
-            self._survey(self._surveyor, pose, now_ns)
-        if self._turns == mission.turns and not (mission.done or mission.paused):
-            self.goals.judge(self._context, mission, self._worker.stats.done)
+            self._surveyor.step(mission, self.grid, self.tracker, pose, now_ns)
+        if self.goals.follows(mission) and not (mission.done or mission.paused):
+            self.goals.judge(self.grid, pose, mission, self._worker.stats.done, now_ns)
             if self.goals.exhausted:
-                mission.give_up(self._why_given_up(), now_ns)
+                mission.give_up(self.goals.why_in_vain(mission, self.grid), now_ns)
         mission.check_limits(now_ns)
-        if self._turns != mission.turns:
+        if not (self.goals.follows(mission) or mission.done):
             self._turn(observation, now_ns)
 
     def _newest_ids(self) -> dict[str, int]:
@@ -271,29 +269,9 @@ class Service:
         known = {label: self.tracker.of(label, sure) for label in targets}
         return {label: max(i.id for i in found) for label, found in known.items() if found}
 
-    def _why_given_up(self) -> str:
-        target, views = self.mission.target, self.goals.views
-        found = "no way to" if target in self.mission.detected else "found no"
-        again = f", looked again at {views} place{'s' * (views > 1)}" if views else ""
-        barred = _held_up_at(self.grid.bumps.known_m)
-        return f"explored all that can be reached{again}, {found} {target}{barred}"
-
-    def _survey(self, surveyor: Surveyor, pose: SE2, now_ns: int) -> None:
-        """Have driving distances worked out on the side, and take up those that are there."""
-        if (distance_m := surveyor.poll()) is not None and not self.mission.paused:
-            self.mission.survey(distance_m, now_ns)
-        if surveyor.due(now_ns):
-            found = map(self.tracker.of, self.mission.brief.automaton.letters)
-            xy_m = [[instance.center_m[:2] for instance in instances] for instances in found]
-            known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
-            surveyor.ask(self.grid, pose, known, now_ns)
-
     def _turn(self, observation: Observation, now_ns: int) -> None:
         """The plan set out for a target: choose among its candidates, by its scores, at once."""
-        self._turns = self.mission.turns
-        if self.mission.done:
-            return
-        self.goals.set_out()
+        self.goals.set_out(self.mission)
         self._gather(observation, now_ns)
         self._score(observation, now_ns)
 
@@ -302,7 +280,7 @@ class Service:
         if self.mission.done or self.mission.paused:
             self.goals.rest()
             return None
-        return self.goals.choose(self._context, self.scores, self._worker.stats.done)
+        return self.goals.choose(self._context, self.grid, self.scores, self._worker.stats.done)
 
     def _publish(self, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -347,7 +325,7 @@ class Service:
         self.tracker.forget_verdicts()
         self.grid.coverage.forget()
         self.policy.reset("mission")
-        self._detections, self._turns = None, -1
+        self._detections = None
         if self._surveyor is not None:
             self._surveyor.forget()
         if self._scorers is not None:
@@ -396,6 +374,7 @@ class Service:
         self.event("pose jumped: map and instances dropped", now_ns)
         self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
+        self._seen_map = MapView(self.grid)
         self.tracker.clear()
         self.pool.clear()
         self.policy.reset("pose")
@@ -440,6 +419,9 @@ class Service:
             observation: what was dealt with, if anything.
         """
         goals, grid, news = self.goals, self.grid, self._publisher
+        mission, targets = facts_of(self.mission), self.mission.brief.targets
+        instances = [found.copied() for label in targets for found in self.tracker.of(label)]
+        frontiers_m = grid.frontiers.xy_m[: grid.frontiers.n].copy()
         return TickResult(
             now_ns=now_ns,
             observation=observation,
@@ -448,48 +430,16 @@ class Service:
             goal=self.goal,
             answer=goals.answer,
             controlled=goals.heard,
-            targets=self.mission.brief.targets,
+            targets=targets,
             goals=tuple(news.goals),
             answers=tuple(news.answers),
             events=tuple(news.events),
             detections=news.detections,
-            mission=partial(facts_of, self.mission),
-            instances=self._worth_driving_to,
-            frontiers=lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy(),
+            mission=lambda: mission,
+            instances=lambda: instances,
+            frontiers=lambda: frontiers_m,
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
             latency=self.latency.report,
             health=self._health.status,
         )
-
-    def _worth_driving_to(self) -> list[Instance]:
-        targets = self.mission.brief.targets
-        return [copy(found) for label in targets for found in self.tracker.of(label)]
-
-
-def _held_up_at(places_m: list[tuple[float, float]]) -> str:
-    """What held the robot up, for the end of a reason; empty where nothing did."""
-    if not places_m:
-        return ""
-    x, y = places_m[0]
-    more = f" and {len(places_m) - 1} more" if len(places_m) > 1 else ""
-    return f"; held up at ({x:.1f}, {y:.1f}){more}"
-
-
-def _blind_ns(config: Config) -> int:
-    """How long without an observation is too long to drive on."""
-    camera, lidar = config.sensors.camera, config.sensors.lidar
-    by_lidar = config.mapping.input == "cloud" and lidar is not None
-    return int(1e9 * max(BLIND_S, 3.0 / (lidar.rate_hz if by_lidar else camera.rate_hz)))
-
-
-def _unrivalled(detections: Detections) -> Detections:
-    """Only the boxes that nothing else explains better."""
-    mine = np.flatnonzero(detections.unrivalled())
-    return replace(
-        detections,
-        xyxy_px=detections.xyxy_px[mine],
-        score=detections.score[mine],
-        class_id=detections.class_id[mine],
-        rival=None,
-    )

@@ -18,6 +18,7 @@ from edge.geometry import CameraModel
 from edge.loop.candidates import CandidatePool
 from edge.mapping.grid import RollingMap
 from edge.mapping.grid import warmup as warm_mapping
+from edge.mapping.view import MapView
 from edge.mission.planner import warm_up as warm_planners
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
@@ -78,9 +79,9 @@ def _warm_policy(config: Config) -> None:
     context = Context(
         observation,
         observation.pose,
-        grid,
+        MapView(grid),
         nowhere,
-        pool.candidates,
+        pool.shown,
         seen,
         Answers(),
         seen.prompts,

@@ -58,7 +58,7 @@ class RollingMap:
         n = ly.WORD * math.ceil(cells / ly.WORD)
         self.window = Window(n, res)
         self._layers = ly.make_layers(n)
-        self.layers = ly.Layers(*map(_read_only, self._layers))
+        self.layers = ly.Layers(*map(ly.read_only, self._layers))
         self._clusters = cl.make_clusters(n)
         self._n_pending = 0
         self._scan = points.make_scan(self._polar, 1024)
@@ -387,13 +387,6 @@ class RollingMap:
         self._retest(*_band(axis, tail, n))
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
-    """The same memory, for those who may not write there."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 def _plain(array: np.ndarray) -> np.ndarray:
     """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
     if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
@@ -422,7 +415,8 @@ def warmup(mapping: config.Mapping) -> None:
     grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
     grid.coverage.search(grid.reach)
     grid.coverage.worth(Viewpoint(0.0, 0.0, 0.0))
-    grid.unknown_ratio(grid.frontiers.xy_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
+    points_m = ly.read_only(grid.frontiers.xy_m)
+    grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     far = grid.window.n * grid.resolution_m
     T[0, 3] = far

@@ -70,6 +70,13 @@ def disc_half_widths(radius_cells: float) -> np.ndarray:
     return np.floor(np.sqrt(np.maximum((radius_cells + 1e-6) ** 2 - dy**2, 0))).astype(np.int64)
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The same memory, for those who may not write there."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 @njit(nogil=True, cache=True)
 def grow(rect, x, y):
     """Grow a half-open rectangle (x0, y0, x1, y1) to hold a cell."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
@@ -35,6 +34,7 @@ class MissionRun:
         target: what to pursue now; at the end, what was pursued last.
         word: the letters taken so far.
         detected, failed: the sets D and B, as labels; `reached`: R in order of reaching.
+        steps: what happened, oldest first; of a very long mission, the last `MAX_STEPS`.
         started: whether the first steps were taken.
         paused: time and path do not count, nothing is pursued.
         turns: counts how often a target was set out for.
@@ -62,12 +62,12 @@ class MissionRun:
         self.elapsed_s = 0.0
         self.path_m = 0.0
         self.reason = ""
+        self.steps: tuple[Step, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
         self._config = config
         self._tell = tell
         self._planner = make_planner(config.planner, brief.automaton)
         self._distance_m: np.ndarray | None = None
-        self._steps: deque[Step] = deque(maxlen=MAX_STEPS)
         self._ended: Literal["reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
         self._newest: dict[str, int] = {}
@@ -78,11 +78,6 @@ class MissionRun:
         self.plan: Plan = self._planner.plan(self.state, self.knowledge)
 
     # -- what others read -------------------------------------------------------------------
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """What happened, oldest first; of a very long mission, the last `MAX_STEPS`."""
-        return tuple(self._steps)
 
     @property
     def done(self) -> bool:
@@ -300,5 +295,5 @@ class MissionRun:
     def _note(self, now_ns: int, kind: StepKind, label: str, text: str) -> None:
         self.changes += 1
         step = Step(now_ns, kind, label, self.state, text)
-        self._steps.append(step)
+        self.steps = (*self.steps, step)[-MAX_STEPS:]
         self._tell(step)

@@ -27,7 +27,7 @@ from edge.motion.pursuit import (
     turn_to,
 )
 from edge.motion.recovery import Recovery
-from edge.motion.stuck import StuckDetector
+from edge.stuck import StuckDetector
 from edge.trajectory import astar, costmap, smoothing
 from edge.types import GoalStatus
 

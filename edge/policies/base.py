@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 
 from edge.geometry import SE2
-from edge.mapping.grid import RollingMap
+from edge.mapping.layers import read_only
+from edge.mapping.view import MapView
 from edge.perception.choice.question import Choice
 from edge.types import Detections, Observation
 
@@ -39,6 +41,14 @@ class Candidates:
         self.confidence = np.zeros(capacity, np.float32)
         self.sure = np.zeros(capacity, np.bool_)
         self.blocked = np.zeros(capacity, np.bool_)
+
+    def read_only(self) -> Candidates:
+        """The same arrays, for those who may not write there; whoever writes renews the counts."""
+        shown = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(shown, name, read_only(value))
+        return shown
 
     def index_of(self, kind: int, candidate_id: int) -> int:
         """Where a candidate stands now, or -1 when it is gone."""
@@ -86,14 +96,13 @@ class Answers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """All that a policy may go by at one moment. It reads this, and writes to nothing in it.
+    """All that a policy may go by at one moment, to be read: what lasts is read-only.
 
     Attributes:
         observation: the newest, with image, depth or cloud, and camera. Its arrays are good until
             `score` returns.
         pose: of the robot at that observation.
-        map: its reading side: `layers` and `window`, `frontiers`, `reach`, `coverage`, `state_at`,
-            `unknown_ratio`; `snapshot` copies all of it, which is too dear for every tick.
+        map: as it is now; its `snapshot` and `known_m2` are too dear for every tick.
         changed: half-open rectangle (x0, y0, x1, y1) of the world cells whose state this
             observation changed; cell (x, y) begins at (x, y) * `map.resolution_m`. All zero where
             none did.
@@ -108,7 +117,7 @@ class Context:
 
     observation: Observation
     pose: SE2
-    map: RollingMap
+    map: MapView
     changed: tuple[int, int, int, int]
     candidates: Candidates
     detections: Detections | None

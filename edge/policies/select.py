@@ -152,7 +152,7 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
         points = instance.points_m[:, :2]
         away = np.hypot(points[:, 0] - pose.x_m, points[:, 1] - pose.y_m)
         xy_m = points[int(np.argmin(away))]
-    found = context.map.reach.nearest(float(xy_m[0]), float(xy_m[1]), _SNAP_M[kind])
+    found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), _SNAP_M[kind])
     return None if found is None else (found[0], found[1])
 
 

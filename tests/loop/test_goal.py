@@ -77,7 +77,7 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, forbidden, done = "chair", (), False
+    target, turns, forbidden, done = "chair", 1, (), False
 
     def __init__(self) -> None:
         self.arrivals: list[str] = []
@@ -104,7 +104,7 @@ class Case:
         self.map, self.mission = Map(), Mission()
         self.now_ns, self._ahead_ns = 0, sensors_ahead_ns
         self.score = np.zeros(16, np.float32)
-        self.goals.set_out()
+        self.goals.set_out(self.mission)
 
     def context(self, pose: SE2 = HERE) -> Context:
         seen = Observation(0, self.now_ns, pose.matrix())
@@ -140,7 +140,7 @@ class Case:
         return self._tick(HERE, images)
 
     def _tick(self, pose: SE2, images: int):
-        goal = self.goals.choose(self.context(pose), self.score, images)
+        goal = self.goals.choose(self.context(pose), self.map, self.score, images)
         self.goals.tell(self.mission, pose, self.now_ns)
         return goal
 
@@ -149,7 +149,7 @@ class Case:
 
     def judge(self, images: int = 0, pose: SE2 = HERE, after_s: float = 0.0) -> None:
         self.now_ns += int(after_s * S)
-        self.goals.judge(self.context(pose), self.mission, images)
+        self.goals.judge(self.map, pose, self.mission, images, self.now_ns)
 
     def turn(self, pose: SE2 = HERE) -> Goal:
         """The next turn on the spot, which comes after a second without anything to choose."""
@@ -290,7 +290,7 @@ def test_an_instance_that_is_none_any_more_is_passed_over(gone):
         case.things.refute(9)
     else:
         del case.things[9]
-    assert case.goals.choose(case.context(), case.score, 0) is None
+    assert case.goals.choose(case.context(), case.map, case.score, 0) is None
 
 
 def test_a_dropped_goal_is_chosen_afresh():
@@ -310,7 +310,7 @@ def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
     assert chosen == [2, 1, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2]
     # Another place has its own count, and another target starts over.
     assert who(case.choose(frontier(2, -3, 0.3), chair(9, 3, 0.1))) == ("instance", 9)
-    case.goals.set_out()
+    case.goals.set_out(case.mission)
     assert who(case.choose(frontier(1, 3, 0.3), frontier(2, -3, 0.9))) == ("frontier", 2)
     assert who(case.choose(frontier(1, 3, 0.9), frontier(2, -3, 0.3))) == ("frontier", 1)
 
@@ -349,7 +349,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert who(case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
     assert case.choose(pose=pose, after_s=5.0) is None
     assert case.goals.exhausted
-    case.goals.set_out()
+    case.goals.set_out(case.mission)
     assert not case.goals.exhausted
     assert case.turn().kind == "look"
 

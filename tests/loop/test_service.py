@@ -85,6 +85,22 @@ def test_the_same_observations_give_the_same_goals():
     assert len(runs[0].notes.goals) > 0
 
 
+def test_a_result_says_the_same_later():
+    loop = ClosedLoop(config(mission={"target": "bed"}))
+    while not (result := loop.service.result()).instances():
+        loop.step()
+
+    def told() -> tuple:
+        things = [(i.score, i.hits, i.state, i.points_m.tolist()) for i in result.instances()]
+        steps = result.mission().steps
+        return things, steps, result.mission().reached, result.frontiers().tolist()
+
+    before = told()
+    loop.run(60)
+    assert loop.service.status.phase == "reached"
+    assert told() == before
+
+
 def test_something_that_is_not_there_ends_with_the_reason():
     loop = ClosedLoop(config(mission={"target": "surfboard", "path_limit_m": 4.0})).run(120)
     assert loop.service.status.phase == "failed"

@@ -101,8 +101,9 @@ def test_the_reason_tells_of_what_was_opened_and_not_tried(tmp_path):
     loop = closed_loop(tmp_path, way_round=False)
     while not held_up(loop):
         loop.step()
-    loop.service.grid.bumps.open_all()
-    assert "; held up at (3.9, 1." in loop.service._why_given_up()
+    service = loop.service
+    service.grid.bumps.open_all()
+    assert "; held up at (3.9, 1." in service.goals.why_in_vain(service.mission, service.grid)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
         cell = service.grid.window.cell_of(person.x_m, person.y_m + across_m)
         service.grid._write(*cell, ly.OCCUPIED)
     now_ns, place = loop.drive.motion.stamp_ns, pose.ahead(0.2)
-    service.goals._hold_up(service.grid, service.pose, place, now_ns)
+    service.goals._standstill.told(service.grid, service.pose, place, now_ns)
     assert service.grid.bumps.closed_m == []
     (said,) = [event.text for event in service.result().events]
     assert said.startswith("held up")

@@ -88,9 +88,14 @@ def test_what_a_policy_sees(written):
     x, y = grid.window.cell_of(context.pose.x_m, context.pose.y_m)
     cell = y % grid.window.n, x % grid.window.n
     assert grid.layers.raw[cell] == 1  # free, where the robot stands
-    with pytest.raises(ValueError, match="read-only"):
-        grid.layers.raw[cell] = 0
     c = context.candidates
+    for shown in (*grid.layers, grid.frontiers.xy_m, c.xy_m, c.id, c.blocked):
+        with pytest.raises(ValueError, match="read-only"):
+            shown[:] = 0
+    assert grid.frontiers.n == loop.service.grid.frontiers.n > 0
+    assert c.n == loop.service.pool.candidates.n
+    for writes in ("update_depth", "bumps", "coverage"):
+        assert not hasattr(grid, writes)
     assert (c.confidence[: c.n] > 0).tolist() == (c.kind[: c.n] == INSTANCE).tolist()
     new = np.setdiff1d(policy.seen[-1][1], policy.seen[-2][1])
     assert len(new) < c.n  # candidates last

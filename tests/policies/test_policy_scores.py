@@ -161,8 +161,9 @@ def context(candidates, targets=("chair",), target="chair", boxes=None, stamp_ns
         )
     nowhere = (0, 0, 0, 0)
     return Context(
-        seen, seen.pose, Unknown(), nowhere, candidates, found, Answers(), targets, target, 0
-    )
+        seen, seen.pose, Unknown(), nowhere, candidates.read_only(), found, Answers(), targets,
+        target, 0,
+    )  # fmt: skip
 
 
 def test_nearest_frontier_scores_by_nearness():

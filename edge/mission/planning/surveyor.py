@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edge.config import PlannerExpected, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.mission.planning.distances import distances
 
 if TYPE_CHECKING:
     from edge.mapping.grid import RollingMap
+    from edge.mission.run import MissionRun
+    from edge.perception.instances import InstanceTracker
 
 PERIOD_NS = 1_000_000_000
 
@@ -26,6 +29,23 @@ class Surveyor:
     def __init__(self, inline: bool) -> None:
         self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
+
+    def step(
+        self,
+        mission: MissionRun,
+        grid: RollingMap,
+        tracker: InstanceTracker,
+        pose: SE2,
+        now_ns: int,
+    ) -> None:
+        """Hand the mission the distances that are there, and begin a survey where one is due."""
+        if (distance_m := self.poll()) is not None and not mission.paused:
+            mission.survey(distance_m, now_ns)
+        if self.due(now_ns):
+            found = map(tracker.of, mission.brief.automaton.letters)
+            xy_m = [[instance.center_m[:2] for instance in instances] for instances in found]
+            known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
+            self.ask(grid, pose, known, now_ns)
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time for another survey."""
@@ -58,3 +78,9 @@ class Surveyor:
     def close(self) -> None:
         """Begin nothing more; a survey under way is over within a tenth of a second."""
         self._worker.close()
+
+
+def make_surveyor(planner: PlannerVitl | PlannerExpected, inline: bool) -> Surveyor | None:
+    """A surveyor, where driving distances are what the planner weighs by; else None."""
+    by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
+    return Surveyor(inline) if by_distance else None

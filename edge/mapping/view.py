@@ -1,0 +1,42 @@
+"""The reading side of the rolling map: all that a policy sees of it."""
+
+from __future__ import annotations
+
+from edge.mapping.grid import RollingMap
+from edge.mapping.layers import read_only
+from edge.mapping.results import Frontiers
+
+
+class MapView:
+    """A map as it is at each moment, without what changes it; made once for a map.
+
+    Attributes:
+        resolution_m: side of a cell.
+        layers: read-only, by storage cell (see `edge.mapping.layers`).
+        window: what of the world they hold; only the map moves it.
+        state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
+        distance_m, nearest: see `edge.mapping.reach.ReachField`.
+        worth: see `edge.mapping.coverage.Coverage`.
+    """
+
+    def __init__(self, grid: RollingMap) -> None:
+        self.resolution_m = grid.resolution_m
+        self.layers, self.window = grid.layers, grid.window
+        self.state_at, self.unknown_ratio = grid.state_at, grid.unknown_ratio
+        self.snapshot = grid.snapshot
+        self.distance_m, self.nearest = grid.reach.distance_m, grid.reach.nearest
+        self.worth = grid.coverage.worth
+        self._grid = grid
+        shown = grid.frontiers
+        self._frontiers = Frontiers(0, *map(read_only, (shown.xy_m, shown.cells, shown.cluster)))
+
+    @property
+    def frontiers(self) -> Frontiers:
+        """Target points, arrays read-only."""
+        self._frontiers.n = self._grid.frontiers.n
+        return self._frontiers
+
+    @property
+    def known_m2(self) -> float:
+        """See `edge.mapping.grid.RollingMap`."""
+        return self._grid.known_m2
