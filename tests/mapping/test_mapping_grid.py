@@ -282,7 +282,8 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.update_cloud(depth[:, :3], pose.matrix(0.5), pose)
         grid.reach.step(pose)
         grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
-        grid.unknown_ratio(grid.frontiers.xy_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
+        shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
+        grid.unknown_ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
     grid.bumps.close(24.0, 0.0, 0)
     grid.bumps.open_all()
     grid.snapshot()

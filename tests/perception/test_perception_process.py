@@ -229,7 +229,7 @@ def test_only_the_main_thread_waiting_for_a_core_counts(monkeypatch, tmp_path):
 def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):
     script = tmp_path / "script"
     script.write_text("")
-    detector = make(script=script)
+    detector = make(prompts=("chair", "slow"), script=script)
     detector.detect(seen())
     script.write_text("wait")
     os.kill(pid_of(detector), signal.SIGKILL)
@@ -239,11 +239,11 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     for _ in range(100):
         with pytest.raises(ModelProcessError, match="SIGKILL"):
             detector.detect(seen())
-    detector.set_prompts(["sofa", "slow"])
+    detector.set_prompts(["sofa", "bed"])
     assert detector.invalid_boxes == 7
     script.write_text("")
     back(detector)
-    assert detector.detect(seen()).prompts == ("sofa", "slow")
+    assert detector.detect(seen()).prompts == ("sofa", "bed")
     detector.detect(seen())
     assert detector.invalid_boxes == 14  # of both processes
 
