@@ -181,7 +181,7 @@ def test_a_proxy_or_a_handshake_that_drips_counts_too(tmp_path, monkeypatch, sch
     hello = b"\x16\x03\x03\x40\x00" + bytes(1 << 14)
     with (
         serving(lambda line: line.drip(hello)) as address,
-        pytest.raises(FetchError, match="no answer within|closed the connection"),
+        pytest.raises(FetchError, match=r"no answer within|closed the connection"),
     ):
         fetch(address, tmp_path, HASTY_HEAD, "https")
 
