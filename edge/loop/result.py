@@ -57,9 +57,10 @@ def facts_of(mission: MissionRun) -> MissionFacts:
 class TickResult:
     """All that a sink may know of a tick, or of a moment in which there was nothing to see.
 
-    It says the same whenever it is read, but for what is dear to gather: `known_m2`, `snapshot`,
-    `latency` and `health` tell how things stand when they are called, in `Sink.tick` or after the
-    loop's end. Only `snapshot` and `latency` may be called at other times, by another thread.
+    What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
+    `instances` and `frontiers` say the same from their first call on; `known_m2`, `snapshot`,
+    `latency` and `health` tell how things stand at each. Only `snapshot` and `latency` may be
+    called at other times, by another thread.
 
     Attributes:
         now_ns: the loop's time.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from time import perf_counter_ns
 
 import numpy as np
@@ -419,9 +420,7 @@ class Service:
             observation: what was dealt with, if anything.
         """
         goals, grid, news = self.goals, self.grid, self._publisher
-        mission, targets = facts_of(self.mission), self.mission.brief.targets
-        instances = [found.copied() for label in targets for found in self.tracker.of(label)]
-        frontiers_m = grid.frontiers.xy_m[: grid.frontiers.n].copy()
+        targets = self.mission.brief.targets
         return TickResult(
             now_ns=now_ns,
             observation=observation,
@@ -435,9 +434,11 @@ class Service:
             answers=tuple(news.answers),
             events=tuple(news.events),
             detections=news.detections,
-            mission=lambda: mission,
-            instances=lambda: instances,
-            frontiers=lambda: frontiers_m,
+            mission=cache(partial(facts_of, self.mission)),
+            instances=cache(
+                lambda: [found.copied() for label in targets for found in self.tracker.of(label)]
+            ),
+            frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
             latency=self.latency.report,
