@@ -32,6 +32,8 @@ class _Selection(Section):
     r_assoc_m: Positive = 0.6
     switch_margin: NonNegative = 0.3
     instances: bool = True
+    look_round: bool = False
+    turn_m_per_rad: NonNegative = 0.15
 
 
 class PolicyHvl(_Selection):
@@ -52,6 +54,15 @@ class PolicyNearest(_Selection):
     kind: Literal["nearest_frontier"] = "nearest_frontier"
 
 
+class PolicySearch(_Selection):
+    """Ours: the area that a frontier would show, under a root, over the way there."""
+
+    kind: Literal["search"] = "search"
+    look_round: bool = True
+    start_m: Positive = 1.0
+    look_weight: NonNegative = 1.0
+
+
 class PolicyOwn(_Selection):
     """A class of one's own, on Python's path; `options` are its arguments (docs/policies.md)."""
 
@@ -70,6 +81,7 @@ Policy = Annotated[
     Union[
         Annotated[PolicyHvl, Tag("hvl")],
         Annotated[PolicyNearest, Tag("nearest_frontier")],
+        Annotated[PolicySearch, Tag("search")],
         Annotated[PolicyOwn, Tag(MODULE_CLASS)],
     ],
     Discriminator(_kind_of),

@@ -6,16 +6,24 @@ it was first seen.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
-from edge.mapping.grid import Frontiers
-from edge.policies.base import FRONTIER, INSTANCE, Candidates
+from edge.geometry import SE2, wrap_angle
+from edge.mapping.grid import Frontiers, RollingMap
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates
 from edge.types import Instance
 
 _DISCARDED = 64
+_UNMEASURED = np.float32(-1.0)
+# Frontiers whose gain is measured again in a tick, besides those that are new.
+_MEASURED = 12
+LOOK_MIN_M2 = 1.5
+"""A turn that shows less is not worth a goal."""
+_LOOK_SAME_RAD = 0.6
 
 
 class CandidatePool:
@@ -31,10 +39,13 @@ class CandidatePool:
         c = self.candidates = Candidates(capacity)
         self.shown = c.read_only()
         self.anchor_m = np.zeros((capacity, 2), np.float32)
-        self._lasting = (c.xy_m, self.anchor_m, c.id, c.first_seen_ns)
+        self._lasting = (c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2)
         self._before = tuple(np.empty_like(array) for array in self._lasting)
         self._r_assoc_m = r_assoc_m
         self._next_id = 1
+        self._measure_next = 0
+        self._measured = np.zeros(capacity, np.int32)
+        self._look: tuple[int, float] | None = None  # id and heading
         self._match = np.full(capacity, -1, np.int32)
         self._claim = np.full(capacity, -1, np.int32)
         self._discarded_xy_m = np.zeros((_DISCARDED, 2), np.float32)
@@ -73,7 +84,7 @@ class CandidatePool:
         c.confidence[:n_new] = 0.0
         self._next_id = _carry_over(
             self._match, n_new, self._next_id, stamp_ns, *before,
-            c.xy_m, self.anchor_m, c.id, c.first_seen_ns,
+            c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2,
         )  # fmt: skip
         # Where the sensors' clock was set back, nothing was first seen in the future.
         first_seen_ns = c.first_seen_ns[:n_new]
@@ -86,6 +97,7 @@ class CandidatePool:
             c.first_seen_ns[i] = instance.first_seen_ns
             c.confidence[i] = instance.score
             c.sure[i] = instance.state in ("confirmed", "reached")
+            c.gain_m2[i] = 0.0
         c.n = n_new + n_instances
         _mark_blocked(
             c.xy_m, c.kind, c.id, c.n,
@@ -93,6 +105,49 @@ class CandidatePool:
             self._discarded_until_ns, now_ns, self._r_assoc_m, c.blocked,
         )  # fmt: skip
         self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
+
+    def measure(self, grid: RollingMap, pose: SE2) -> None:
+        """Fill in how far the candidates are, and what frontiers would show."""
+        c = self.candidates
+        grid.reach.paths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
+        n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
+        k = _to_measure(c.gain_m2, n, self._measure_next, _MEASURED, self._measured)
+        self._measure_next = (self._measure_next + _MEASURED) % max(n, 1)
+        if k and grid.window.placed:
+            grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
+
+    def add_look(
+        self, grid: RollingMap, pose: SE2, fov_rad: float, turn_m_per_rad: float, now_ns: int
+    ) -> None:
+        """Add the turn on the spot that shows the most, where one is worth it."""
+        c = self.candidates
+        if c.n == len(c.id):
+            return
+        yaw = grid.coverage.camera_yaw_rad
+        grid.gain.look(pose, yaw, fov_rad)
+        heading, turn_rad, area_m2 = grid.gain.best_turn(pose, yaw, fov_rad)
+        if area_m2 < LOOK_MIN_M2:
+            self._look = None
+            return
+        if self._look is None or abs(wrap_angle(self._look[1] - heading)) > _LOOK_SAME_RAD:
+            self._look = (self._next_id, heading)
+            self._next_id += 1
+        i, (look_id, heading) = c.n, self._look
+        c.xy_m[i] = pose.x_m + math.cos(heading), pose.y_m + math.sin(heading)
+        c.kind[i] = LOOK
+        c.id[i] = look_id
+        c.first_seen_ns[i] = c.stamp_ns
+        c.confidence[i] = 0.0
+        c.sure[i] = False
+        c.path_m[i] = turn_m_per_rad * turn_rad
+        c.gain_m2[i] = area_m2
+        c.n = self.shown.n = i + 1
+        last = slice(i, i + 1)
+        _mark_blocked(
+            c.xy_m[last], c.kind[last], c.id[last], 1,
+            self._discarded_xy_m, self._discarded_kind, self._discarded_id,
+            self._discarded_until_ns, now_ns, self._r_assoc_m, c.blocked[last],
+        )  # fmt: skip
 
     def discard(
         self, kind: int, candidate_id: int, xy_m: tuple[float, float], until_ns: int
@@ -164,8 +219,9 @@ def _nearest_unclaimed(old_xy, old_anchor, n_old, new_xy, i, r2, claim):
 
 @njit(nogil=True, cache=True)
 def _carry_over(
-    match, n_new, next_id, stamp_ns, old_anchor, old_id, old_seen, xy, anchor, ids, seen
-):
+    match, n_new, next_id, stamp_ns, old_anchor, old_id, old_seen, old_gain,
+    xy, anchor, ids, seen, gain,
+):  # fmt: skip
     """Fill the new entries from the old ones they continue; returns the next free id."""
     for i in range(n_new):
         j = match[i]
@@ -173,10 +229,12 @@ def _carry_over(
             anchor[i] = old_anchor[j]
             ids[i] = old_id[j]
             seen[i] = old_seen[j]
+            gain[i] = old_gain[j]
         else:
             anchor[i] = xy[i]
             ids[i] = next_id
             seen[i] = stamp_ns
+            gain[i] = _UNMEASURED
             next_id += 1
     return next_id
 
@@ -197,3 +255,18 @@ def _mark_blocked(
                 blocked[i] = dx * dx + dy * dy < radius * radius
             if blocked[i]:
                 break
+
+
+@njit(nogil=True, cache=True)
+def _to_measure(gain, n, start, least, which):
+    """Indices of the frontiers to measure: those that never were, and `least` in turn.
+
+    Returns:
+        How many `which` holds.
+    """
+    k = 0
+    for i in range(n):
+        if gain[i] < 0.0 or (i - start) % n < least:
+            which[k] = i
+            k += 1
+    return k

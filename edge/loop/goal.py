@@ -25,7 +25,7 @@ from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.instances import InstanceTracker
-from edge.policies.base import FRONTIER, INSTANCE, Context
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
 from edge.policies.select import Held, choose, ranked
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
@@ -424,6 +424,8 @@ class GoalTracker:
             return
         if present is not None and present.goal.kind == "look":
             self._search.turned(now_ns)
+            goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
+            self._pool.discard(LOOK, goal.candidate_id, goal.candidate_xy_m, until_ns)
         elif present is not None:
             goal = present.goal
             kind = INSTANCE if goal.kind == "instance" else FRONTIER

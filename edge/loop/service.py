@@ -218,6 +218,12 @@ class Service:
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
+        self.pool.measure(self.grid, observation.pose)
+        policy, camera = self.config.policy, observation.camera
+        if policy.look_round and camera is not None:
+            self.pool.add_look(
+                self.grid, observation.pose, camera.hfov_rad, policy.turn_m_per_rad, now_ns
+            )
 
     def _consult(self, scorers: Scorers, observation: Observation) -> None:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""

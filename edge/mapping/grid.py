@@ -14,6 +14,7 @@ from edge.mapping import points, unknown, update
 from edge.mapping.bumps import ROUNDING_CELLS, Bumps
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
 from edge.mapping.coverage import Coverage, Viewpoint
+from edge.mapping.gain import Gain
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
 from edge.mapping.window import Window
@@ -39,6 +40,7 @@ class RollingMap:
         reach: geodesic distances from the robot; its `step` is called once a tick.
         bumps: where the robot was held up by what no sensor shows.
         coverage: where the detector looked; its `look` is called for each image that it searched.
+        gain: what a look from somewhere would show.
         window: what of the world is held; only the map moves it.
         layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
@@ -80,6 +82,7 @@ class RollingMap:
             self._layers, self.window, self._inflation_cells, self._body, c.reach_cells_per_tick
         )
         self.coverage = Coverage(self._layers, self.window)
+        self.gain = Gain(self._layers, self.window, c.range_m)
         self.bumps = Bumps(self._layers, self.window, c, self._write)
 
     def update_depth(

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from edge.geometry import SE2
-from edge.mapping.layers import FREE, Layers, bit_get, on_trail
+from edge.mapping.layers import FREE, OCCUPIED, Layers, bit_get, on_trail
 from edge.mapping.window import Window
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
@@ -22,6 +22,8 @@ _UNREACHED = np.int32(0)
 # Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 _CLEAR_PER_CELL = 16
+# What stands so near to a point of a thing's surface is the thing.
+_OWN_CELLS = 4
 
 
 class Wave(NamedTuple):
@@ -148,6 +150,46 @@ class ReachField:
         if steps == _UNREACHED:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+
+    def approach(
+        self, x_m: float, y_m: float, within_m: float
+    ) -> tuple[float, float, float] | None:
+        """Where to stop on the way to a thing: the free cell with the shortest way there from
+        which the point is near, with nothing in between.
+
+        Args:
+            within_m: how near; the centre of the cell to the point.
+
+        Returns:
+            (x_m, y_m, geodesic_m) of the cell's centre; None when there is none.
+        """
+        if self.generation == 0:
+            return None
+        res = self._window.resolution_m
+        distance, common = self.field
+        x, y, steps = first_in_sight(
+            self._layers, distance, *common, float(x_m / res), float(y_m / res), within_m / res
+        )
+        if steps == _UNREACHED:
+            return None
+        return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+
+    def paths_m(
+        self, xy_m: np.ndarray, kind: np.ndarray, radius_m: np.ndarray, n: int, out_m: np.ndarray
+    ) -> None:
+        """Driving distance to each of some points: to the free cell nearest to it, as `nearest`.
+
+        Args:
+            xy_m: (n or more, 2) float32.
+            kind: (n or more,) int8, index into `radius_m`, how far that cell may lie.
+            out_m: (n or more,) float32; inf where the robot does not get to.
+        """
+        if self.generation == 0:
+            out_m[:n] = math.inf
+            return
+        distance, common = self.field
+        res = self._window.resolution_m
+        path_lengths(self._layers, distance, *common, res, xy_m, kind, radius_m, n, out_m)
 
     def _common(self, which: int) -> tuple[int, int, int, int]:
         """World cells that lie in a field's window and in the map's: half-open rectangle."""
@@ -297,6 +339,12 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
         (world x, world y, distance entry); the last is 0 when there is none.
     """
     n = layers.raw.shape[0]
+    x, y = int(np.floor(px)), int(np.floor(py))
+    if x0 <= x < x1 and y0 <= y < y1:
+        steps = distance[y % n, x % n]
+        free = bit_get(layers.known, y % n, x % n) and not bit_get(layers.blocked, y % n, x % n)
+        if steps != 0 and free:
+            return x, y, steps
     best, best_x, best_y = radius * radius, 0, 0
     found = np.int32(0)
     for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
@@ -314,3 +362,49 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
                 continue
             best, best_x, best_y, found = d2, x, y, steps
     return best_x, best_y, found
+
+
+@njit(nogil=True, cache=True)
+def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
+    """See `ReachField.paths_m`."""
+    for i in range(n):
+        _, _, steps = nearest_reached(
+            layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
+        )
+        out[i] = (steps - 1) / STRAIGHT * res if steps != 0 else np.inf
+
+
+@njit(nogil=True, cache=True)
+def first_in_sight(layers, distance, x0, y0, x1, y1, px, py, radius):
+    """See `ReachField.approach`; in cells, results as of `nearest_reached`."""
+    n = layers.raw.shape[0]
+    best_x, best_y, found = 0, 0, np.int32(0)
+    for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
+        sy = y % n
+        for x in range(
+            max(int(np.floor(px - radius)), x0), min(int(np.floor(px + radius)) + 1, x1)
+        ):
+            sx = x % n
+            steps = distance[sy, sx]
+            if steps == 0 or (found != 0 and steps >= found):
+                continue
+            if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+                continue
+            dx, dy = px - x - 0.5, py - y - 0.5
+            if dx * dx + dy * dy > radius * radius or not _in_sight(layers.raw, x, y, dx, dy):
+                continue
+            best_x, best_y, found = x, y, steps
+    return best_x, best_y, found
+
+
+@njit(nogil=True, cache=True)
+def _in_sight(raw, x, y, dx, dy):
+    """Whether nothing stands between a cell's centre and a point, but near the point: itself."""
+    n = raw.shape[0]
+    length = math.hypot(dx, dy)
+    for k in range(int(length - _OWN_CELLS) + 1):
+        f = k / max(length, 1.0)
+        cx, cy = math.floor(x + 0.5 + f * dx), math.floor(y + 0.5 + f * dy)
+        if raw[cy % n, cx % n] >= OCCUPIED:
+            return False
+    return True

@@ -15,7 +15,7 @@ class MapView:
         layers: read-only, by storage cell (see `edge.mapping.layers`).
         window: what of the world they hold; only the map moves it.
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
-        distance_m, nearest: see `edge.mapping.reach.ReachField`.
+        distance_m, nearest, approach: see `edge.mapping.reach.ReachField`.
         worth: see `edge.mapping.coverage.Coverage`.
     """
 
@@ -25,6 +25,7 @@ class MapView:
         self.state_at, self.unknown_ratio = grid.state_at, grid.unknown_ratio
         self.snapshot = grid.snapshot
         self.distance_m, self.nearest = grid.reach.distance_m, grid.reach.nearest
+        self.approach = grid.reach.approach
         self.worth = grid.coverage.worth
         self._grid = grid
         shown = grid.frontiers

@@ -18,6 +18,7 @@ from edge.policies.base import Policy
 REGISTRY = {
     "hvl": "edge.policies.hvl:Hvl",
     "nearest_frontier": "edge.policies.nearest_frontier:NearestFrontier",
+    "search": "edge.policies.search:Search",
 }
 
 

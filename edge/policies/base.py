@@ -14,22 +14,31 @@ from edge.mapping.view import MapView
 from edge.perception.choice.question import Choice
 from edge.types import Detections, Observation
 
-FRONTIER, INSTANCE = 0, 1
+FRONTIER, INSTANCE, LOOK = 0, 1, 2
+SNAP_M = np.array([0.6, 1.5, 0.0])
+"""How far from a candidate of each kind its goal cell may lie: a frontier borders free space, an
+instance's surface is behind inflation and often on a table, and a look is from where one stands."""
 
 
 class Candidates:
-    """Frontier and instance target points, parallel arrays of which the first `n` entries count.
+    """Where to go, parallel arrays of which the first `n` entries count: frontiers first, then
+    instances, then at most one look, which is a turn on the spot.
 
     Attributes:
         stamp_ns: of the observation that they were gathered from.
-        xy_m: (capacity, 2) float32 in `map`.
-        kind: (capacity,) int8, `FRONTIER` or `INSTANCE`; frontiers come first.
+        xy_m: (capacity, 2) float32 in `map`; a look's lies a metre from the robot, where the robot
+            is to face.
+        kind: (capacity,) int8, `FRONTIER`, `INSTANCE` or `LOOK`.
         id: (capacity,) int64. A frontier's is never given again once it is gone; an instance's is
             that of the instance, and may be a frontier's as well.
         first_seen_ns: (capacity,) int64, on the clock of `stamp_ns`.
         confidence: (capacity,) float32 in [0, 1], the detector's; 0 for frontiers.
         sure: (capacity,) bool, instances that the detector has confirmed.
         blocked: (capacity,) bool, discarded for a while.
+        path_m: (capacity,) float32, driving distance from the robot, inf where it does not get
+            to; of a look what its turn is worth as way (`policy.turn_m_per_rad`).
+        gain_m2: (capacity,) float32, unknown area that frontiers and looks are expected to show
+            (`edge.mapping.gain`); 0 for instances. A frontier's may be some ticks old.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -41,6 +50,8 @@ class Candidates:
         self.confidence = np.zeros(capacity, np.float32)
         self.sure = np.zeros(capacity, np.bool_)
         self.blocked = np.zeros(capacity, np.bool_)
+        self.path_m = np.zeros(capacity, np.float32)
+        self.gain_m2 = np.zeros(capacity, np.float32)
 
     def read_only(self) -> Candidates:
         """The same arrays, for those who may not write there; whoever writes renews the counts."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicyNearest
-from edge.policies.base import FRONTIER, Context, Why
+from edge.policies.base import INSTANCE, Context, Why
 
 
 class NearestFrontier:
@@ -16,11 +16,9 @@ class NearestFrontier:
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
-        candidates, pose = context.candidates, context.pose
-        xy_m, n = candidates.xy_m, candidates.n
-        away = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
-        frontier = candidates.kind[:n] == FRONTIER
-        return np.where(frontier, 1.0 / (1.0 + away), candidates.confidence[:n])
+        candidates, n = context.candidates, context.candidates.n
+        near = 1.0 / (1.0 + candidates.path_m[:n])
+        return np.where(candidates.kind[:n] == INSTANCE, candidates.confidence[:n], near)
 
     def reset(self, why: Why) -> None:
         """It remembers nothing."""

@@ -13,16 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geometry import SE2
-from edge.policies.base import FRONTIER, INSTANCE, Candidates, Context
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates, Context
 from edge.types import Goal, Instance
 
-# How far from its candidate a goal cell may lie: a frontier borders free space, an instance's
-# surface is behind inflation and often on a table.
-_SNAP_M = {FRONTIER: 0.6, INSTANCE: 1.5}
 # A frontier that vanished while another stands this near was merely redrawn.
 _HEIR_M = 1.0
+STOP_M = 0.7
+"""The robot stops as soon as it is so near to an instance."""
 # A goal's cell may move so far, or by this share of the way there, before it is chosen anew.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
+
+_GOAL_KIND = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
 
 Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
@@ -55,10 +56,10 @@ def ranked(
     n, kind = candidates.n, candidates.kind
     dx, dy = candidates.xy_m[:n, 0] - pose.x_m, candidates.xy_m[:n, 1] - pose.y_m
     # An instance is never "too close": the mission verifies it on the spot instead.
-    far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] == INSTANCE)
+    far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] != FRONTIER)
     alive = np.flatnonzero(far & ~candidates.blocked[:n])
     order = np.lexsort(
-        (candidates.id[alive], -score[alive], ~candidates.sure[alive], kind[alive] == FRONTIER)
+        (candidates.id[alive], -score[alive], ~candidates.sure[alive], kind[alive] != INSTANCE)
     )
     return alive[order]
 
@@ -114,8 +115,11 @@ def _beats(
     was left often: the way to it may lead past where the other scores better.
     """
     kind, sure = context.candidates.kind, context.candidates.sure
-    if kind[index] != kind[present] or sure[index] != sure[present]:
+    instances = kind[index] == INSTANCE, kind[present] == INSTANCE
+    if instances[0] != instances[1] or sure[index] != sure[present]:
         return True
+    if kind[present] == LOOK:
+        return False
     if kind[index] == INSTANCE:
         return bool(score[index] > (1.0 + margin) * held.peak)
     return bool(score[index] > (1.0 + margin) * score[present]) and not held.fickle()
@@ -124,7 +128,7 @@ def _beats(
 def _index_of(goal: Goal, candidates: Candidates) -> int:
     """A goal's candidate: by identity, or a frontier that took its place; -1: it has none."""
     if goal.kind == "look":
-        return -1
+        return candidates.index_of(LOOK, goal.candidate_id)
     if goal.kind == "instance":
         return candidates.index_of(INSTANCE, goal.candidate_id)
     same = candidates.index_of(FRONTIER, goal.candidate_id)
@@ -136,6 +140,8 @@ def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
 
     A cell far ahead may move farther before the controller need hear of it.
     """
+    if goal.kind == "look":
+        return True
     free = context.map.state_at(goal.pose.x_m, goal.pose.y_m) == 0
     allowed_m = max(_MOVE_M, _MOVE_SHARE * context.pose.distance_to(*cell))
     return free and goal.pose.distance_to(*cell) < allowed_m
@@ -145,6 +151,8 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
     """The reachable free cell to stand on for a candidate."""
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
+    if kind == LOOK:
+        return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "refuted":  # since they were gathered
@@ -152,14 +160,30 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
         points = instance.points_m[:, :2]
         away = np.hypot(points[:, 0] - pose.x_m, points[:, 1] - pose.y_m)
         xy_m = points[int(np.argmin(away))]
-    found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), _SNAP_M[kind])
+        found = context.map.approach(float(xy_m[0]), float(xy_m[1]), STOP_M)
+        if found is not None:
+            return found[0], found[1]
+        through = _way_through(candidates, xy_m)
+        if through >= 0:
+            xy_m, kind = candidates.xy_m[through], FRONTIER
+    found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), float(SNAP_M[kind]))
     return None if found is None else (found[0], found[1])
+
+
+def _way_through(candidates: Candidates, xy_m: np.ndarray) -> int:
+    """The frontier through which the way to a place that is not known yet is the shortest; -1."""
+    n = candidates.n
+    there = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
+    way = candidates.path_m[:n] + there
+    way[(candidates.kind[:n] != FRONTIER) | candidates.blocked[:n]] = np.inf
+    best = int(way.argmin()) if n else -1
+    return best if best >= 0 and np.isfinite(way[best]) else -1
 
 
 def _goal(context: Context, index: int, cell: Cell, score: float) -> Goal:
     candidates = context.candidates
     x, y = map(float, candidates.xy_m[index])
     pose = SE2(cell[0], cell[1], math.atan2(y - cell[1], x - cell[0]))
-    kind = "instance" if candidates.kind[index] == INSTANCE else "frontier"
+    kind = _GOAL_KIND[int(candidates.kind[index])]
     candidate_id = int(candidates.id[index])
     return Goal(context.now_ns, pose, kind, candidate_id, (x, y), score, context.target)

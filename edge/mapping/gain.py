@@ -1,0 +1,192 @@
+"""How much unknown area a look from somewhere would show: what a frontier is worth, and a turn.
+
+The expected area: what is behind the rim of the known is not all open. A ray that has gone a way u
+through unknown cells goes on with probability exp(-u / `OPEN_M`), as if walls and furniture were
+strewn at random, so that a gap behind a table is not taken for a room.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from edge.geometry import SE2, wrap_angle
+from edge.mapping.layers import OCCUPIED, UNSEEN, Layers
+from edge.mapping.window import Window
+
+OPEN_M = 2.5
+"""Mean free way of a ray through rooms that were not seen yet."""
+RAYS = 64
+STEP_CELLS = 2.0
+SURE = 0.85
+"""Share of the field of view and of the range that is counted on."""
+HERE_M, PLACES = 0.8, 256
+"""Within so much of a place a look shows the same; the latest places are remembered."""
+RAY_LEAST_M2 = 0.05
+"""What a ray shows less is the rim of something."""
+
+
+class Gain:
+    """Casts rays over the map as it is, and remembers where the camera looked from where.
+
+    Args:
+        range_m: how far the map's sensor sees.
+    """
+
+    def __init__(self, layers: Layers, window: Window, range_m: float) -> None:
+        self._layers, self._window = layers, window
+        cells = STEP_CELLS * window.resolution_m
+        self._steps = max(1, int(SURE * range_m / cells))
+        self._decay = math.exp(-cells / OPEN_M)
+        angle = 2.0 * math.pi / RAYS * np.arange(RAYS)
+        self._direction = np.stack([np.cos(angle), np.sin(angle)], axis=1) * STEP_CELLS
+        # Area of a ray's share of the ring at each step.
+        self._area_m2 = 2.0 * math.pi / RAYS * (np.arange(self._steps) + 1.0) * cells * cells
+        self._ray_m2 = np.zeros(RAYS)
+        self._at_m = np.full((PLACES, 2), np.inf)
+        self._looked = np.zeros(PLACES, np.uint64)
+        self._next = 0
+
+    def around(self, xy_m: np.ndarray, which: np.ndarray, n: int, out_m2: np.ndarray) -> None:
+        """The area that a full turn at each of some places would show, in expectation.
+
+        Args:
+            xy_m: (m, 2) float32 in `map`.
+            which: (n or more,) int32, indices into `xy_m`; the first `n` count.
+            out_m2: (m,) float32, written at these indices.
+        """
+        window = self._window
+        gains(
+            self._layers.raw, *window.origin, 1.0 / window.resolution_m, xy_m, which, n,
+            self._direction, self._area_m2, self._decay, self._ray_m2, out_m2,
+        )  # fmt: skip
+
+    def look(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
+        """The camera looks from here: what it does not show from here it never will."""
+        ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
+        self._looked[k] |= sector_bits(ahead, SURE * fov_rad)
+
+    def best_turn(
+        self, pose: SE2, camera_yaw_rad: float, fov_rad: float
+    ) -> tuple[float, float, float]:
+        """What turning on the spot would show, where the camera did not look from near here.
+
+        Args:
+            camera_yaw_rad: of the camera on the robot.
+
+        Returns:
+            (heading_rad, turn_rad, area_m2): of the robot, for the next look of a turn that shows
+            it all; how far that turn goes; and what it shows, 0 where there is nothing to see.
+        """
+        window = self._window
+        if not window.placed:
+            return pose.yaw_rad, 0.0, 0.0
+        x, y = pose.x_m / window.resolution_m, pose.y_m / window.resolution_m
+        cast(
+            self._layers.raw, *window.origin, x, y, self._direction, self._area_m2, self._decay,
+            self._ray_m2,
+        )  # fmt: skip
+        near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < HERE_M
+        looked = np.bitwise_or.reduce(self._looked[near], initial=np.uint64(0))
+        ahead = pose.yaw_rad + camera_yaw_rad
+        turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
+        return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
+
+    def forget(self) -> None:
+        """The detector looks for something else."""
+        self._looked[:] = 0
+
+    def _place(self, pose: SE2) -> int:
+        """The place that stands for where the robot is, a new one where there is none."""
+        away = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m)
+        k = int(away.argmin())
+        if away[k] > 0.5 * HERE_M:
+            k, self._next = self._next, (self._next + 1) % PLACES
+            self._at_m[k] = pose.x_m, pose.y_m
+            self._looked[k] = 0
+        return k
+
+
+@njit(nogil=True, cache=True)
+def cast(raw, origin_x, origin_y, x, y, direction, area, decay, out):
+    """Expected unknown area that each ray from a place shows.
+
+    Args:
+        x, y: world coordinates in cells, fractions too.
+        direction: (rays, 2) float64, a step along each ray, in cells.
+        area: (steps,) float64, that a ray stands for at each step.
+        decay: probability that a step through unknown cells goes on.
+        out: (rays,) float64 output.
+
+    Returns:
+        The sum of `out`.
+    """
+    n = raw.shape[0]
+    total = 0.0
+    for k in range(len(direction)):
+        px, py, seen, open_ = x, y, 0.0, 1.0
+        for s in range(len(area)):
+            px += direction[k, 0]
+            py += direction[k, 1]
+            cx, cy = math.floor(px), math.floor(py)
+            if cx < origin_x or cy < origin_y or cx >= origin_x + n or cy >= origin_y + n:
+                break
+            state = raw[cy % n, cx % n]
+            if state >= OCCUPIED:
+                break
+            if state == UNSEEN:
+                open_ *= decay
+                seen += open_ * area[s]
+        out[k] = seen
+        total += seen
+    return total
+
+
+@njit(nogil=True, cache=True)
+def gains(raw, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
+    """See `Gain.around`; `ray` is scratch."""
+    for j in range(n):
+        i = which[j]
+        out[i] = cast(
+            raw, origin_x, origin_y, xy[i, 0] * inv_res, xy[i, 1] * inv_res, direction, area,
+            decay, ray,
+        )  # fmt: skip
+
+
+@njit(nogil=True, cache=True)
+def sector_bits(ahead, fov):
+    """The rays within a field of view, as bits."""
+    bits = np.uint64(0)
+    for k in range(RAYS):
+        off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
+        if abs(off) <= 0.5 * fov:
+            bits |= np.uint64(1) << np.uint64(k)
+    return bits
+
+
+@njit(nogil=True, cache=True)
+def best_sweep(ray, looked, fov, ahead):
+    """The shorter turn that shows every ray worth it that was not looked along.
+
+    Returns:
+        (turn to the first look, angle of the whole turn, area); the first look is where the sweep
+        leads, but never more than two fields of view away, so that no robot turns the other way.
+    """
+    left, right, total = 0.0, 0.0, 0.0
+    half = 0.5 * fov
+    for k in range(RAYS):
+        if ray[k] < RAY_LEAST_M2 or (looked >> np.uint64(k)) & np.uint64(1) != np.uint64(0):
+            continue
+        total += ray[k]
+        off = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi
+        # To bring the ray into view from either side.
+        left = max(left, off % (2.0 * math.pi) - half)
+        right = max(right, -off % (2.0 * math.pi) - half)
+    if total == 0.0:
+        return 0.0, 0.0, 0.0
+    most = 2.0 * math.pi / 3.0
+    if left <= right:
+        return min(left, most), left, total
+    return -min(right, most), right, total
