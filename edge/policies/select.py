@@ -128,7 +128,7 @@ def _beats(
 def _index_of(goal: Goal, candidates: Candidates) -> int:
     """A goal's candidate: by identity, or a frontier that took its place; -1: it has none."""
     if goal.kind == "look":
-        return candidates.index_of(LOOK, goal.candidate_id)
+        return candidates.n - 1 if candidates.kind[candidates.n - 1] == LOOK else -1
     if goal.kind == "instance":
         return candidates.index_of(INSTANCE, goal.candidate_id)
     same = candidates.index_of(FRONTIER, goal.candidate_id)
@@ -141,7 +141,7 @@ def _serves(goal: Goal, cell: Cell, context: Context) -> bool:
     A cell far ahead may move farther before the controller need hear of it.
     """
     if goal.kind == "look":
-        return True
+        return context.candidates.index_of(LOOK, goal.candidate_id) >= 0
     free = context.map.state_at(goal.pose.x_m, goal.pose.y_m) == 0
     allowed_m = max(_MOVE_M, _MOVE_SHARE * context.pose.distance_to(*cell))
     return free and goal.pose.distance_to(*cell) < allowed_m
