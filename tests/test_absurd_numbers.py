@@ -14,11 +14,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from absurd_sensors import ABSURD, HEIGHT, STAMP_NS, WIDTH, batches, changed
-from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.bus import topics
 from edge.bus.wire import DecodeError, messages
+from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import Grid, se2_of
 from edge.loop.status import status_of
 from edge.motion.controller import Controller

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from closed_loop import ClosedLoop
 
 from edge.config import Config, load
+from edge.eval.closed_loop import ClosedLoop
 
 KITCHEN = [6.6, 1.4, 1.2]
 

@@ -130,12 +130,15 @@ class World(Protocol):
         self,
         camera: CameraModel,
         T_map_camera: np.ndarray,
-        out_rgb: np.ndarray,
+        out_rgb: np.ndarray | None,
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
         """Take a picture: rgb (h, w, 3) uint8, z-depth (h, w) float32 with NaN where there is
-        nothing, object ids (h, w) uint16 with 0 for structure."""
+        nothing, object ids (h, w) uint16 with 0 for structure.
+
+        Without `out_rgb` nothing is shaded, which costs half as much; depth and ids are the same.
+        """
 
     def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         """Fill (rings, columns) float32 with ranges, NaN where nothing returns."""

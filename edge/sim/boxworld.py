@@ -76,7 +76,7 @@ class BoxWorld:
         self,
         camera: CameraModel,
         T_map_camera: np.ndarray,
-        out_rgb: np.ndarray,
+        out_rgb: np.ndarray | None,
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
@@ -84,13 +84,13 @@ class BoxWorld:
             self._prim = np.empty(out_depth_m.shape, np.int32)
         lens = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
         kernels.render_depth(self.shape, self.pose, T_map_camera, *lens, out_depth_m, self._prim)
-        shading.shade(
-            self.shape, self.pose, self.color, self.texture, self.owner, T_map_camera, *lens,
-            out_depth_m, self._prim, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m),
-            CELL_M, _SKY, out_rgb, out_ids,
-        )  # fmt: skip
-        near, far = self._depth_range_m
-        out_depth_m[(out_depth_m < near) | (out_depth_m > far)] = np.nan
+        if out_rgb is not None:
+            shading.shade(
+                self.shape, self.pose, self.color, self.texture, T_map_camera, *lens, out_depth_m,
+                self._prim, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m), CELL_M,
+                _SKY, out_rgb,
+            )  # fmt: skip
+        kernels.name_hits(self._prim, self.owner, *self._depth_range_m, out_depth_m, out_ids)
 
     def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)

@@ -186,6 +186,23 @@ def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
 
 
 @njit(**_jit)
+def name_hits(hit, owner, near_m, far_m, depth, ids):
+    """Fill `ids` with the owner of what each ray hit, and blank depths the camera does not give.
+
+    Args:
+        hit: (...) int32 index into `owner`, -1 = nothing.
+        owner: (n,) uint16 object ids, 0 = structure.
+        near_m, far_m: of the camera; `depth` (...) float32 outside becomes NaN, in place.
+        ids: (...) uint16, 0 where nothing is.
+    """
+    hits, depths, named = hit.reshape(-1), depth.reshape(-1), ids.reshape(-1)
+    for k in range(len(hits)):
+        named[k] = 0 if hits[k] < 0 else owner[hits[k]]
+        if depths[k] < near_m or depths[k] > far_m:
+            depths[k] = np.nan
+
+
+@njit(**_jit)
 def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     """Fill `window` (ring0, ring1, column0, columns) with the rays that can meet a box.
 

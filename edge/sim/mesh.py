@@ -16,7 +16,7 @@ from edge.config import Config, WorldMesh
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host import resources
 from edge.host.files import read_regular
-from edge.sim import mesh_kernels
+from edge.sim import kernels, mesh_kernels
 from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
 
 CELL_M = 0.025
@@ -225,20 +225,24 @@ class MeshWorld:
         self,
         camera: CameraModel,
         T_map_camera: np.ndarray,
-        out_rgb: np.ndarray,
+        out_rgb: np.ndarray | None,
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
         rays, hit = self._first_hits(self._pixel_rays(camera), T_map_camera)
-        faces = self._faces
-        mesh_kernels.shade_hits(
-            hit["primID"], hit["u"], hit["v"], hit["tfar"], rays, camera.fx_px,
-            faces.normals, faces.uvs, faces.tint, faces.texels, faces.levels, faces.first_level,
-            faces.level_count, faces.texel_density, self._owner, _SKY,
-            out_rgb.reshape(-1, 3), out_depth_m.reshape(-1), out_ids.reshape(-1),
-        )  # fmt: skip
-        near, far = self._depth_range_m
-        out_depth_m[(out_depth_m < near) | (out_depth_m > far)] = np.nan
+        faces, face = self._faces, hit["primID"]
+        if out_rgb is not None:
+            mesh_kernels.shade_hits(
+                face, hit["u"], hit["v"], hit["tfar"], rays, camera.fx_px,
+                faces.normals, faces.uvs, faces.tint, faces.texels, faces.levels,
+                faces.first_level, faces.level_count, faces.texel_density, _SKY,
+                out_rgb.reshape(-1, 3),
+            )  # fmt: skip
+        # The rays have z = 1, so that the distance along one is the depth.
+        out_depth_m.reshape(-1)[:] = hit["tfar"]
+        kernels.name_hits(
+            face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
+        )
 
     def cast(self, fan: Fan, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         _, hit = self._first_hits(fan.directions.reshape(-1, 3), T_map_lidar)

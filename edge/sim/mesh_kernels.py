@@ -53,10 +53,9 @@ def _sample(texels, offset, height, width, s, t):
 @njit(**_jit)
 def shade_hits(
     face, u, v, distance, rays, fx,
-    normals, uvs, tint, texels, levels, first_level, level_count, texel_density, owner, sky,
-    rgb, depth, ids,
+    normals, uvs, tint, texels, levels, first_level, level_count, texel_density, sky, rgb,
 ):  # fmt: skip
-    """Fill rgb (n, 3), depth (n,) [z, inf = nothing] and ids (n,) for n rays' first hits.
+    """Fill rgb (n, 3) uint8 for n rays' first hits.
 
     Args:
         face, u, v, distance: (n,) face index (-1 = none), barycentrics, distance along the ray.
@@ -68,7 +67,6 @@ def shade_hits(
         f = face[k]
         if f < 0:
             rgb[k, 0], rgb[k, 1], rgb[k, 2] = sky[0], sky[1], sky[2]
-            depth[k], ids[k] = np.inf, 0
             continue
         z, b1, b2 = distance[k], u[k], v[k]
         b0 = 1.0 - b1 - b2
@@ -94,7 +92,6 @@ def shade_hits(
         rgb[k, 0] = np.uint8(min(255.0, r * tint[f, 0] * light))
         rgb[k, 1] = np.uint8(min(255.0, g * tint[f, 1] * light))
         rgb[k, 2] = np.uint8(min(255.0, b * tint[f, 2] * light))
-        depth[k], ids[k] = z, owner[f]
 
 
 @njit(**_jit)

@@ -104,10 +104,10 @@ def _normal(shape, px, py, pz, hx, hy, hz):
 
 @njit(**_jit)
 def shade(
-    shape, pose, color, texture, owner, T_map_camera, fx, fy, cx, cy, depth, prim,
-    clearance_m, origin_m, cell_m, sky, rgb, ids,
+    shape, pose, color, texture, T_map_camera, fx, fy, cx, cy, depth, prim,
+    clearance_m, origin_m, cell_m, sky, rgb,
 ):  # fmt: skip
-    """Fill `rgb` (h, w, 3) uint8 and `ids` (h, w) uint16 for the hits of `render_depth`.
+    """Fill `rgb` (h, w, 3) uint8 for the hits of `render_depth`.
 
     Half-Lambert light from above, plus a soft darkening where things meet the floor, taken
     from `clearance_m` (the distance to the nearest obstacle on the floor plan).
@@ -120,7 +120,6 @@ def shade(
         for u in range(width):
             i = prim[v, u]
             if i < 0:
-                ids[v, u] = 0
                 rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2] = sky[0], sky[1], sky[2]
                 continue
             if i != last:
@@ -149,4 +148,3 @@ def shade(
             rgb[v, u, 0] = np.uint8(min(255.0, color[i, 0] * light * fr))
             rgb[v, u, 1] = np.uint8(min(255.0, color[i, 1] * light * fg))
             rgb[v, u, 2] = np.uint8(min(255.0, color[i, 2] * light * fb))
-            ids[v, u] = owner[i]

@@ -6,10 +6,10 @@ from __future__ import annotations
 import itertools
 import json
 
-from closed_loop import START_NS, ClosedLoop
 from fresh_process import descriptors, resident_mb
 from simulated import simulated
 
+from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.mission.brief import prepare
 
 # Kinds of the built-in house, and two that are not there.

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from closed_loop import ClosedLoop
 from llm_process import serving_llm
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
+from edge.eval.closed_loop import ClosedLoop
 from edge.loop.status import status_of
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
 from edge.perception.choice.scorer import ChoiceScorer, make_choice

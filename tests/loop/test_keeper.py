@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.config import Config
+from edge.eval.closed_loop import ClosedLoop
 from edge.loop.keeper import Keeper
 from edge.loop.result import facts_of
 from edge.loop.service import Service

@@ -13,12 +13,12 @@ from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
-from closed_loop import ClosedLoop, blank_observation
 from frames import Slot
 from patience import eventually
 from simulated import simulated
 
 from edge.errors import Stopped
+from edge.eval.closed_loop import ClosedLoop, blank_observation
 from edge.geometry import SE2
 from edge.host import resources
 from edge.loop import runner

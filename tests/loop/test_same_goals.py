@@ -11,9 +11,9 @@ from itertools import groupby
 from pathlib import Path
 
 import pytest
-from closed_loop import ClosedLoop
 from simulated import simulated
 
+from edge.eval.closed_loop import ClosedLoop
 from edge.types import Goal
 
 RECORDED = Path(__file__).parents[1] / "data" / "same_goals.json"

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chat_server import likeliest, send, serving
-from closed_loop import START_NS, ClosedLoop
 from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 from edge.config import Config
+from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2
 from edge.loop.scorers import SIGHTED_NS, Scorers, make_scorers, sightings
 from edge.loop.status import status_of

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.config import Config
+from edge.eval.closed_loop import ClosedLoop
 from edge.mission.brief import prepare
 
 # One long room: the map sees all of it at once, the detector (2.5 m) does not.

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from closed_loop import START_NS, ClosedLoop, blank_observation
 from frames import Slot
 from simulated import simulated
 
 from edge.bus.session import open_session
 from edge.cli.console import ConsoleSink
 from edge.config import Config
+from edge.eval.closed_loop import START_NS, ClosedLoop, blank_observation
 from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.loop.status import status_of

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from closed_loop import START_NS, ClosedLoop
 from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
+from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare

@@ -8,9 +8,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from closed_loop import ClosedLoop
 from simulated import simulated
 
+from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.mapping import layers as ly
 from edge.types import GoalStatus

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from closed_loop import ClosedLoop
 from simulated import simulated
 
 from edge.config import ConfigError
+from edge.eval.closed_loop import ClosedLoop
 from edge.loop.warmup import warm_up
 from edge.policies import make_policy
 from edge.policies.base import INSTANCE

@@ -91,6 +91,20 @@ def test_render_depth_agrees_with_the_plain_caster(seed: int):
     np.testing.assert_allclose(chosen[hit], nearest[hit], rtol=1e-5)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_name_hits_agrees_with_a_plain_one(seed: int):
+    rng = np.random.default_rng(seed)
+    owner = rng.integers(0, 60000, 25).astype(np.uint16)
+    hit = rng.integers(-1, 25, (12, 17)).astype(np.int32)
+    depth = rng.uniform(0.0, 9.0, hit.shape).astype(np.float32)
+    depth[rng.random(hit.shape) < 0.2] = np.inf
+    before, ids = depth.copy(), np.empty(hit.shape, np.uint16)
+    kernels.name_hits(hit, owner, 0.5, 6.0, depth, ids)
+    np.testing.assert_array_equal(ids, np.where(hit < 0, 0, owner[hit]))
+    given = (before >= np.float32(0.5)) & (before <= np.float32(6.0))
+    np.testing.assert_array_equal(depth, np.where(given, before, np.nan))
+
+
 @pytest.mark.parametrize("pitch_deg", [0.0, 23.0, -40.0])
 @pytest.mark.parametrize("rings", [1, 9])
 @pytest.mark.parametrize("seed", range(3))
@@ -125,35 +139,33 @@ def test_rasterise_agrees_with_a_test_of_every_cell(seed: int):
 
 
 def shade_one(shape: int, texture: int, color: tuple[float, float, float]):
-    """A big solid 2 m ahead fills part of the picture; returns rgb, ids, prim."""
+    """A big solid 2 m ahead fills part of the picture; returns rgb, prim."""
     shapes = np.array([shape], np.uint8)
     pose = np.array([[2.5, 0.0, 0.0, 0.5, 0.8, 0.6, 1.0, 0.0]])
     T = optical(np.eye(4))
     depth, prim = render_depth(shapes, pose, T)
-    rgb, ids = np.empty((*depth.shape, 3), np.uint8), np.empty(depth.shape, np.uint16)
+    rgb = np.empty((*depth.shape, 3), np.uint8)
     shading.shade(
-        shapes, pose, np.array([color], np.float32), np.array([texture], np.uint8),
-        np.array([7], np.uint16), T, *LENS, depth, prim, np.ones((4, 4), np.float32),
-        np.zeros(2), 0.05, np.array([1, 2, 3], np.uint8), rgb, ids,
+        shapes, pose, np.array([color], np.float32), np.array([texture], np.uint8), T, *LENS,
+        depth, prim, np.ones((4, 4), np.float32), np.zeros(2), 0.05,
+        np.array([1, 2, 3], np.uint8), rgb,
     )  # fmt: skip
-    return rgb, ids, prim
+    return rgb, prim
 
 
 @pytest.mark.parametrize("shape", [kernels.BOX, kernels.CYLINDER, kernels.ELLIPSOID])
 @pytest.mark.parametrize("texture", range(10))
 def test_shade_colours_hits_and_paints_the_rest_as_sky(shape: int, texture: int):
-    rgb, ids, prim = shade_one(shape, texture, (200.0, 60.0, 60.0))
+    rgb, prim = shade_one(shape, texture, (200.0, 60.0, 60.0))
     hit = prim == 0
     assert 0.05 < hit.mean() < 0.95
-    assert (ids[hit] == 7).all()
-    assert (ids[~hit] == 0).all()
     assert (rgb[~hit] == (1, 2, 3)).all()
     mean = rgb[hit].mean(axis=0)
     assert mean[0] > 1.2 * max(mean[1], mean[2])
 
 
 def test_a_face_seen_straight_on_is_lit_from_its_normal_and_darker_near_the_floor():
-    rgb, _, prim = shade_one(kernels.BOX, shading.PLAIN, (200.0, 100.0, 50.0))
+    rgb, prim = shade_one(kernels.BOX, shading.PLAIN, (200.0, 100.0, 50.0))
     red = rgb[prim == 0][:, 0]
     # The front's normal is -x: light 0.80 - 0.20 * 0.30; full above 0.35 m, 0.84 of it at 0.
     assert red.max() == pytest.approx(200.0 * 0.74, abs=1.0)
@@ -196,19 +208,17 @@ def test_shade_agrees_with_a_plain_one_on_untextured_solids(seed: int):
     rng = np.random.default_rng(seed)
     shape, pose = random_scene(rng, 25)
     color = rng.uniform(0.0, 255.0, (25, 3)).astype(np.float32)
-    owner = rng.integers(1, 60000, 25).astype(np.uint16)
     clearance = rng.uniform(0.0, 0.5, (80, 80)).astype(np.float32)
     floor = (clearance, np.array([-4.0, -4.0]), 0.1)
     T = random_pose(rng) @ optical(np.eye(4))
     depth, prim = render_depth(shape, pose, T)
-    rgb, ids = np.empty((*depth.shape, 3), np.uint8), np.empty(depth.shape, np.uint16)
+    rgb = np.empty((*depth.shape, 3), np.uint8)
     shading.shade(
-        shape, pose, color, np.full(25, shading.PLAIN, np.uint8), owner, T, *LENS, depth, prim,
-        *floor, np.zeros(3, np.uint8), rgb, ids,
+        shape, pose, color, np.full(25, shading.PLAIN, np.uint8), T, *LENS, depth, prim,
+        *floor, np.zeros(3, np.uint8), rgb,
     )  # fmt: skip
     expected = plain_shade(shape, pose, color, depth, prim, T, *floor)
     hit = prim >= 0
-    np.testing.assert_array_equal(ids[hit], owner[prim[hit]])
     wrong = np.abs(rgb[hit] - expected[hit]).max(axis=1) > 1.01
     # On an edge, rounding may choose the other face, or the other cell of the floor.
     assert wrong.mean() < 0.005

@@ -33,9 +33,9 @@ def world_config(mesh: Path, objects: Path):
     )
 
 
-def look(world, pose: SE2, width: int = 160, height: int = 128):
+def look(world, pose: SE2, width: int = 160, height: int = 128, colour=True):
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
-    rgb = np.empty((height, width, 3), np.uint8)
+    rgb = np.empty((height, width, 3), np.uint8) if colour else None
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
     world.render(camera, pose.matrix() @ optical(se3(0.0, 0.0, 0.6)), rgb, depth, ids)
     return rgb, depth, ids
@@ -129,17 +129,15 @@ def test_shade_hits_agrees_with_a_plain_one():
     uvs = rng.uniform(-2.0, 2.0, (faces, 3, 2)).astype(np.float32)
     tint = rng.uniform(0.3, 1.0, (faces, 3)).astype(np.float32)
     density = rng.uniform(1.0, 300.0, faces).astype(np.float32)
-    owner, sky = np.arange(1, faces + 1).astype(np.uint16), np.array([9, 8, 7], np.uint8)
-    rgb, depth = np.empty((n, 3), np.uint8), np.empty(n, np.float32)
-    ids = np.empty(n, np.uint16)
+    sky, rgb = np.array([9, 8, 7], np.uint8), np.empty((n, 3), np.uint8)
     mesh_kernels.shade_hits(
         face, b1, b2, distance, rays, fx, normals, uvs, tint, texels, levels,
-        np.zeros(faces, np.int64), np.full(faces, 4), density, owner, sky, rgb, depth, ids,
+        np.zeros(faces, np.int64), np.full(faces, 4), density, sky, rgb,
     )  # fmt: skip
     for k in range(n):
         f = face[k]
         if f < 0:
-            assert (tuple(rgb[k]), depth[k], ids[k]) == ((9, 8, 7), np.inf, 0)
+            assert tuple(rgb[k]) == (9, 8, 7)
             continue
         weights = np.array([1.0 - b1[k] - b2[k], b1[k], b2[k]])
         footprint = density[f] * distance[k] / fx
@@ -155,7 +153,6 @@ def test_shade_hits_agrees_with_a_plain_one():
         light = 0.66 - 0.24 * normal @ ray + 0.14 * normal @ (0.3, 0.42, 0.86)
         expected = np.minimum(255.0, color * tint[f] * light)
         np.testing.assert_allclose(rgb[k], expected, atol=1.01)
-        assert (depth[k], ids[k]) == (distance[k], owner[f])
 
 
 def test_aim_is_a_rotation_and_a_translation():
@@ -275,3 +272,10 @@ def test_aws_trash_can_is_seen_from_in_front_of_it(aws):
     _, depth, ids = look(aws, SE2(x + 1.5, y, math.pi))
     assert (ids == can.id).sum() > 40
     assert np.nanmedian(depth[ids == can.id]) == pytest.approx(1.4, abs=0.15)
+
+
+def test_without_colour_depth_and_ids_are_the_same(small):
+    _, depth, ids = look(small, SE2(0.0, 0.0, 0.0))
+    _, grey_depth, grey_ids = look(small, SE2(0.0, 0.0, 0.0), colour=False)
+    np.testing.assert_array_equal(depth, grey_depth)
+    np.testing.assert_array_equal(ids, grey_ids)

@@ -44,9 +44,9 @@ def house_with(*things: dict) -> BoxWorld:
     return build_house(House.model_validate({**EMPTY_ROOM, "objects": things}), simulated())
 
 
-def look(world, pose: SE2, width: int = 96, height: int = 64, pitch_rad: float = 0.0):
+def look(world, pose: SE2, width=96, height=64, pitch_rad=0.0, colour=True):
     camera = CameraModel.from_hfov(width, height, math.radians(75.0))
-    rgb = np.empty((height, width, 3), np.uint8)
+    rgb = np.empty((height, width, 3), np.uint8) if colour else None
     depth, ids = np.empty((height, width), np.float32), np.empty((height, width), np.uint16)
     mount = optical(se3(0.0, 0.0, 0.6, pitch_rad=pitch_rad))
     world.render(camera, pose.matrix() @ mount, rgb, depth, ids)
@@ -284,3 +284,11 @@ def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Pat
         load(broken, "b")
     with pytest.raises(WorldError, match="a: bad house"):
         load(broken, "a")
+
+
+def test_without_colour_depth_and_ids_are_the_same(demo):
+    _, depth, ids = look(demo, demo.start)
+    _, grey_depth, grey_ids = look(demo, demo.start, colour=False)
+    assert ids.any()
+    np.testing.assert_array_equal(depth, grey_depth)
+    np.testing.assert_array_equal(ids, grey_ids)

@@ -6,12 +6,12 @@ import re
 from pathlib import Path
 
 import pytest
-from closed_loop import ClosedLoop
 from fake_zenoh import Flooded
 from simulated import simulated
 
 from edge.config import ConfigError
 from edge.config.yaml_text import parse_yaml
+from edge.eval.closed_loop import ClosedLoop
 from edge.loop.result import Sink
 from edge.sinks import find_sinks
 from edge.sinks.zenoh import ZenohSink

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from time import perf_counter_ns
 
 import numpy as np
 
-from edge.config import Config
+from edge.config import Config, PolicyOwn
 from edge.geometry import SE2
 from edge.loop.result import Sink, TickResult
 from edge.loop.scorers import make_scorers
@@ -19,7 +21,7 @@ from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.sim.base import World
 from edge.sim.robot import DriveTrain
-from edge.sim.sensors import CameraRig
+from edge.sim.sensors import CameraRig, LidarRig
 from edge.sim.worlds import load_world
 from edge.types import Goal, GoalStatus, Observation
 
@@ -35,62 +37,87 @@ class Notes:
         self.answers: list[GoalStatus] = []
 
     def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
         self.goals += result.goals
         self.answers += result.answers
         self.events += (event.text for event in result.events)
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Nothing to let go."""
 
 
 @dataclass
 class ClosedLoop:
-    """A simulated robot that obeys a service; `step` is one tick and what follows from it."""
+    """A simulated robot that obeys a service; `step` is one tick and what follows from it.
+
+    What is done when is what `edge sim`, `edge motion` and `edge run` do in lockstep over Zenoh:
+    the service's tick, the map and the goal to the controller, its answers to the service, and its
+    command to the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
+
+    Args:
+        sinks: take each tick's result, as they would in a service.
+        world: where `config` was already used to load it; None: `sim.world` is loaded.
+        colour: False: no pictures are taken, depth and object ids only, which is quicker; for
+            detectors and scorers that need none (see `wants_colour`).
+
+    Raises:
+        edge.errors.UserError: the world, the mission, a model or the start cannot be used.
+    """
 
     config: Config
     notes: Notes = field(default_factory=Notes)
-    sinks: list[Sink] = field(default_factory=list)
+    sinks: Sequence[Sink] = ()
+    world: World | None = None
+    colour: bool = True
 
     def __post_init__(self) -> None:
         config = self.config
-        self.world: World = load_world(config)
-        self.drive = DriveTrain(config.robot, config.sim, self.world, self.world.start, START_NS)
-        self.rig = CameraRig(config, self.world)
-        self.labels = tuple(o.label for o in self.world.objects)
+        self.world = world = self.world or load_world(config)
+        start = world.start if config.sim.start is None else SE2(*config.sim.start)
+        self.drive = DriveTrain(config.robot, config.sim, world, start, START_NS)
+        self.rig = CameraRig(config, world, self.colour)
+        self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
+        self.labels = tuple(o.label for o in world.objects)
         brief = prepare(config.mission)
         detector = make_detector(config.perception, brief.targets, truth=self.truth)
-        worker = DetectorWorker(detector, inline=True)
+        self.worker = DetectorWorker(detector, inline=True, every=config.loop.detect_every)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         policy = make_policy(config.policy, config.path)
-        self.service = Service(config, brief, worker, policy, sinks, scorers=self.scorers)
+        self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
         self.controller = Controller(config)
         self._seq = 0
         self._map_due_ns = 0
+        self._map_period_ns = int(1e9 / config.report.map_hz)
 
     def truth(self, stamp_ns: int) -> Segmentation:
         """What the last picture shows."""
         return Segmentation(self.rig.ids, self.labels)
 
     def observe(self) -> Observation:
-        motion = self.drive.motion
+        """Look from where the robot stands; the arrays are those of the rigs, until the next."""
+        motion, cloud = self.drive.motion, {}
         self.rig.look(motion.pose)
+        if self.lidar is not None:
+            self.lidar.look(motion.pose)
+            cloud = {"cloud_m": self.lidar.cloud_m(), "T_base_lidar": self.lidar.T_base_lidar}
         self._seq += 1
         return Observation(
             self._seq, motion.stamp_ns, motion.odometry.matrix(),
-            rgb=self.rig.rgb.copy(), depth_m=self.rig.depth_m.copy(), camera=self.rig.model,
-            T_base_camera=self.rig.T_base_camera,
+            rgb=self.rig.rgb, depth_m=self.rig.depth_m, camera=self.rig.model,
+            T_base_camera=self.rig.T_base_camera, **cloud,
         )  # fmt: skip
 
     def step(self) -> None:
+        """See, choose, drive for `sim.step_s`."""
         motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
-        before = len(self.notes.goals)
-        self.service.latency.begin_tick(0)
-        self.service.tick(self.observe(), now_ns)
-        self.service.latency.end_tick(0)
+        before, observation = len(self.notes.goals), self.observe()
+        self.service.latency.begin_tick(perf_counter_ns())
+        self.service.tick(observation, now_ns)
+        self.service.latency.end_tick(perf_counter_ns())
         if now_ns >= self._map_due_ns:
-            self._map_due_ns = now_ns + 500_000_000
-            grid = self.service.grid.snapshot()
-            self.controller.on_map(grid)
+            self._map_due_ns = now_ns + self._map_period_ns
+            self.controller.on_map(self.service.grid.snapshot())
         answers: list[GoalStatus] = []
         for goal in self.notes.goals[before:]:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
@@ -98,6 +125,11 @@ class ClosedLoop:
         for answer in answers + more:
             self.service.goal_answered(answer)
         self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time since the start."""
+        return 1e-9 * (self.drive.motion.stamp_ns - START_NS)
 
     def run(self, seconds: float) -> ClosedLoop:
         """Step until the mission is over or time is up."""
@@ -107,7 +139,9 @@ class ClosedLoop:
         return self
 
     def close(self) -> None:
-        """Needed where scorers run beside the loop."""
+        """Needed where a model has a process or scorers run beside the loop."""
+        self.service.close()
+        self.worker.close()
         if self.scorers is not None:
             self.scorers.close()
 
@@ -115,6 +149,14 @@ class ClosedLoop:
         """True distance to the nearest footprint of that label."""
         pose = self.drive.motion.pose
         return min(o.distance_m(pose.x_m, pose.y_m) for o in self.world.objects if o.label == label)
+
+
+def wants_colour(config: Config) -> bool:
+    """Whether anything that the configuration names looks at the pictures' colours."""
+    perception = config.perception
+    scored = perception.similarity is not None or perception.choice.kind == "openai"
+    own = isinstance(config.policy, PolicyOwn)
+    return scored or own or perception.detector.kind != "sim"
 
 
 def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
