@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable
 
 from edge.config import Config
@@ -12,6 +14,10 @@ from edge.types import Goal
 
 # A controller that says that the robot is held up farther away than this mistakes the frame.
 _HELD_UP_M = 2.0
+# What is told of one place again so soon is of one and the same standstill.
+_AGAIN_NS, _SAME_M = 2_000_000_000, 0.3
+# Who stood there has gone by then: what the map shows does not explain a third standstill.
+_EXPLAINED, _REMEMBERED = 2, 64
 
 
 class Standstill:
@@ -26,11 +32,13 @@ class Standstill:
         self._any, self._far = (
             StuckDetector(config.mission.stuck_s, config.motion.stuck_m) for _ in range(2)
         )
+        self._explained: deque[tuple[float, float, int]] = deque(maxlen=_REMEMBERED)
 
     def reset(self) -> None:
         """The pose jumped."""
         self._any.reset()
         self._far.reset()
+        self._explained.clear()
 
     def noticed(self, grid: RollingMap, pose: SE2, goal: Goal | None, now_ns: int) -> bool:
         """Whether the robot, driving to this goal (None: to none), does not move.
@@ -56,8 +64,16 @@ class Standstill:
     ) -> None:
         """Where no sensor shows what is there only driving can tell: the map closes."""
         where = f"held up at ({place[0]:.2f}, {place[1]:.2f})"
-        if grid.bumps.explained(pose, place, self._radius_m):
+        if grid.bumps.explained(pose, place, self._radius_m) and self._waits(place, now_ns):
             self._event(f"{where} by what the map shows", now_ns)
             return
         self._event(f"{where}: the map closes there", now_ns)
-        grid.bumps.close(*place, now_ns)
+        grid.bumps.close(pose, place, self._radius_m, now_ns)
+
+    def _waits(self, place: tuple[float, float], now_ns: int) -> bool:
+        """Whether it may be someone who goes, that the robot waited for so often there."""
+        before = [t for x, y, t in self._explained if math.dist((x, y), place) <= _SAME_M]
+        if not before or now_ns - before[-1] > _AGAIN_NS:
+            self._explained.append((*place, now_ns))
+            before.append(now_ns)
+        return len(before) <= _EXPLAINED

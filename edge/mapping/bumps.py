@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,27 +16,64 @@ from edge.mapping.window import Window
 ROUNDING_CELLS = 2
 """Rounding an obstacle and the robot's place to cells takes up to this much off the gap between."""
 _MOST = 64
+# Two bumps that lie no farther apart, on a line across the robot's way both times, are one sill's.
+_SAME_SILL_M, _ACROSS = 1.5, 0.7
+# A sill is taken to go on beyond two bumps by as much as they are apart, and no more than this.
+_GOES_ON_M = 1.0
 
 Cell = tuple[int, int]
+Place = tuple[float, float]
 
 
 class _Bump(NamedTuple):
+    """What one bump has closed.
+
+    Attributes:
+        place_m: where the robot's front was held up, driving along `heading_rad`.
+        half_m: half the robot's width.
+        until_ns: when it opens.
+        felt: cells that the front touched.
+        guessed: cells of the sill that this bump and another make out; not kept by `open_all`.
+    """
+
+    place_m: Place
+    heading_rad: float
+    half_m: float
+    until_ns: int
+    felt: frozenset[Cell] = frozenset()
+    guessed: frozenset[Cell] = frozenset()
+
+    @property
+    def cells(self) -> frozenset[Cell]:
+        return self.felt | self.guessed
+
+    @property
+    def across(self) -> Place:
+        """Unit vector to the left of the way."""
+        return -math.sin(self.heading_rad), math.cos(self.heading_rad)
+
+
+class _Closed(NamedTuple):
     """A cell that is closed by hand.
 
     Attributes:
-        until_ns: when it opens.
         raw, top: what the layers of these names held before.
+        bumps: by how many bumps.
     """
 
-    until_ns: int
     raw: int
     top: int
+    bumps: int
 
 
 class Bumps:
     """World cells that are closed by hand: sensors see through them, so no ray clears them.
 
-    One opens after `bump_memory_s`, when the robot stands there, or by `open_all`.
+    A bump closes what the robot's front touched, as wide as the robot. Two along one line make out
+    a sill: it is closed between them, and beyond them as far as they are apart. No cell is closed
+    by that where something stands, or where the robot has been.
+
+    A bump opens after `bump_memory_s`, when the robot stands there, or by `open_all`.
 
     Args:
         write: sets one world cell to a state, with the height of its obstacle.
@@ -52,68 +89,78 @@ class Bumps:
         self._layers, self._window, self._write = layers, window, write
         self._memory_ns = int(config.bump_memory_s * 1e9)
         self._inflation_m = config.inflation_m
+        # What keeps away from the trail by this leaves its middle open: see `layers.on_trail`.
+        body_cells = config.inflation_m / config.resolution_m - ROUNDING_CELLS
+        self._clear_cells = max(body_cells - 0.5, 0.0)
         # A place within this of one that was opened is the same sill, and still there.
-        self._same_cells = 2 * config.inflation_m / config.resolution_m + ROUNDING_CELLS
-        self._closed: dict[Cell, _Bump] = {}  # oldest first
-        self._opened: dict[Cell, int] = {}  # by `open_all`; until when remembered
+        self._same_m = 2 * config.inflation_m + ROUNDING_CELLS * config.resolution_m
+        self._bumps: list[_Bump] = []  # oldest first
+        self._opened: list[_Bump] = []  # by `open_all`, oldest first
+        self._closed: dict[Cell, _Closed] = {}
 
     @property
-    def closed_m(self) -> list[tuple[float, float]]:
-        """Centres of the cells that are closed, oldest first."""
-        return [self._window.centre_m(cell) for cell in self._closed]
+    def closed_m(self) -> list[Place]:
+        """Where the robot was held up and the map is closed, oldest first."""
+        return [bump.place_m for bump in self._bumps]
 
     @property
-    def known_m(self) -> list[tuple[float, float]]:
-        """Like `closed_m`, with those that `open_all` opened and the robot did not stand on."""
-        return [self._window.centre_m(cell) for cell in (*self._opened, *self._closed)]
+    def known_m(self) -> list[Place]:
+        """Like `closed_m`, with what `open_all` opened and the robot did not stand on."""
+        return [bump.place_m for bump in (*self._opened, *self._bumps)]
 
-    def close(self, x_m: float, y_m: float, now_ns: int) -> None:
-        """Close the cell of a place; outside the window nothing happens.
+    def close(self, pose: SE2, place_m: Place, radius_m: float, now_ns: int) -> None:
+        """Close what a robot touched; outside the window nothing happens.
 
         Args:
+            pose: of the robot.
+            place_m: where its front was held up.
+            radius_m: the robot's.
             now_ns: of the clock that `expire` is told.
         """
-        until_ns = now_ns + self._memory_ns
-        found = [self._window.cell_of(x_m, y_m)]
+        heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
+        bump = _Bump(place_m, heading, radius_m, now_ns + self._memory_ns)
+        found = [self._with_cells(bump)]
         while found:
-            cell = found.pop()
-            beside = [c for c in self._opened if math.dist(c, cell) <= self._same_cells]
-            for c in beside:
-                del self._opened[c]
-            found += beside
-            if self._window.holds(*cell):
-                self._close(cell, until_ns)
+            bump = found.pop()
+            beside = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
+            self._opened = [b for b in self._opened if b not in beside]
+            found += [b._replace(until_ns=now_ns + self._memory_ns) for b in beside]
+            again = [b for b in self._bumps if b.felt <= bump.felt]
+            self._close(bump._replace(guessed=bump.guessed.union(*(b.guessed for b in again))))
+            for b in again:
+                self._open(b)
 
     def expire(self, now_ns: int) -> None:
         """Open and forget what was closed long enough ago."""
-        while self._opened:
-            cell, until_ns = next(iter(self._opened.items()))
-            if now_ns < until_ns:
-                break
-            del self._opened[cell]
-        while self._closed:
-            cell, bump = next(iter(self._closed.items()))
-            if now_ns < bump.until_ns:
-                break
-            self._open(cell)
+        while self._opened and now_ns >= self._opened[0].until_ns:
+            self._opened.pop(0)
+        while self._bumps and now_ns >= self._bumps[0].until_ns:
+            self._open(self._bumps[0])
 
     def open_all(self) -> bool:
         """Open all that is closed, to be tried once more; whether there was any."""
-        self._opened.update((cell, bump.until_ns) for cell, bump in self._closed.items())
-        any_closed = bool(self._closed)
-        while self._closed:
-            self._open(next(iter(self._closed)))
+        any_closed = bool(self._bumps)
+        while self._bumps:
+            bump = self._bumps[0]
+            self._open(bump)
+            self._opened.append(bump._replace(guessed=frozenset()))
         return any_closed
 
     def stand_on(self, cell: Cell) -> None:
         """The robot is on this world cell, so nothing holds it up there."""
-        if self._closed.pop(cell, None) is not None:
+        if cell in self._closed:
+            for bump in [b for b in self._bumps if cell in b.cells]:
+                self._open(bump)
             self._write(*cell, ly.FREE, 0)
-        self._opened.pop(cell, None)
+        if self._opened:
+            self._opened = [b for b in self._opened if cell not in b.felt]
 
     def follow_window(self) -> None:
         """Forget what the window has left."""
-        self._closed = {c: bump for c, bump in self._closed.items() if self._window.holds(*c)}
+        held = {cell for cell in self._closed if self._window.holds(*cell)}
+        self._closed = {cell: self._closed[cell] for cell in held}
+        kept = [b._replace(felt=b.felt & held, guessed=b.guessed & held) for b in self._bumps]
+        self._bumps = [bump for bump in kept if bump.cells]
 
     def explained(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
         """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
@@ -148,17 +195,70 @@ class Bumps:
             )
         )  # fmt: skip
 
-    def _close(self, cell: Cell, until_ns: int) -> None:
-        before = self._closed.pop(cell, None)
-        if before is None:
-            at = cell[1] % self._window.n, cell[0] % self._window.n
-            before = _Bump(0, int(self._layers.raw[at]), int(self._layers.top[at]))
-            self._write(*cell, ly.BUMPED, 0)
-        self._closed[cell] = before._replace(until_ns=until_ns)
-        if len(self._closed) > _MOST:
-            self._open(next(iter(self._closed)))
+    def _with_cells(self, bump: _Bump) -> _Bump:
+        """A bump with the cells that it closes, as the map and the other bumps are now."""
+        x, y = bump.across
+        felt = {self._window.cell_of(*bump.place_m)}
+        felt.update(self._along(bump.place_m, (x, y), bump.half_m))
+        felt.update(self._along(bump.place_m, (-x, -y), bump.half_m))
+        guessed: set[Cell] = set()
+        for other in self._bumps:
+            guessed.update(self._between(bump, other))
+        held = {cell for cell in felt | guessed if self._window.holds(*cell)}
+        return bump._replace(felt=frozenset(felt & held), guessed=frozenset(guessed & held - felt))
 
-    def _open(self, cell: Cell) -> None:
-        """Give a closed cell back the state that it had."""
-        bump = self._closed.pop(cell)
-        self._write(*cell, bump.raw, bump.top)
+    def _between(self, a: _Bump, b: _Bump) -> Iterator[Cell]:
+        """Cells of the sill that two bumps make out; none where they are of two things."""
+        gap_m = math.dist(a.place_m, b.place_m)
+        if not self._window.resolution_m <= gap_m <= _SAME_SILL_M:
+            return
+        x, y = ((q - p) / gap_m for p, q in zip(a.place_m, b.place_m, strict=True))
+        if any(
+            abs(x * math.cos(bump.heading_rad) + y * math.sin(bump.heading_rad)) > _ACROSS
+            for bump in (a, b)
+        ):
+            return
+        on_m = min(gap_m, _GOES_ON_M)
+        yield from self._along(a.place_m, (x, y), gap_m)
+        yield from self._along(b.place_m, (-x, -y), gap_m)
+        yield from self._along(b.place_m, (x, y), b.half_m + on_m)
+        yield from self._along(a.place_m, (-x, -y), a.half_m + on_m)
+
+    def _along(self, start_m: Place, way: Place, length_m: float) -> Iterator[Cell]:
+        """Cells from a place on, as far as nothing that was seen and nowhere the robot was."""
+        res, n = self._window.resolution_m, self._window.n
+        for k in range(1, math.floor(2.0 * length_m / res) + 1):
+            cell = self._window.cell_of(
+                start_m[0] + 0.5 * k * res * way[0], start_m[1] + 0.5 * k * res * way[1]
+            )
+            at = cell[1] % n, cell[0] % n
+            stands = ly.OCCUPIED <= self._layers.raw[at] < ly.BUMPED
+            been = ly.near_trail(self._layers, *at, self._clear_cells)
+            if stands or been or not self._window.holds(*cell):
+                return
+            yield cell
+
+    def _close(self, bump: _Bump) -> None:
+        if not bump.felt:
+            return
+        for cell in bump.cells:
+            before = self._closed.get(cell)
+            if before is None:
+                at = cell[1] % self._window.n, cell[0] % self._window.n
+                before = _Closed(int(self._layers.raw[at]), int(self._layers.top[at]), 0)
+                self._write(*cell, ly.BUMPED, 0)
+            self._closed[cell] = before._replace(bumps=before.bumps + 1)
+        self._bumps.append(bump)
+        if len(self._bumps) > _MOST:
+            self._open(self._bumps[0])
+
+    def _open(self, bump: _Bump) -> None:
+        """Give the cells that no other bump has closed back the state that they had."""
+        self._bumps.remove(bump)
+        for cell in bump.cells:
+            before = self._closed[cell]
+            if before.bumps > 1:
+                self._closed[cell] = before._replace(bumps=before.bumps - 1)
+            else:
+                del self._closed[cell]
+                self._write(*cell, before.raw, before.top)

@@ -411,7 +411,7 @@ def warmup(mapping: config.Mapping) -> None:
     T[2, 3] = 0.5
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
-    grid.bumps.close(0.0, 0.0, 0)
+    grid.bumps.close(SE2(0.0, 0.0, 0.0), (1.0, 0.0), 0.2, 0)
     grid.bumps.open_all()
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)

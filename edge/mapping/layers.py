@@ -180,6 +180,19 @@ def on_trail(layers, sy, sx, body):
 
 
 @njit(nogil=True, cache=True)
+def near_trail(layers, sy, sx, radius):
+    """Whether the trail comes within `radius` cells of a storage cell."""
+    n = layers.raw.shape[0]
+    r = int(radius)
+    for dy in range(-r, r + 1):
+        for dx in range(-r, r + 1):
+            near = dx * dx + dy * dy <= radius * radius
+            if near and bit_get(layers.trail, (sy + dy) % n, (sx + dx) % n):
+                return True
+    return False
+
+
+@njit(nogil=True, cache=True)
 def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
     """Take the obstacles of a window rectangle out of the inflation of all others."""
     n = layers.raw.shape[0]

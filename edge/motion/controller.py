@@ -14,7 +14,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.motion.progress import Progress
+from edge.motion.progress import Contact, Progress
 from edge.motion.pursuit import (
     STOP,
     Command,
@@ -42,7 +42,8 @@ CLEAR_S = (0.15, 0.3, 0.45)  # looked at along the arc of a command
 CAREFUL_MPS = 0.15  # where no arc is clear, for example out of an obstacle that the robot is in
 FACING_RAD = 0.2
 ARRIVE = 0.7  # of the goal tolerance: nearer than this the robot stops and turns
-AGAIN_M = 1.0  # driven since the last recovery: the next standstill gets one of its own
+# Driven since the last recovery, the next standstill, or contact, gets one of its own.
+AGAIN_M, AGAIN_CONTACT_M = 1.0, 0.3
 STILL_MPS, STILL_RADPS = 0.03, 0.1
 MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # what a map to drive by can be made of
 RESTART_NS = 1_000_000_000  # time that goes back by more is another run; on, nobody looked
@@ -64,6 +65,7 @@ class Controller:
         self._workspace = astar.Workspace()
         self._map: costmap.CostMap | None = None
         self._stuck = StuckDetector(settings.motion.stuck_s, settings.motion.stuck_m)
+        self._contact = Contact(settings.motion.contact_m, settings.motion.stuck_m)
         self._progress = Progress(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
         self._now_ns: int | None = None
@@ -85,6 +87,7 @@ class Controller:
         self._trouble_ns: int | None = None
         if goal is None:  # a robot that is held up may be given one goal after another
             self._stuck.reset()
+            self._contact.reset()
         self._progress.reset()
         self._drop_path()
 
@@ -159,7 +162,7 @@ class Controller:
         if self._goal is not None and _is_finite(pose):
             before = self._status
             still = abs(v_mps) <= STILL_MPS and abs(w_radps) <= STILL_RADPS
-            wanted = self._drive(self._goal, pose, still, now_ns)
+            wanted = self._drive(self._goal, pose, still, dt_s, now_ns)
             if self._status is not before or self._blocked is not None:
                 # Told once: a goal that is sent again is answered without it.
                 answers = [replace(self._status, blocked=self._blocked)]
@@ -172,6 +175,7 @@ class Controller:
         self._recovery = None
         self._trouble_ns = None
         self._stuck.reset()
+        self._contact.reset()
         self._progress.reset()
 
     def _pass_time(self, now_ns: int) -> float:
@@ -189,7 +193,7 @@ class Controller:
 
     # -- driving --------------------------------------------------------------------------------
 
-    def _drive(self, goal: SE2, pose: SE2, still: bool, now_ns: int) -> Command:
+    def _drive(self, goal: SE2, pose: SE2, still: bool, dt_s: float, now_ns: int) -> Command:
         if self._recovery is not None:
             command = self._recovery.step(pose, now_ns)
             if command is not None:
@@ -197,13 +201,16 @@ class Controller:
             if self._recovery.is_held(pose):
                 self._blocked = pose.ahead(-self._radius_m)
             self._recovery = None
+            self._contact.reset()
             self._drop_path()
+        if self._contact.update(pose, self._last.v_mps, dt_s):
+            return self._unstick(pose, AGAIN_CONTACT_M, now_ns)
         if self._has_arrived(pose):
             command = self._align(goal, pose, still)
         else:
             command = self._travel(pose, now_ns)
         if self._goal is not None and self._stuck.update(pose, self._last.moves, now_ns):
-            return self._unstick(pose, now_ns)
+            return self._unstick(pose, AGAIN_M, now_ns)
         return command
 
     def _has_arrived(self, pose: SE2) -> bool:
@@ -331,12 +338,12 @@ class Controller:
         elif now_ns - self._trouble_ns >= self._motion.give_up_s * 1e9:
             self._finish("failed", reason)
 
-    def _unstick(self, pose: SE2, now_ns: int) -> Command:
-        """Back up or turn once; a second standstill close by is a failure."""
+    def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> Command:
+        """Back up or turn once; a second standstill within `again_m` is a failure."""
         if self._last.v_mps != 0.0:
             self._blocked = pose.ahead(math.copysign(self._radius_m, self._last.v_mps))
         last = self._recovered_at
-        if last is not None and pose.distance_to(last.x_m, last.y_m) < AGAIN_M:
+        if last is not None and pose.distance_to(last.x_m, last.y_m) < again_m:
             self._finish("failed", "stuck")
             return STOP
         log.info("stuck at (%.2f, %.2f): backing up", pose.x_m, pose.y_m)

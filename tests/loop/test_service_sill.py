@@ -20,14 +20,19 @@ SILL_M = 0.085
 
 
 def closed_loop(
-    folder: Path, way_round: bool, policy: str = "hvl", reach_cells_per_tick: int = 8000
+    folder: Path,
+    way_round: bool,
+    policy: str = "hvl",
+    reach_cells_per_tick: int = 8000,
+    width_m: float = 1.0,
 ) -> ClosedLoop:
     """A robot in one of two rooms, a bed in the other; the door between them has the sill.
 
     Args:
         way_round: whether there is another door, farther off.
+        width_m: of the door with the sill.
     """
-    doors = [{"at_m": 1.5, "width_m": 1.0, "sill_m": SILL_M}]
+    doors = [{"at_m": 1.0 + 0.5 * width_m, "width_m": width_m, "sill_m": SILL_M}]
     doors += [{"at_m": 6.0, "width_m": 1.0}] * way_round
     corners = [[0, 0], [8, 0], [8, 7], [0, 7], [0, 0]]
     walls = [{"start": a, "end": b} for a, b in pairwise(corners)]
@@ -65,6 +70,14 @@ def test_it_goes_another_way_after_one_bump(tmp_path, policy):
     assert loop.distance_m("bed") <= 1.0
     assert loop.drive.motion.collisions == len(held_up(loop)) == 1
     assert loop.service.status.elapsed_s < 60
+
+
+@pytest.mark.parametrize(("width_m", "most"), [(2.0, 3), (4.0, 4)])
+def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
+    loop = closed_loop(tmp_path, way_round=True, width_m=width_m).run(100)
+    assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
+    assert 2 <= loop.drive.motion.collisions <= most
+    assert loop.service.status.elapsed_s < 70
 
 
 def test_where_no_other_way_leads_it_tries_once_more_and_says_why_it_ends(tmp_path):
@@ -185,3 +198,21 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
     (said,) = [event.text for event in service.result().events]
     assert said.startswith("held up")
     assert said.endswith("by what the map shows")
+
+
+def test_who_stands_there_for_ever_does_not_explain_it_for_ever(tmp_path):
+    """Under the thing that the map shows there may be one that it does not, a little nearer."""
+    loop = closed_loop(tmp_path, way_round=False)
+    while loop.drive.motion.v_mps < 0.2:
+        loop.step()
+    service, pose, place = loop.service, loop.drive.motion.odometry, None
+    for across_m in (-0.05, 0.0, 0.05):
+        cell = service.grid.window.cell_of(*SE2(*pose.ahead(0.4), 0.0).ahead(across_m))
+        service.grid._write(*cell, ly.OCCUPIED)
+    place, said = pose.ahead(0.2), []
+    for now_s in (0.0, 0.5, 10.0, 20.0):
+        closed = bool(service.grid.bumps.closed_m)
+        now_ns = loop.drive.motion.stamp_ns + int(now_s * 1e9)
+        service.goals._standstill.told(service.grid, service.pose, place, now_ns)
+        said.append(bool(service.grid.bumps.closed_m) and not closed)
+    assert said == [False, False, False, True]

@@ -7,6 +7,8 @@ import math
 import mapping_twins as twins
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mapping_twins import SMALL, complete, look, seen_around
 
 from edge.geometry import SE2
@@ -15,6 +17,7 @@ from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 
 HOME = SE2(0.0, 0.0, 0.0)
+RADIUS_M = 0.2
 PLACE = (1.02, 0.03)
 MEMORY_NS = int(SMALL.bump_memory_s * 1e9)
 
@@ -28,9 +31,15 @@ def assert_consistent(grid: RollingMap) -> None:
     np.testing.assert_array_equal(twins.window(grid, "frontier") > 0, twins.frontier_cells(state))
 
 
+def bump(grid: RollingMap, place: tuple[float, float], now_ns: int = 0) -> None:
+    """The robot was held up there, driving along x."""
+    pose = SE2(place[0] - RADIUS_M, place[1], 0.0)
+    grid.bumps.close(pose, place, RADIUS_M, now_ns)
+
+
 def test_without_a_bump_nothing_is_to_be_forgotten():
     grid = RollingMap(SMALL)
-    grid.bumps.close(*PLACE, 0)  # before the first frame there is no map
+    bump(grid, PLACE, 0)  # before the first frame there is no map
     grid.bumps.expire(10**18)
     grid.bumps.open_all()
     assert grid.bumps.closed_m == []
@@ -38,18 +47,21 @@ def test_without_a_bump_nothing_is_to_be_forgotten():
     assert grid.state_at(*PLACE) == 0
 
 
-def test_a_bump_closes_a_disc_that_no_ray_clears():
+def test_a_bump_closes_what_the_front_touched_and_no_ray_clears_it():
     grid = seen_around()
-    grid.bumps.close(*PLACE, 0)
+    bump(grid, PLACE)
     for _ in range(10 * SMALL.clear_after):
         look(grid, HOME, [])
     assert_consistent(grid)
     cells = grid.snapshot(inflated=50).cells
-    assert np.count_nonzero(cells == 100) == 1
-    assert grid.bumps.closed_m == [pytest.approx((1.025, 0.025))]
-    for away_m, state in ((0.0, 100), (0.19, 100), (0.26, 0)):
+    rows, columns = np.nonzero(cells == 100)
+    assert len(set(columns)) == 1
+    assert len(rows) == 9  # as wide as the robot
+    assert grid.bumps.closed_m == [PLACE]
+    for away_m, state in ((0.0, 100), (0.19, 100), (0.28, 0)):
         assert grid.state_at(PLACE[0] + away_m, PLACE[1]) == state
-        assert grid.state_at(PLACE[0], PLACE[1] - away_m) == state
+        assert grid.state_at(PLACE[0] - away_m, PLACE[1]) == state
+        assert grid.state_at(PLACE[0], PLACE[1] - RADIUS_M - away_m) == state
 
 
 @pytest.mark.parametrize(
@@ -63,7 +75,7 @@ def test_a_bump_closes_a_disc_that_no_ray_clears():
 )
 def test_a_bump_is_forgotten(open_again):
     grid = seen_around()
-    grid.bumps.close(*PLACE, 0)
+    bump(grid, PLACE, 0)
     look(grid, HOME, [])
     grid.bumps.expire(MEMORY_NS - 1)
     assert grid.state_at(*PLACE) == 100
@@ -76,11 +88,11 @@ def test_a_bump_is_forgotten(open_again):
 
 def test_the_same_place_again_is_remembered_afresh():
     grid = seen_around()
-    grid.bumps.close(*PLACE, 0)
-    grid.bumps.close(-1.0, 0.0, 5)
-    grid.bumps.close(*PLACE, 10)
+    bump(grid, PLACE, 0)
+    bump(grid, (-1.0, 0.0), 5)
+    bump(grid, PLACE, 10)
     grid.bumps.expire(MEMORY_NS + 9)
-    assert grid.bumps.closed_m == [pytest.approx((1.025, 0.025))]
+    assert grid.bumps.closed_m == [PLACE]
     look(grid, HOME, [])
     assert_consistent(grid)
 
@@ -113,7 +125,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
     assert before[0] == raw
     assert (before[1] > 0, before[2]) == (raw == ly.OCCUPIED, raw != ly.UNSEEN)
     for now_ns in range(times):
-        grid.bumps.close(*place, now_ns)
+        bump(grid, place, now_ns)
     look(grid, HOME, BOX)
     assert layers_at(grid, place) == (ly.BUMPED, 0, True)
     assert_consistent(grid)
@@ -128,7 +140,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
 def test_where_the_robot_stands_is_free_whatever_was_seen_there(place):
     grid = RollingMap(SMALL)
     look(grid, HOME, BOX)
-    grid.bumps.close(*place, 0)
+    bump(grid, place, 0)
     look(grid, SE2(*place, 0.0), [])
     assert layers_at(grid, place) == (ly.FREE, 0, True)
     assert_consistent(grid)
@@ -138,7 +150,7 @@ def test_where_it_was_held_up_is_known_after_the_opening_too():
     grid = seen_around()
     assert grid.bumps.known_m == []
     for k, place in enumerate([PLACE, (-1.0, 0.0), (0.0, 1.0)]):
-        grid.bumps.close(*place, k)
+        bump(grid, place, k)
     assert grid.bumps.known_m == grid.bumps.closed_m
     held_up = grid.bumps.known_m
     assert grid.bumps.open_all()
@@ -146,7 +158,7 @@ def test_where_it_was_held_up_is_known_after_the_opening_too():
     assert not grid.bumps.open_all()
     look(grid, SE2(-1.0, 0.0, 0.0), [])  # nothing holds it up there
     assert grid.bumps.known_m == [held_up[0], held_up[2]]
-    grid.bumps.close(*PLACE, 5)
+    bump(grid, PLACE, 5)
     assert grid.bumps.known_m == [held_up[2], held_up[0]]
     grid.bumps.expire(MEMORY_NS + 2)
     assert grid.bumps.known_m == [held_up[0]]
@@ -172,7 +184,7 @@ def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, 
     assert not empty.bumps.explained(pose, place, 0.2)
     assert grid.bumps.explained(pose, place, 0.2) == shows
     beside = seen_around()
-    beside.bumps.close(*place, 0)
+    bump(beside, place)
     assert not beside.bumps.explained(pose, place, 0.2)  # a bump explains nothing
 
 
@@ -181,9 +193,9 @@ def test_what_was_lifted_beside_a_new_bump_is_closed_with_it():
     grid = seen_around()
     sill = [(1.02, y) for y in (-0.8, -0.4, 0.0, 0.4)]
     for place in (*sill, (-1.0, 0.0)):
-        grid.bumps.close(*place, 0)
+        bump(grid, place, 0)
     grid.bumps.open_all()
-    grid.bumps.close(1.02, 0.2, 1)
+    bump(grid, (1.02, 0.2), 1)
     look(grid, HOME, [])
     assert all(grid.state_at(*place) == 100 for place in sill)
     assert grid.state_at(-1.0, 0.0) == 0
@@ -196,13 +208,13 @@ def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
     left_m = grid.window.origin[0] * grid.resolution_m
     # In the strip that goes, and on both sides of its edge, within inflation of it.
     for x in (left_m + 1.0, left_m + strip_m - 0.07, left_m + strip_m + 0.07, 1.0):
-        grid.bumps.close(x, 0.0, 0)
+        bump(grid, (x, 0.0))
     x, rolled = 0.0, False
     while not rolled:
         x += 0.2
         rolled = look(grid, SE2(x, 0.3, 0.0), []).rolled
         assert_consistent(grid)
-    assert [bx for bx, _ in grid.bumps.closed_m] == pytest.approx([left_m + strip_m + 0.075, 1.025])
+    assert [bx for bx, _ in grid.bumps.closed_m] == pytest.approx([left_m + strip_m + 0.07, 1.0])
     look(grid, SE2(x + 50.0, 0.0, 0.0), [])
     assert grid.bumps.closed_m == []
     grid.bumps.open_all()
@@ -212,7 +224,7 @@ def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
 @pytest.mark.parametrize("far", [1e9, -1e9, 40.0])
 def test_outside_the_window_nothing_is_closed(far):
     grid = seen_around()
-    grid.bumps.close(far, 0.0, 0)
+    bump(grid, (far, 0.0))
     assert grid.bumps.closed_m == []
 
 
@@ -220,7 +232,7 @@ def test_no_more_are_kept_than_there_is_room_for(monkeypatch):
     monkeypatch.setattr(bumps, "_MOST", 3)
     grid = seen_around()
     for k in range(5):
-        grid.bumps.close(-1.0 + 0.5 * k, 0.5, k)
+        bump(grid, (-1.0 + 0.5 * k, 0.5), k)
     assert [round(x, 1) for x, _ in grid.bumps.closed_m] == [0.0, 0.5, 1.0]
     look(grid, HOME, [])
     assert_consistent(grid)
@@ -239,7 +251,7 @@ def test_a_bump_in_a_doorway_cuts_off_what_is_behind_and_does_not_shut_the_robot
     at_the_sill = SE2(0.8, y, 0.0)
     complete(grid, at_the_sill)
     assert math.isfinite(grid.reach.distance_m(2.0, 0.0))
-    grid.bumps.close(*at_the_sill.ahead(0.2), 0)
+    grid.bumps.close(at_the_sill, at_the_sill.ahead(RADIUS_M), RADIUS_M, 0)
     look(grid, at_the_sill, doorway())
     complete(grid, at_the_sill)
     assert grid.reach.distance_m(2.0, 0.0) == math.inf
@@ -250,3 +262,111 @@ def test_a_bump_in_a_doorway_cuts_off_what_is_behind_and_does_not_shut_the_robot
     row = math.floor((y - y0) / snapshot.resolution_m)
     columns = [math.floor((x - x0) / snapshot.resolution_m) for x in (0.4, 0.6, 0.8)]
     assert (snapshot.cells[row, columns] == 0).all()
+
+
+def sill(*ys: float) -> RollingMap:
+    """Bumps along x = 1.02, one after another, driving along x."""
+    grid = seen_around()
+    for k, y in enumerate(ys):
+        bump(grid, (1.02, y), k)
+    return grid
+
+
+@pytest.mark.parametrize(
+    ("ys", "closed_y"),
+    [
+        ((0.0,), (-0.2, 0.2)),
+        ((0.0, 0.5), (-0.7, 1.2)),  # between them, and as far again beyond
+        ((-0.5, 0.5, 0.0), (-1.7, 1.7)),  # no farther than a metre
+    ],
+)
+def test_two_bumps_along_one_line_are_one_sill(ys, closed_y):
+    cells = sill(*ys).snapshot(inflated=50)
+    column = math.floor((1.02 - cells.origin_xy_m[0]) / cells.resolution_m)
+    rows = np.flatnonzero(cells.cells[:, column] == 100)
+    y = cells.origin_xy_m[1] + (rows + 0.5) * cells.resolution_m
+    assert (y.min(), y.max()) == pytest.approx(closed_y, abs=0.06)
+
+
+@pytest.mark.parametrize("other", [(0.4, 0.0), (1.02, 1.8)], ids=["behind", "far away"])
+def test_bumps_that_are_on_no_line_are_no_sill(other):
+    grid = seen_around()
+    bump(grid, (1.02, 0.0))
+    bump(grid, other)
+    assert grid.state_at(0.5 * (1.02 + other[0]), 0.5 * other[1]) == 0
+
+
+def test_a_sill_ends_where_something_stands_and_where_the_robot_was():
+    grid = RollingMap(SMALL)
+    for x in np.arange(-0.5, 1.51, 0.05):  # between the sill and the box it went through
+        look(grid, SE2(float(x), 0.5, 0.0), [(1.0, -1.2, 0.0, 1.05, -0.82, 1.0)])
+    bump(grid, (1.02, -0.4))
+    bump(grid, (1.02, -0.1))
+    raw = grid.layers.raw
+    closed_y = [
+        y for y in np.arange(-1.975, 2.0, 0.05)
+        if raw[grid.window.cell_of(1.02, y)[1] % grid.window.n,
+               grid.window.cell_of(1.02, y)[0] % grid.window.n] == ly.BUMPED
+    ]  # fmt: skip
+    assert -0.9 < min(closed_y) < -0.7
+    assert 0.2 < max(closed_y) < 0.4
+    look(grid, SE2(1.5, 0.5, 0.0), [])
+    assert_consistent(grid)
+
+
+def test_what_was_guessed_of_a_sill_is_not_closed_with_what_was_felt():
+    grid = sill(0.0, 0.4)
+    assert grid.state_at(1.02, 1.0) == 100
+    grid.bumps.open_all()
+    bump(grid, (1.02, 0.2), 5)
+    assert grid.state_at(1.02, 0.0) == 100
+    assert grid.state_at(1.02, 1.0) == 0
+    look(grid, HOME, [])
+    assert_consistent(grid)
+
+
+def test_the_robot_on_what_was_closed_opens_all_that_the_bump_closed():
+    grid = sill(0.0)
+    look(grid, SE2(1.02, 0.15, 0.0), [])
+    assert grid.bumps.known_m == []
+    assert grid.state_at(1.02, -0.15) == 0
+    assert_consistent(grid)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    turns=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=12),
+    headings=st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=3),
+)
+def test_no_bump_shuts_the_robot_in(turns, headings):
+    """The way that it came stays open, wherever its front was held up."""
+    grid, pose = RollingMap(SMALL), HOME
+    look(grid, pose, [])
+    for turn in turns:
+        x, y = pose.ahead(0.15)
+        pose = SE2(x, y, pose.yaw_rad + turn)
+        look(grid, pose, [])
+    for now_ns, heading in enumerate([0.0, *headings]):
+        pose = SE2(pose.x_m, pose.y_m, pose.yaw_rad + heading)
+        ahead = pose.ahead(RADIUS_M)
+        cell = grid.window.cell_of(*ahead)
+        if not ly.near_trail(grid._layers, cell[1] % grid.window.n, cell[0] % grid.window.n, 2.5):
+            grid.bumps.close(pose, ahead, RADIUS_M, now_ns)
+    look(grid, pose, [])
+    complete(grid, pose)
+    assert math.isfinite(grid.reach.distance_m(HOME.x_m, HOME.y_m))
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.0, 2.5])
+def test_near_the_trail_agrees_with_its_twin(radius):
+    grid, rng = seen_around(), np.random.default_rng(3)
+    grid._layers.trail[:] = rng.integers(0, 2**63, grid._layers.trail.shape, np.uint64)
+    grid._layers.trail[:] &= rng.integers(0, 2**63, grid._layers.trail.shape, np.uint64)
+    grid._layers.trail[:] &= np.uint64(0x0101010101010101)
+    n = grid.window.n
+    on = np.array([[ly.bit_get(grid._layers.trail, y, x) for x in range(n)] for y in range(n)])
+    offset = np.arange(-3, 4)
+    disc = offset[:, None] ** 2 + offset[None, :] ** 2 <= radius**2
+    for y, x in rng.integers(0, n, (200, 2)).tolist():
+        patch = on[np.ix_((y + offset) % n, (x + offset) % n)]
+        assert ly.near_trail(grid._layers, y, x, radius) == (patch & disc).any()

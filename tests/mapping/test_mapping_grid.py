@@ -284,7 +284,7 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
         grid.unknown_ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
-    grid.bumps.close(24.0, 0.0, 0)
+    grid.bumps.close(SE2(23.8, 0.0, 0.0), (24.0, 0.0), 0.2, 0)
     grid.bumps.open_all()
     grid.snapshot()
     assert signatures() == before
