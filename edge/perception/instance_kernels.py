@@ -10,6 +10,10 @@ NEAR_M = 0.25
 CORE_SHARE = 0.1
 """A surface that was seen in fewer than this share of the views may be another thing's."""
 
+STRAY, LEAST_RADIUS_M = 1.6, 0.3
+"""A point so many times farther from the middle than half of them, and this far, is what stands
+before or behind the thing in its box."""
+
 
 @njit(nogil=True, cache=True)
 def merge_points(old, support, new, voxel_m, cap):
@@ -61,7 +65,8 @@ def merge_points(old, support, new, voxel_m, cap):
 
 @njit(nogil=True, cache=True)
 def core_points(points, support):
-    """The points of what most views show, so that one view of the wrong thing moves nothing.
+    """The points of what most views show, so that one view of the wrong thing moves nothing,
+    without those that lie astray.
 
     Args:
         points: (n, 3) float32, support: (n,) int32, from `merge_points`; n > 0.
@@ -75,6 +80,8 @@ def core_points(points, support):
     center = np.empty(3, np.float32)
     for axis in range(3):
         center[axis] = np.median(core[:, axis])
+    away = np.hypot(core[:, 0] - center[0], core[:, 1] - center[1])
+    core = core[away <= max(LEAST_RADIUS_M, STRAY * np.median(away))]
     return core, center, farthest(core, center[0], center[1])
 
 
