@@ -9,7 +9,7 @@ True
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from edge.errors import UserError
@@ -246,6 +246,20 @@ def is_kind_of(word: str, broader: str) -> bool:
     wanted = canonical(broader)
     nouns = [canonical(noun) for noun in head_nouns(word)]
     return wanted in nouns or any(wanted in BROADER.get(noun, ()) for noun in nouns)
+
+
+def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
+    """What of some words is no target: canonical names, each once, without the targets' own and
+    those of kinds of them.
+
+    >>> outside(("couch", "sofa", "armchair", "lamp"), ("chair",))
+    ('sofa', 'table lamp')
+    """
+    return tuple(
+        word
+        for word in dict.fromkeys(map(canonical, words))
+        if not any(is_kind_of(word, target) for target in targets)
+    )
 
 
 def head_phrase(phrase: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from edge import config
@@ -9,6 +11,7 @@ from edge.geometry import CameraModel
 from edge.perception import instance_kernels, kernels
 from edge.perception.instances import MAX_POINTS, InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
 from edge.types import Detections, Observation
 
 
@@ -54,6 +57,8 @@ def _lift() -> None:
     for way in ("depth", "cloud"):
         perception = config.Perception(lift=way, detector=config.DetectorSim())
         lifted = Lifter(perception).lift(detections)
+    clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
+    SightingTracker(perception).look(clear, clear)
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
     tracker.expire(seen, detections.prompts)
