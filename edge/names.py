@@ -120,6 +120,21 @@ BROADER: dict[str, tuple[str, ...]] = {
 }
 """Canonical name → what it is a kind of, where its last word does not say so."""
 
+NEAR: dict[str, tuple[str, ...]] = {
+    "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
+    "carpet": ("door mat", "mat"),
+    "cup": ("mug", "wine glass", "glass"),
+    "cushion": ("pillow",),
+    "nightstand": ("chest of drawers", "side table", "table"),
+    "ottoman": ("stool",),
+    "painting": ("poster",),
+    "shelf": ("bookcase", "shoe rack"),
+    "table": ("countertop", "desk"),
+    "vase": ("flowerpot",),
+}
+"""Canonical name → what people and detectors call such a thing as well, though it has a name of its
+own: that one is seen there is no evidence against the other."""
+
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
 _NO_PLURAL = ("ss", "us", "is")
 _ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
@@ -246,6 +261,20 @@ def is_kind_of(word: str, broader: str) -> bool:
     wanted = canonical(broader)
     nouns = [canonical(noun) for noun in head_nouns(word)]
     return wanted in nouns or any(wanted in BROADER.get(noun, ()) for noun in nouns)
+
+
+def akin(a: str, b: str) -> bool:
+    """Whether two words may be said of one thing: the same, a kind of the other, or near it.
+
+    >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("desk", "table")
+    (True, True, True)
+    >>> akin("sofa", "bed"), akin("desk", "dining table")
+    (False, False)
+    """
+    if is_kind_of(a, b) or is_kind_of(b, a):
+        return True
+    a, b = canonical(a), canonical(b)
+    return b in NEAR.get(a, ()) or a in NEAR.get(b, ())
 
 
 def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:

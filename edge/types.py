@@ -96,7 +96,7 @@ class Detections:
         prompts: what was asked for.
         rival: (n,) float32, the best score of anything else on the same place (a background
             prompt); None where nothing else was asked for.
-        context: what else was found, in boxes of its own; None where nothing else was looked for.
+        context: what else was found, in boxes of its own; None where the detector does not tell.
         model: card name of the model.
         latency_ns: time from image to boxes.
     """

@@ -86,8 +86,8 @@ class Service:
         self.keeper = keeper
         self.grid = RollingMap(config.mapping)
         self._seen_map = MapView(self.grid)
-        self.tracker = InstanceTracker(config.perception)
         self.sightings = SightingTracker(config.perception)
+        self.tracker = InstanceTracker(config.perception, self.sightings)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
         self.pool = CandidatePool(

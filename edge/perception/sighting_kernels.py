@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 POINTS = 32
@@ -15,6 +16,10 @@ PARTIAL = 0.25
 """What a look there counts."""
 FORGET = 40.0
 """Weight at which what was seen is halved, so that the old fades."""
+SAME_M = 0.2
+"""Surface points so near to each other (along each axis) are of one surface."""
+WITHIN = 0.5
+"""Share of a thing's surface that must lie on another's for the two to be taken for one."""
 PRIOR = 0.5
 """Weight of the doubt that a confidence starts with: one look convinces nobody."""
 
@@ -128,3 +133,54 @@ def fuse(centers, word, n, now, asked, T_camera_map, view, depth, weight, total,
                 total[i] *= 0.5
             confidence[i] = total[i] / (weight[i] + PRIOR)
         now[i] = 0.0
+
+
+@njit(nogil=True, cache=True)
+def strongest_rival(surface, centers, points, n_points, word, confidence, n, competes, reach_m):
+    """How sure it is that something else stands where a thing was seen.
+
+    A record speaks for what it covers of the thing: a row of chairs for all of a sofa, a pillow
+    for little of a bed. One that lies for the most part elsewhere, as the table under a vase does,
+    says nothing; records of one word speak together.
+
+    Args:
+        surface: (k, 3) float32 in `map`, the thing's; k > 0.
+        centers, points, n_points, word, confidence, n: the records, see `match`.
+        competes: (words,) bool, which words are another thing.
+        reach_m: how far records' middles may lie from the surface's.
+
+    Returns:
+        The highest mean, over the surface, of the confidences of a word's records that cover it.
+    """
+    k = len(surface)
+    x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
+    told = np.zeros(len(competes), np.bool_)
+    cover = np.zeros((len(competes), k), np.float32)
+    for i in range(n):
+        dx, dy = centers[i, 0] - x, centers[i, 1] - y
+        if not competes[word[i]] or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
+            continue
+        on = np.zeros(k, np.bool_)
+        inside = 0
+        for j in range(n_points[i]):
+            lies = False
+            for s in range(k):
+                if (
+                    abs(points[i, j, 0] - surface[s, 0]) < SAME_M
+                    and abs(points[i, j, 1] - surface[s, 1]) < SAME_M
+                    and abs(points[i, j, 2] - surface[s, 2]) < SAME_M
+                ):
+                    on[s] = True
+                    lies = True
+            inside += lies
+        if inside < WITHIN * n_points[i]:
+            continue
+        told[word[i]] = True
+        for s in range(k):
+            if on[s]:
+                cover[word[i], s] = max(cover[word[i], s], confidence[i])
+    best = np.float32(0.0)
+    for w in range(len(competes)):
+        if told[w]:
+            best = max(best, np.mean(cover[w]))
+    return best

@@ -18,6 +18,7 @@ GONE = 0.1
 _MATTERS = 0.1
 """A confidence that moved so far since it was counted, or a place that moved twice as many metres,
 is a change of the whole."""
+_NONE = np.zeros(0, np.bool_)
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 
 
@@ -91,6 +92,7 @@ class SightingTracker:
         self._cursor = np.zeros(cap, np.int32)
         self._told = np.zeros((cap, 4), np.float32)  # confidence and place when last counted
         self._number: dict[str, int] = {}
+        self._rivals: dict[str, np.ndarray] = {}
         self._asked = np.zeros(0, np.bool_)
         self._asked_for: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._columns: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int16),) * 2
@@ -112,6 +114,36 @@ class SightingTracker:
             self._fuse(observation)
         self._forget()
         self._count()
+
+    def doubts(self, name: str, surface_m: np.ndarray, radius_m: float) -> bool:
+        """Whether something else is surer to stand where a thing was seen.
+
+        Args:
+            name: canonical, of the thing.
+            surface_m: (k, 3) float32 in `map`; k > 0.
+            radius_m: how far it reaches from its middle.
+        """
+        s, merge_m = self._all, self.config.merge_m
+        x_m, y_m, _ = surface_m.mean(axis=0).tolist()
+        mine, word = 0.0, self._number.get(name, -1)
+        at = kernels.match(
+            s.xyz_m, s.points_m, s.n_points, s.word, s.n, word, x_m, y_m, merge_m + radius_m
+        )
+        if at >= 0:
+            mine = float(s.confidence[at])
+        rival = kernels.strongest_rival(
+            surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
+            self._rivals_of(name), merge_m + radius_m,
+        )  # fmt: skip
+        return rival > mine
+
+    def _rivals_of(self, name: str) -> np.ndarray:
+        """(words,) bool: which words name another thing."""
+        known = self._rivals.get(name, _NONE)
+        if len(known) < len(self._all.words):
+            more = [not names.akin(word, name) for word in self._all.words[len(known) :]]
+            known = self._rivals[name] = np.append(known, np.array(more, np.bool_))
+        return known
 
     def clear(self) -> None:
         """Forget every sighting; ids and words go on."""

@@ -24,7 +24,8 @@ def warmup() -> None:
     anchor, label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32), np.zeros(2, np.int32)
     score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
     found, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
-    n = kernels.suppress(boxes, anchor, label, score, found, 0.5, keep)
+    kernels.fold(scores, np.arange(2, dtype=np.int32), np.zeros((2, 2), np.float32))
+    n = kernels.suppress(boxes, anchor, label, score, found, 0, 1, False, 0.5, keep)
     xyxy, cut = np.zeros((2, 4), np.float32), np.zeros(2, np.bool_)
     n = kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy, cut)
     kernels.strongest_rivals(
