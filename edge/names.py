@@ -9,7 +9,7 @@ True
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from edge.errors import UserError
@@ -119,6 +119,21 @@ BROADER: dict[str, tuple[str, ...]] = {
     "stool": ("chair",),
 }
 """Canonical name → what it is a kind of, where its last word does not say so."""
+
+NEAR: dict[str, tuple[str, ...]] = {
+    "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
+    "carpet": ("door mat", "mat"),
+    "cup": ("mug", "wine glass", "glass"),
+    "cushion": ("pillow",),
+    "nightstand": ("chest of drawers", "side table", "table"),
+    "ottoman": ("stool",),
+    "painting": ("poster",),
+    "shelf": ("bookcase", "shoe rack"),
+    "table": ("countertop", "desk"),
+    "vase": ("flowerpot",),
+}
+"""Canonical name → what people and detectors call such a thing as well, though it has a name of its
+own: that one is seen there is no evidence against the other."""
 
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
 _NO_PLURAL = ("ss", "us", "is")
@@ -246,6 +261,34 @@ def is_kind_of(word: str, broader: str) -> bool:
     wanted = canonical(broader)
     nouns = [canonical(noun) for noun in head_nouns(word)]
     return wanted in nouns or any(wanted in BROADER.get(noun, ()) for noun in nouns)
+
+
+def akin(a: str, b: str) -> bool:
+    """Whether two words may be said of one thing: the same, a kind of the other, or near it.
+
+    >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("desk", "table")
+    (True, True, True)
+    >>> akin("sofa", "bed"), akin("desk", "dining table")
+    (False, False)
+    """
+    if is_kind_of(a, b) or is_kind_of(b, a):
+        return True
+    a, b = canonical(a), canonical(b)
+    return b in NEAR.get(a, ()) or a in NEAR.get(b, ())
+
+
+def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:
+    """What of some words is no target: canonical names, each once, without the targets' own and
+    those of kinds of them.
+
+    >>> outside(("couch", "sofa", "armchair", "lamp"), ("chair",))
+    ('sofa', 'table lamp')
+    """
+    return tuple(
+        word
+        for word in dict.fromkeys(map(canonical, words))
+        if not any(is_kind_of(word, target) for target in targets)
+    )
 
 
 def head_phrase(phrase: str) -> str:

@@ -64,6 +64,27 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ContextBoxes:
+    """Boxes of what stands around the targets, as parallel arrays, highest score first.
+
+    Attributes:
+        xyxy_px: (m, 4) float32 in pixels of the observation's image.
+        score: (m,) float32 in [0, 1].
+        class_id: (m,) int32, index into `words`.
+        words: canonical names of all that was looked for besides the targets; none is a target's,
+            nor of a kind of one.
+    """
+
+    xyxy_px: np.ndarray
+    score: np.ndarray
+    class_id: np.ndarray
+    words: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Detections:
     """Boxes of one image, as parallel arrays, highest score first.
 
@@ -75,6 +96,7 @@ class Detections:
         prompts: what was asked for.
         rival: (n,) float32, the best score of anything else on the same place (a background
             prompt); None where nothing else was asked for.
+        context: what else was found, in boxes of its own; None where the detector does not tell.
         model: card name of the model.
         latency_ns: time from image to boxes.
     """
@@ -85,11 +107,23 @@ class Detections:
     class_id: np.ndarray
     prompts: tuple[str, ...]
     rival: np.ndarray | None = None
+    context: ContextBoxes | None = None
     model: str = ""
     latency_ns: int = 0
 
     def __len__(self) -> int:
         return len(self.score)
+
+    def around(self) -> Detections | None:
+        """The context's boxes as detections of their own, its words as prompts; None: there is
+        no context."""
+        if self.context is None:
+            return None
+        c = self.context
+        return replace(
+            self, xyxy_px=c.xyxy_px, score=c.score, class_id=c.class_id, prompts=c.words,
+            rival=None, context=None,
+        )  # fmt: skip
 
     def unrivalled(self) -> np.ndarray:
         """(n,) bool: the boxes that nothing else explains better."""

@@ -108,7 +108,7 @@ def test_suppress(benchmark, against):
 
     def decode():
         m, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
-        n = kernels.suppress(boxes, anchor, label, score, m, 0.5, keep)
+        n = kernels.suppress(boxes, anchor, label, score, m, 0, 1, False, 0.5, keep)
         kernels.strongest_rivals(
             boxes, scores, competes, tau, top, anchor, label, keep, n, cut, 0.5, rival
         )

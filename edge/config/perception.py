@@ -31,9 +31,13 @@ class DetectorOnnx(Section):
 
 
 class DetectorSim(Section):
-    """Object ids from the simulator's ray caster with a noise model: no neural network."""
+    """Object ids from the simulator's ray caster with a noise model: no neural network.
+
+    `background` names what is seen besides the targets; null: everything that the world has.
+    """
 
     kind: Literal["sim"] = "sim"
+    background: tuple[str, ...] | None = None
     max_range_m: Positive = 6.0
     min_visible_px: Annotated[int, Field(ge=1)] = 40
     miss_rate: Fraction = 0.1
@@ -136,6 +140,7 @@ class Perception(Section):
     voxel_m: Positive = 0.1
     merge_m: Positive = 0.6
     max_instances: Annotated[int, Field(ge=1, le=4096)] = 128
+    max_sightings: Annotated[int, Field(ge=1, le=4096)] = 512
     min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
     confirm_range_m: Positive = 3.0

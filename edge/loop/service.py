@@ -33,6 +33,7 @@ from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Answers, Context, Policy, scores_of
@@ -85,7 +86,8 @@ class Service:
         self.keeper = keeper
         self.grid = RollingMap(config.mapping)
         self._seen_map = MapView(self.grid)
-        self.tracker = InstanceTracker(config.perception)
+        self.sightings = SightingTracker(config.perception)
+        self.tracker = InstanceTracker(config.perception, self.sightings)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
         self.pool = CandidatePool(
@@ -199,7 +201,8 @@ class Service:
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
             self._scorers.saw(detections)
-        lifted = self._lifter.lift(detections)
+        lifted, around = self._lifter.lift(detections), detections.around()
+        self.sightings.look(lifted, None if around is None else self._lifter.lift(around))
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation, detections.prompts)
         perception = self.config.perception
@@ -248,6 +251,7 @@ class Service:
             self.mission.brief.targets,
             self.mission.target,
             now_ns,
+            self.sightings.shown,
         )
         self.scores = scores_of(self.policy, self._context)
 
@@ -383,6 +387,7 @@ class Service:
         self.grid = RollingMap(self.config.mapping)
         self._seen_map = MapView(self.grid)
         self.tracker.clear()
+        self.sightings.clear()
         self.pool.clear()
         self.policy.reset("pose")
         self.mission.forget_distances()

@@ -223,6 +223,10 @@ class AttributeEncoder:
         """The words that the model takes a prompt for, such as `tall white trash can`."""
         return str(self._read(prompt))
 
+    def synonyms(self, prompt: str) -> list[str]:
+        """See `TextEncoder.synonyms`: one word for each of its categories."""
+        return []
+
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`."""
         return contrasting(self._read(prompt), self.vocabulary, whole)

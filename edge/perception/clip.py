@@ -16,12 +16,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from edge import names
 from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
 from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import fresh_sha256
-from edge.perception.text import PromptError, check_prompts, run_encoder, tidy
+from edge.perception.text import MAX_SYNONYMS, PromptError, check_prompts, run_encoder, tidy
 from edge.text import one_line
 
 CPU = ("CPUExecutionProvider",)
@@ -81,6 +82,10 @@ class ClipTextEncoder:
     def resolve(self, prompt: str) -> str:
         """The prompt itself, tidied; see `TextEncoder.resolve`."""
         return tidy(prompt)
+
+    def synonyms(self, prompt: str) -> list[str]:
+        """See `TextEncoder.synonyms`: people's names for it, as phrases of their own."""
+        return list(names.names_of(prompt)[1 : 1 + MAX_SYNONYMS])
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: what a phrase says of its thing is not told apart here."""

@@ -13,6 +13,7 @@ from edge import config, names
 from edge.geometry import SE2, CameraModel, invert
 from edge.perception import instance_kernels as kernels
 from edge.perception.lift import Lifted
+from edge.perception.sightings import SightingTracker
 from edge.types import Instance, Observation
 
 MAX_POINTS = 64
@@ -54,6 +55,7 @@ class _Track:
         radius_m: the farthest surface point from the centre.
         points_m, support: every surface point, and in how many views something was near it; the
             instance itself has those of what most views show.
+        doubted: it was seen as something else more often, or more clearly (`SightingTracker`).
     """
 
     instance: Instance
@@ -72,6 +74,7 @@ class _Track:
     radius_m: float = 0.0
     points_m: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
     support: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
+    doubted: bool = False
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
@@ -85,9 +88,17 @@ class InstanceTracker:
     but never found a new instance. Each look in vain takes a tenth off (`expire`).
     """
 
-    def __init__(self, perception: config.Perception) -> None:
+    def __init__(
+        self, perception: config.Perception, sightings: SightingTracker | None = None
+    ) -> None:
+        """
+        Args:
+            sightings: all that was seen, the newest image included; None: there is no memory of
+                what else stands where.
+        """
         self.config = perception
         self.dropped = 0
+        self._sightings = sightings
         self._tracks: dict[int, _Track] = {}
         self._next_id = 1
 
@@ -103,7 +114,7 @@ class InstanceTracker:
         track = self._tracks.get(instance_id)
         return track.instance if track else None
 
-    def of(self, label: str, sure: bool = False) -> list[Instance]:
+    def of(self, label: str, sure: bool = False, doubted: bool = True) -> list[Instance]:
         """Instances worth driving to, best first.
 
         Those that answer to a label (or a synonym), were found in `min_hits` images at least, and
@@ -111,6 +122,7 @@ class InstanceTracker:
 
         Args:
             sure: only those that are confirmed.
+            doubted: also those that were seen as something else more often.
         """
         name = names.canonical(label)
         found = [
@@ -120,6 +132,7 @@ class InstanceTracker:
             and track.instance.state != "refuted"
             and track.instance.hits >= self.config.min_hits
             and (not sure or self.confirmed(track.instance))
+            and (doubted or not track.doubted)
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
@@ -189,6 +202,7 @@ class InstanceTracker:
             if view == "hidden":
                 track.now_target = track.now_rival = 0.0
                 continue
+            self._doubt(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
                 # A miss in a partial view says less than one in a full view; saying nothing
@@ -373,7 +387,8 @@ class InstanceTracker:
 
     def _judge(self, track: _Track) -> None:
         """Confirmed is what was found often enough and, over all looks at it from near by, scored
-        well and clearly better than anything else would.
+        well and clearly better than anything else would, and what all looks at the place, targets'
+        and context's, say is nothing else.
 
         A mistake now and then is no confirmation when most looks find nothing, nor is a bed that
         is also a fair sofa.
@@ -385,10 +400,19 @@ class InstanceTracker:
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= c.confirm_lead * track.rival_sum
+            and not self._doubt(track)
         )
         instance.state = "confirmed" if sure else "seen"
         if track.views >= REFUTE_VIEWS and track.rival_sum > track.target_sum:
             self.refute(instance.id)
+
+    def _doubt(self, track: _Track) -> bool:
+        """Whether something else is surer to stand there, by all that was seen."""
+        if self._sightings is not None:
+            track.doubted = self._sightings.doubts(
+                track.name, track.instance.points_m, track.radius_m
+            )
+        return track.doubted
 
     def _unite(self, instance_id: int) -> None:
         """Merge instances of one label that grew into each other; the older one stays."""

@@ -45,14 +45,32 @@ def iou(boxes, i, j):
 
 
 @njit(nogil=True, cache=True)
-def candidates(boxes, scores, n_targets, tau, anchor, label, score, top):
-    """Every target at every anchor where it scores at least `tau`, whatever else scores there.
+def fold(scores, thing, out):
+    """The best score of each thing that several columns name; NaN where any of them is.
+
+    Args:
+        scores: (a, columns) float32.
+        thing: (columns,) int32, of each column, ascending.
+        out: (a, things) float32.
+    """
+    for i in range(len(scores)):
+        last = -1
+        for j in range(len(thing)):
+            k, s = thing[j], scores[i, j]
+            if k != last or s > out[i, k] or s != s:
+                out[i, k] = s
+            last = k
+
+
+@njit(nogil=True, cache=True)
+def candidates(boxes, scores, n_named, tau, anchor, label, score, top):
+    """Everything named at every anchor where it scores at least `tau`, whatever else scores there.
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32; columns below `n_targets` are targets, the rest background.
-        anchor, label: (a * n_targets,) int32 out, score: (a * n_targets,) float32 out.
-        top: (a,) float32 out, the best score of targets and background, 0 where below `tau`.
+        scores: (a, n) float32; columns below `n_named` are targets and context, the rest is none.
+        anchor, label: (a * n_named,) int32 out, score: (a * n_named,) float32 out.
+        top: (a,) float32 out, the best score of any column, 0 where below `tau`.
 
     Returns:
         (how many candidates were written, how many anchors were left out since their box or a
@@ -72,25 +90,27 @@ def candidates(boxes, scores, n_targets, tau, anchor, label, score, top):
             if s < tau:
                 continue
             top[i] = max(top[i], s)
-            if j < n_targets:
+            if j < n_named:
                 anchor[m], label[m], score[m] = i, j, s
                 m += 1
     return m, invalid
 
 
 @njit(nogil=True, cache=True)
-def suppress(boxes, anchor, label, score, m, iou_max, keep):
-    """Greedy class-wise non-maximum suppression.
+def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep):
+    """Greedy non-maximum suppression among the labels from `first` on, before `end`.
 
     Args:
         boxes: (a, 4) float32.
         anchor, label, score: from `candidates`, the first `m` count.
+        one_word: whether one label alone may have a place; else each may.
         keep: (k,) int32 out, indices of kept candidates, highest score first.
 
     Returns:
         How many were kept, at most k.
     """
-    order = np.argsort(-score[:m], kind="mergesort")
+    mine = np.flatnonzero((label[:m] >= first) & (label[:m] < end))
+    order = mine[np.argsort(-score[mine], kind="mergesort")]
     n = 0
     for i in order:
         if n == len(keep):
@@ -98,7 +118,7 @@ def suppress(boxes, anchor, label, score, m, iou_max, keep):
         alone = True
         for k in range(n):
             j = keep[k]
-            if label[j] == label[i] and iou(boxes, anchor[i], anchor[j]) > iou_max:
+            if (one_word or label[j] == label[i]) and iou(boxes, anchor[i], anchor[j]) > iou_max:
                 alone = False
                 break
         if alone:

@@ -6,11 +6,12 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from edge import config, names
+from edge import config
 from edge.host import resources
 from edge.perception import kernels
 from edge.perception.backends.binding import Bound, bind
@@ -28,10 +29,11 @@ from edge.perception.cards import (
     load_detector_card,
     verify_model,
 )
+from edge.perception.columns import Columns, columns_for
 from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.encoders import make_text_encoder
 from edge.perception.text import PromptError, check_prompts, words_for
-from edge.types import Detections, Observation
+from edge.types import ContextBoxes, Detections, Observation
 
 log = logging.getLogger(__name__)
 
@@ -60,8 +62,8 @@ class _Asked:
     """The prompts of one moment with all buffers bound for them; swapped whole."""
 
     prompts: tuple[str, ...]
-    text: np.ndarray
-    competes: np.ndarray
+    columns: Columns
+    folded: np.ndarray
     anchor: np.ndarray
     label: np.ndarray
     score: np.ndarray
@@ -80,14 +82,27 @@ class _Placement:
     resized: np.ndarray | None
 
 
+class _Kept(NamedTuple):
+    """What is left of the candidates: which, their boxes in the image, and whether it cuts them."""
+
+    kept: np.ndarray
+    xyxy_px: np.ndarray
+    cut: np.ndarray
+
+    @classmethod
+    def of(cls, n: int) -> _Kept:
+        return cls(np.empty(n, np.int32), np.empty((n, 4), np.float32), np.empty(n, np.bool_))
+
+
 class OnnxDetector:
     """Every buffer is made once; an image costs one resize, one run and two kernels.
 
     Each prompt has its own boxes, also where another scores higher: whoever weighs what a thing
-    is over many images needs to hear of the losers too. Background prompts
-    (`config.background`) have none. The best score of any other prompt, background or not, on the
-    place of a box is its `Detections.rival`; a prompt that is a kind of the other (sofa bed, bed)
-    does not compete.
+    is over many images needs to hear of the losers too. Background words (`config.background`)
+    are the context; of these, what scores best has the place. The best score of any other thing,
+    prompt or background, on the place of a box is its `Detections.rival`; what may be said of
+    the same thing (chair, armchair) does not compete. A thing is looked for under all names that
+    the text encoder has for it, see `Columns`.
 
     Attributes:
         invalid_boxes: how many were dropped since they are not finite.
@@ -128,10 +143,8 @@ class OnnxDetector:
         )
         self._anchors = self._count_anchors()
         self._top = np.empty(self._anchors, np.float32)
-        self._keep = np.empty(detector.max_detections, np.int32)
         self._against = np.empty(detector.max_detections, np.float32)
-        self._cut = np.empty(detector.max_detections, np.bool_)
-        self._xyxy = np.empty((detector.max_detections, 4), np.float32)
+        self._mine, self._around = (_Kept.of(detector.max_detections) for _ in range(2))
         self.set_prompts(prompts)
 
     @property
@@ -145,18 +158,12 @@ class OnnxDetector:
 
     def _ask(self, prompts: tuple[str, ...]) -> _Asked:
         """Encode prompts and bind buffers for them, which may take memory of a GPU."""
-        contrasts = (c for prompt in prompts for c in self._text.contrasts(prompt))
-        others = dict.fromkeys((*self._background, *contrasts))
-        columns = [*prompts, *(other for other in others if other not in prompts)]
-        competes = self._competitors(prompts, columns)
-        useful = competes.any(axis=(0, 1))
-        useful[: len(prompts)] = True
-        competes = np.ascontiguousarray(competes[:, :, useful])
-        text = self._text.embed([c for c, kept in zip(columns, useful, strict=True) if kept])
+        columns = columns_for(prompts, self._background, self._text)
+        text = self._text.embed(columns.words)
         if text.shape[1] > MAX_COLUMNS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
-                f"{text.shape[1]} prompts, background and contrasts counted in: engines of "
-                f"TensorRT are built for at most {MAX_COLUMNS}; name fewer"
+                f"{text.shape[1]} prompts, synonyms, background and contrasts counted in: engines "
+                f"of TensorRT are built for at most {MAX_COLUMNS}; name fewer"
             )
         bound = bind(
             self._session,
@@ -164,10 +171,10 @@ class OnnxDetector:
             {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
             live=("images",),
         )
-        most = self._anchors * len(prompts)
+        most = self._anchors * (len(prompts) + len(columns.context))
         return _Asked(
-            prompts, text, competes, np.empty(most, np.int32),
-            np.empty(most, np.int32), np.empty(most, np.float32), bound,
+            prompts, columns, np.empty((self._anchors, columns.things), np.float32),
+            np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32), bound,
         )  # fmt: skip
 
     def _known_background(self) -> tuple[str, ...]:
@@ -181,32 +188,6 @@ class OnnxDetector:
             )  # fmt: skip
         return known
 
-    def _competitors(self, prompts: Sequence[str], columns: Sequence[str]) -> np.ndarray:
-        """(2, prompts, columns) bool: whether a column's word is another thing than the prompt's,
-        where the thing is wholly in view and where the image cuts it off.
-
-        A kind of the prompt's thing never is, unless it is what the prompt is not (another colour,
-        another size as far as that can be seen); neither is its broader name between two prompts,
-        nor for a prompt that has contrasts: a white chair is a chair, and what tells it from a red
-        one is the contrast.
-        """
-        words = [(column, self._text.resolve(column)) for column in columns]
-
-        def kind_of(i: int, j: int) -> bool:
-            return any(names.is_kind_of(a, b) for a in words[i] for b in words[j])
-
-        competes = np.ones((2, len(prompts), len(columns)), np.bool_)
-        for row, prompt in enumerate(prompts):
-            contrasts = set(self._text.contrasts(prompt))
-            seen_in_part = set(self._text.contrasts(prompt, whole=False))
-            for column in range(len(columns)):
-                broader = (column < len(prompts) or contrasts) and kind_of(row, column)
-                contrast = not contrasts.isdisjoint(words[column])
-                unseen = contrast and seen_in_part.isdisjoint(words[column])
-                competes[0, row, column] = contrast or not (kind_of(column, row) or broader)
-                competes[1, row, column] = competes[0, row, column] and not unseen
-        return competes
-
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`."""
         start_ns = time.perf_counter_ns()
@@ -215,17 +196,23 @@ class OnnxDetector:
         filled_ns = time.perf_counter_ns()
         boxes, scores = asked.bound.run()
         ran_ns = time.perf_counter_ns()
-        n = self._pick(asked, boxes[0], scores[0])
-        kept = self._keep[:n]
+        found, around = self._pick(asked, boxes[0], scores[0])
         end_ns = time.perf_counter_ns()
         self.stages_ns = (filled_ns - start_ns, ran_ns - filled_ns, end_ns - ran_ns)
+        mine, others = found.kept, around.kept
         return Detections(
             observation=observation,
-            xyxy_px=self._xyxy[:n].copy(),
-            score=asked.score[kept],
-            class_id=asked.label[kept],
+            xyxy_px=found.xyxy_px.copy(),
+            score=asked.score[mine],
+            class_id=asked.label[mine],
             prompts=asked.prompts,
-            rival=self._against[:n].copy(),
+            rival=self._against[: len(mine)].copy(),
+            context=ContextBoxes(
+                around.xyxy_px.copy(),
+                asked.score[others],
+                asked.label[others] - np.int32(len(asked.prompts)),
+                asked.columns.context,
+            ),
             model=self.name,
             latency_ns=end_ns - start_ns,
         )
@@ -242,7 +229,8 @@ class OnnxDetector:
         asked = self._asked
         self._fill_input(np.ascontiguousarray(rgb))
         _, scores = asked.bound.run()
-        return scores[0, :, : len(asked.prompts)].max(axis=0)
+        kernels.fold(scores[0], asked.columns.thing, asked.folded)
+        return asked.folded[:, : len(asked.prompts)].max(axis=0)
 
     def health(self) -> Health:
         """See `Detector.health`."""
@@ -291,13 +279,15 @@ class OnnxDetector:
         top, left = (h - new_h) // 2, (w - new_w) // 2
         return _Placement(width_px, height_px, scale, top, left, resized)
 
-    def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> int:
-        """Boxes (a, 4) and scores (a, n) → `_keep`, `_xyxy`, `_against`; how many."""
-        c, place, tau = self.config, self._place, np.float32(self.config.tau_vl)
+    def _pick(self, asked: _Asked, boxes: np.ndarray, scores: np.ndarray) -> tuple[_Kept, _Kept]:
+        """Boxes (a, 4) and scores (a, columns) → those of targets, whose rivals lie in `_against`,
+        and those of the context."""
+        c, tau, targets = self.config, np.float32(self.config.tau_vl), len(asked.prompts)
+        named = targets + len(asked.columns.context)
+        kernels.fold(scores, asked.columns.thing, asked.folded)
         found, invalid = kernels.candidates(
-            boxes, scores, len(asked.prompts), tau, asked.anchor, asked.label, asked.score,
-            self._top,
-        )  # fmt: skip
+            boxes, asked.folded, named, tau, asked.anchor, asked.label, asked.score, self._top
+        )
         if invalid:
             if not self.invalid_boxes:
                 log.error(
@@ -305,15 +295,24 @@ class OnnxDetector:
                     self.name, invalid, self._anchors,
                 )  # fmt: skip
             self.invalid_boxes += invalid
-        n = kernels.suppress(
-            boxes, asked.anchor, asked.label, asked.score, found, c.nms_iou, self._keep
-        )
-        n = kernels.to_image(
-            boxes, asked.anchor, self._keep, n, place.scale, place.top, place.left,
-            place.width_px, place.height_px, self._xyxy, self._cut,
-        )  # fmt: skip
+        mine = self._keep(asked, boxes, found, (0, targets), self._mine)
         kernels.strongest_rivals(
-            boxes, scores, asked.competes, tau, self._top, asked.anchor, asked.label,
-            self._keep, n, self._cut, c.nms_iou, self._against,
+            boxes, asked.folded, asked.columns.competes, tau, self._top, asked.anchor, asked.label,
+            mine.kept, len(mine.kept), mine.cut, c.nms_iou, self._against,
         )  # fmt: skip
-        return n
+        return mine, self._keep(asked, boxes, found, (targets, named), self._around)
+
+    def _keep(
+        self, asked: _Asked, boxes: np.ndarray, found: int, labels: tuple[int, int], out: _Kept
+    ) -> _Kept:
+        """Of the candidates with a label in a half-open range, those that stay; parts of `out`."""
+        place, one_word = self._place, labels[0] > 0
+        n = kernels.suppress(
+            boxes, asked.anchor, asked.label, asked.score, found, *labels, one_word,
+            self.config.nms_iou, out.kept,
+        )  # fmt: skip
+        n = kernels.to_image(
+            boxes, asked.anchor, out.kept, n, place.scale, place.top, place.left,
+            place.width_px, place.height_px, out.xyxy_px, out.cut,
+        )  # fmt: skip
+        return _Kept(*(array[:n] for array in out))

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from edge import config, names
 from edge.perception import kernels
 from edge.perception.detector import Health
 from edge.perception.text import PromptError, check_prompts
-from edge.types import Detections, Observation
+from edge.types import ContextBoxes, Detections, Observation
 
 _FULL_VIEW = 0.02
 """Share of the image that an object must fill for its score not to suffer from smallness."""
@@ -39,14 +40,30 @@ TruthAt = Callable[[int], "Segmentation | None"]
 by whoever detects."""
 
 
+class _Roles(NamedTuple):
+    """What the objects of a world are to some prompts.
+
+    Attributes:
+        words: of the context.
+        classes: of object i at index i: a prompt's index, or, counted on from there, a word's;
+            -1: not looked for.
+    """
+
+    prompts: tuple[str, ...]
+    words: tuple[str, ...]
+    classes: tuple[int, ...]
+
+
 class SimDetector:
     """Boxes around the visible pixels of objects that answer to a prompt, made imperfect.
 
     The score falls with range and smallness and carries Gaussian noise; objects are missed
     (`miss_rate` near by, three times that at `max_range_m`); now and then another object is
     taken for the target. A prompt means the objects of that very name (a dog bed), and where the
-    world has none, those of its noun. Noise depends on `config.seed` and `observation.seq` only,
-    so a run replays the same.
+    world has none, those of its noun. All else that the world has is context, unless
+    `config.background` says what is, and is seen and missed alike; what is taken for a target is
+    not seen as itself in that image. Noise depends on `config.seed` and `observation.seq` only, so
+    a run replays the same.
     """
 
     name = "sim (ground-truth ids + noise, no neural network)"
@@ -65,7 +82,9 @@ class SimDetector:
         self.config = detector
         self._truth = truth
         self._labels: tuple[str, ...] = ()
+        self._names: tuple[str, ...] = ()
         self._present: set[str] = set()
+        self._roles = _Roles((), (), ())
         self._resize(0)
         self.set_prompts(prompts)
 
@@ -95,20 +114,33 @@ class SimDetector:
         ids = there.ids
         if there.labels != self._labels:
             self._labels = there.labels
-            self._present = {names.canonical(label) for label in self._labels}
+            self._names = tuple(names.canonical(label) for label in self._labels)
+            self._present = set(self._names)
+            self._roles = _Roles((), (), ())
             self._resize(len(self._labels))
         kernels.object_boxes(ids, depth, self._box, self._pixels, self._distance)
         prompts, nouns = self._asked
-        exact = [names.canonical(prompt) for prompt in prompts]
-        wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
-        found = self._noisy(observation.seq, wanted, ids.shape)
+        if self._roles.prompts != prompts:
+            self._roles = self._cast(prompts, nouns)
+        roles = self._roles
+        found = self._noisy(observation.seq, roles, ids.shape)
         found.sort(key=lambda row: -row[0])
+        xyxy_px = np.array([row[2] for row in found], np.float32).reshape(-1, 4)
+        score = np.array([row[0] for row in found], np.float32)
+        class_id = np.array([row[1] for row in found], np.int32)
+        mine, other = class_id < len(prompts), class_id >= len(prompts)
         return Detections(
             observation=observation,
-            xyxy_px=np.array([row[2] for row in found], np.float32).reshape(-1, 4),
-            score=np.array([row[0] for row in found], np.float32),
-            class_id=np.array([row[1] for row in found], np.int32),
+            xyxy_px=xyxy_px[mine],
+            score=score[mine],
+            class_id=class_id[mine],
             prompts=prompts,
+            context=ContextBoxes(
+                xyxy_px[other],
+                score[other],
+                class_id[other] - np.int32(len(prompts)),
+                roles.words,
+            ),
             model=self.name,
             latency_ns=time.perf_counter_ns() - start_ns,
         )
@@ -125,11 +157,23 @@ class SimDetector:
         self._pixels = np.empty(n, np.int32)
         self._distance = np.empty(n, np.float32)
 
+    def _cast(self, prompts: tuple[str, ...], nouns: tuple[str, ...]) -> _Roles:
+        """What each object is to these prompts."""
+        exact = [names.canonical(prompt) for prompt in prompts]
+        wanted = tuple(e if e in self._present else n for e, n in zip(exact, nouns, strict=True))
+        around = self.config.background
+        there = sorted(self._present) if around is None else map(names.canonical, around)
+        words = names.outside(there, (*wanted, *prompts))
+        number = {word: len(prompts) + i for i, word in enumerate(words)}
+        for i in reversed(range(len(wanted))):  # the first of two prompts for one thing
+            number[wanted[i]] = i
+        return _Roles(prompts, words, tuple(number.get(name, -1) for name in self._names))
+
     def _noisy(
-        self, seq: int, nouns: tuple[str, ...], image_hw: tuple[int, int]
+        self, seq: int, roles: _Roles, image_hw: tuple[int, int]
     ) -> list[tuple[float, int, np.ndarray]]:
-        """(score, prompt, box) of everything reported, in no order."""
-        c = self.config
+        """(score, class, box) of everything reported, in no order; see `_Roles`."""
+        c, targets = self.config, len(roles.prompts)
         random = np.random.default_rng((c.seed, seq))
         h, w = image_hw
         found = []
@@ -145,12 +189,10 @@ class SimDetector:
             quality = (1.0 - 0.4 * far) * min(
                 1.0, math.sqrt(self._pixels[i] / (_FULL_VIEW * (h * w)))
             )
-            class_id = _index(nouns, names.canonical(self._labels[i]))
-            if class_id is None:
-                if mistaken >= c.false_positive_rate:
-                    continue
-                class_id, quality = int(mistaken * 1e6) % len(nouns), 0.5 * quality
-            elif missed < c.miss_rate * (1.0 + 2.0 * far):
+            class_id = roles.classes[i]
+            if not 0 <= class_id < targets and mistaken < c.false_positive_rate:
+                class_id, quality = int(mistaken * 1e6) % targets, 0.5 * quality
+            elif class_id < 0 or missed < c.miss_rate * (1.0 + 2.0 * far):
                 continue
             score = min(1.0, max(0.0, 0.9 * quality + c.score_noise * noise))
             if score >= c.tau_vl and score > 0.0:
@@ -165,10 +207,6 @@ def _noun(prompt: str) -> str:
         return names.canonical(prompt)
     known = (noun for noun in names.head_nouns(phrase) if names.is_known(noun))
     return names.canonical(next(known, phrase))
-
-
-def _index(nouns: tuple[str, ...], label: str) -> int | None:
-    return nouns.index(label) if label in nouns else None
 
 
 def _jitter(box: np.ndarray, edges: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -33,7 +33,10 @@ log = logging.getLogger(__name__)
 VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 MAX_VOCABULARY_BYTES = 1 << 30
 """Half a million words."""
-
+SYNONYM_COSINE = 0.95
+"""Words whose embeddings are nearer than that name one thing: of CLIP ViT-B/32's, chair and
+armchair (0.96), cushion and pillow (0.96), but not table and desk (0.93) nor cup and mug (0.93)."""
+MAX_SYNONYMS = 6
 
 _UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zlib.error,
@@ -68,6 +71,11 @@ class TextEncoder(Protocol):
 
     def resolve(self, prompt: str) -> str:
         """The words that stand for a prompt; raises PromptError as `embed` does."""
+        ...
+
+    def synonyms(self, prompt: str) -> list[str]:
+        """What else the thing of a prompt is called, in words that `embed` takes; not its `resolve`
+        word, nor a name of something broader."""
         ...
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
@@ -209,6 +217,20 @@ class TextEmbeddings:
         """
         rows = [self._row_of[self.resolve(prompt)] for prompt in check_prompts(prompts)]
         return np.ascontiguousarray(self._rows[rows])[None]
+
+    def synonyms(self, prompt: str) -> list[str]:
+        """See `TextEncoder.synonyms`: the vocabulary's names for it, and what it embeds within
+        SYNONYM_COSINE of its own, at most MAX_SYNONYMS."""
+        word = self.resolve(prompt)
+        near = self._rows @ self._rows[self._row_of[word]]
+        found = [name for name in names.names_of(word) if name in self._row_of]
+        by_nearness = sorted(self._row_of.items(), key=lambda item: -near[item[1]])
+        for name, row in by_nearness:
+            if near[row] < SYNONYM_COSINE:
+                break
+            if names.is_name(name) and (names.is_kind_of(name, word) or not names.akin(name, word)):
+                found.append(name)
+        return [name for name in dict.fromkeys(found) if name != word][:MAX_SYNONYMS]
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
         """See `TextEncoder.contrasts`: words say nothing of colours."""

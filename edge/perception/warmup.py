@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from edge import config
@@ -9,6 +11,7 @@ from edge.geometry import CameraModel
 from edge.perception import instance_kernels, kernels
 from edge.perception.instances import MAX_POINTS, InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
 from edge.types import Detections, Observation
 
 
@@ -21,7 +24,8 @@ def warmup() -> None:
     anchor, label, keep = np.zeros(2, np.int32), np.zeros(2, np.int32), np.zeros(2, np.int32)
     score, top, tau = np.zeros(2, np.float32), np.zeros(2, np.float32), np.float32(0.05)
     found, _ = kernels.candidates(boxes, scores, 1, tau, anchor, label, score, top)
-    n = kernels.suppress(boxes, anchor, label, score, found, 0.5, keep)
+    kernels.fold(scores, np.arange(2, dtype=np.int32), np.zeros((2, 2), np.float32))
+    n = kernels.suppress(boxes, anchor, label, score, found, 0, 1, False, 0.5, keep)
     xyxy, cut = np.zeros((2, 4), np.float32), np.zeros(2, np.bool_)
     n = kernels.to_image(boxes, anchor, keep, n, 1.0, 0, 0, 16, 16, xyxy, cut)
     kernels.strongest_rivals(
@@ -54,6 +58,8 @@ def _lift() -> None:
     for way in ("depth", "cloud"):
         perception = config.Perception(lift=way, detector=config.DetectorSim())
         lifted = Lifter(perception).lift(detections)
+    clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
+    SightingTracker(perception).look(clear, clear)
     tracker = InstanceTracker(perception)
     tracker.update(lifted, 0)
     tracker.expire(seen, detections.prompts)

@@ -12,6 +12,7 @@ from edge.geometry import SE2
 from edge.mapping.layers import read_only
 from edge.mapping.view import MapView
 from edge.perception.choice.question import Choice
+from edge.perception.sightings import Sightings
 from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, LOOK = 0, 1, 2
@@ -119,11 +120,12 @@ class Context:
             none did.
         candidates: frontiers, and instances of the active target.
         detections: what the detector found meanwhile, boxes of targets that nothing else explains
-            better, with the observation they were found in; `class_id` counts `targets`. None
-            where nothing new came.
+            better, with the observation they were found in; `class_id` counts `targets`, and
+            `context` has the boxes of all else. None where nothing new came.
         answers: of the scorers that run beside the loop.
         targets: all of the mission's; `target` is the active one.
         now_ns: the loop's time.
+        sightings: what was seen where so far, targets and all else; None: nobody keeps it.
     """
 
     observation: Observation
@@ -136,6 +138,7 @@ class Context:
     targets: tuple[str, ...]
     target: str
     now_ns: int
+    sightings: Sightings | None = None
 
     @property
     def active(self) -> int:

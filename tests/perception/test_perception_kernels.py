@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from twins import (
     candidates,
     cloud_raster,
+    fold,
     going_on,
     iou,
     merge_points,
@@ -68,7 +69,10 @@ def test_no_anchor_gives_no_box():
     boxes = np.zeros((0, 4), np.float32)
     anchor, label, score, _top, m, invalid = found_in(boxes, np.zeros((0, 1), np.float32), 1)
     assert (m, invalid) == (0, 0)
-    assert kernels.suppress(boxes, anchor, label, score, m, 0.5, np.zeros(4, np.int32)) == 0
+    assert (
+        kernels.suppress(boxes, anchor, label, score, m, 0, 1, False, 0.5, np.zeros(4, np.int32))
+        == 0
+    )
 
 
 @given(seed=seeds, n=st.integers(1, 60), targets=st.integers(1, 3), rest=st.integers(0, 3))
@@ -87,8 +91,11 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     np.testing.assert_array_equal(score[:m], t_score)
     np.testing.assert_array_equal(top, t_top)
     keep = np.zeros(10, np.int32)
-    k = kernels.suppress(boxes, anchor, label, score, m, 0.5, keep)
-    assert list(keep[:k]) == suppress(boxes, t_anchor, t_label, t_score, 0.5, 10)
+    first, one_word = int(random.integers(0, targets)), bool(random.random() < 0.5)
+    k = kernels.suppress(boxes, anchor, label, score, m, first, targets, one_word, 0.5, keep)
+    assert list(keep[:k]) == suppress(
+        boxes, t_anchor, t_label, t_score, range(first, targets), one_word, 0.5, 10
+    )
     against = np.zeros(10, np.float32)
     competes = random.random((2, targets, targets + rest)) < 0.5
     cut = random.random(10) < 0.5
@@ -99,6 +106,18 @@ def test_candidates_and_suppress_agree_with_their_twins(seed, n, targets, rest):
     np.testing.assert_array_equal(against[:k], expected)
 
 
+@given(seed=seeds, n=st.integers(0, 20), names=st.lists(st.integers(1, 3), min_size=1, max_size=4))
+@settings(max_examples=30)
+def test_fold_agrees_with_its_twin(seed, n, names):
+    random = np.random.default_rng(seed)
+    thing = np.repeat(np.arange(len(names), dtype=np.int32), names)
+    scores = random.random((n, len(thing)), np.float32)
+    scores[random.random(scores.shape) < 0.05] = np.nan
+    ours = np.zeros((n, len(names)), np.float32)
+    kernels.fold(scores, thing, ours)
+    np.testing.assert_array_equal(ours, fold(scores, thing))
+
+
 @given(seed=seeds)
 @settings(max_examples=30)
 def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
@@ -106,7 +125,7 @@ def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
     boxes = random_boxes(random, 40)
     anchor, label, score, _, m, _ = found_in(boxes, random.random((40, 2), dtype=np.float32), 2)
     keep = np.zeros(80, np.int32)
-    kept = keep[: kernels.suppress(boxes, anchor, label, score, m, 0.4, keep)]
+    kept = keep[: kernels.suppress(boxes, anchor, label, score, m, 0, 2, False, 0.4, keep)]
     assert (np.diff(score[kept]) <= 0).all()
     for a in kept:
         for b in kept:

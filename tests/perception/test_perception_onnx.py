@@ -16,6 +16,7 @@ from edge.host import resources
 from edge.models.check import check_model
 from edge.perception import model_file
 from edge.perception.cards import ModelError, load_detector_card
+from edge.perception.columns import competitors
 from edge.perception.factory import make_detector
 from edge.perception.model_file import TRUST_CACHE
 from edge.perception.text import PromptError, TextEmbeddings
@@ -193,13 +194,13 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
 )
 def test_which_backgrounds_compete(tiny, prompt, background, rivals):
     detector = tiny(prompts=(prompt,), background=(background,))
-    assert detector._asked.text.shape[1] == 1 + rivals
+    assert detector._asked.columns.things == 1 + rivals
 
 
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
-    assert detector._asked.text.shape[1] == 3
+    assert detector._asked.columns.things == 3
     assert [r.message for r in caplog.records] == [
         "model tiny does not know 'zebra', 'heron' of perception.detector.background: goes without"
     ]
@@ -295,11 +296,11 @@ def test_what_a_prompt_is_not_competes_though_it_is_a_thing_of_that_name(tiny, m
     monkeypatch.setattr(TextEmbeddings, "contrasts", seen)
     detector = tiny(prompts=("chair", "sofa"))
     columns = ("chair", "sofa", "red chair", "tall chair")
-    whole, cut = detector._competitors(("chair", "sofa"), columns).tolist()
+    whole, cut = competitors(("chair", "sofa"), columns, detector._text).tolist()
     assert whole == [[False, True, True, True], [True, False, True, True]]
     assert cut == [[False, True, True, False], [True, False, True, True]]
     contrasts.clear()
-    assert not detector._competitors(("chair",), ("chair", "red chair")).any()
+    assert not competitors(("chair",), ("chair", "red chair"), detector._text).any()
 
 
 def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_observation):

@@ -19,15 +19,15 @@ from edge.perception.process import wire
 from edge.perception.process.wire import FrameFile, FrameView, ModelProcessError
 from edge.perception.text import PromptError
 from edge.text import read_json_object
-from edge.types import Detections
+from edge.types import ContextBoxes, Detections
 
 PROMPTS = ("chair", "déjà vu")
 REALS = st.floats(-1e6, 1e6, width=32)
 UNITS = st.floats(0, 1, width=32)
 
 
-def detections(xyxy, score, class_id, rival):
-    return Detections(None, xyxy, score, class_id, PROMPTS, rival)
+def detections(xyxy, score, class_id, rival, context=None):
+    return Detections(None, xyxy, score, class_id, PROMPTS, rival, context)
 
 
 def encode(found, health=("ok", ""), seq=3):
@@ -37,10 +37,16 @@ def encode(found, health=("ok", ""), seq=3):
     return read_json_object(header), block
 
 
-def some(n=2, rival=True):
+def some(n=2, rival=True, around=None):
+    xyxy = np.arange(4 * n, dtype=np.float32).reshape(n, 4)
+    context = None
+    if around is not None:
+        score = np.full(around, 0.75, np.float32)
+        class_id = np.zeros(around, np.int32)
+        context = ContextBoxes(np.ones((around, 4), np.float32), score, class_id, ("lamp",))
     return detections(
-        np.arange(4 * n, dtype=np.float32).reshape(n, 4), np.full(n, 0.5, np.float32),
-        np.arange(n, dtype=np.int32), np.full(n, 0.25, np.float32) if rival else None,
+        xyxy, np.full(n, 0.5, np.float32), np.arange(n, dtype=np.int32),
+        np.full(n, 0.25, np.float32) if rival else None, context,
     )  # fmt: skip
 
 
@@ -51,6 +57,19 @@ def test_nothing_found(rival):
     assert len(answer.found.score) == len(answer.found.class_id) == 0
     assert (answer.found.rival is not None) == rival
     assert answer.found.prompts == PROMPTS
+
+
+@pytest.mark.parametrize("around", [0, 3])
+def test_what_stands_around_arrives_too(around):
+    sent = some(2, around=around)
+    came = wire.decode_answer(3, *encode(sent)).found
+    assert came.context.words == ("lamp",)
+    for name in ("xyxy_px", "score", "class_id"):
+        ours, theirs = getattr(came.context, name), getattr(sent.context, name)
+        assert (ours.dtype, ours.flags.writeable) == (theirs.dtype, True)
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(came.xyxy_px, sent.xyxy_px)
+    assert wire.decode_answer(3, *encode(some())).found.context is None
 
 
 @given(st.data(), st.integers(0, 40))
@@ -89,14 +108,19 @@ def with_array(name, value):
 
 DAMAGES = {
     "another image's": (changed(seq=2), "seq 2, expected 3"),
-    "no number": (changed(n=None), "56 bytes for None boxes"),
-    "more boxes than bytes": (changed(n=3), "56 bytes for 3 boxes"),
-    "fewer boxes than bytes": (changed(n=1), "56 bytes for 1 boxes"),
-    "less than none": (changed(n=-2), "56 bytes for -2 boxes"),
-    "a real number": (changed(n=2.0), "56 bytes for 2.0 boxes"),
-    "cut short": ((encode(some())[0], encode(some())[1][:-1]), "55 bytes for 2 boxes"),
+    "no number": (changed(n=None), "56 bytes for None and 0 boxes"),
+    "more boxes than bytes": (changed(n=3), "56 bytes for 3 and 0 boxes"),
+    "fewer boxes than bytes": (changed(n=1), "56 bytes for 1 and 0 boxes"),
+    "less than none": (changed(n=-2), "56 bytes for -2 and 0 boxes"),
+    "a real number": (changed(n=2.0), "56 bytes for 2.0 and 0 boxes"),
+    "cut short": ((encode(some())[0], encode(some())[1][:-1]), "55 bytes for 2 and 0 boxes"),
     "a prompt that is none": (changed(prompts=["chair", 3]), "prompts"),
     "one prompt": (changed(prompts="ch"), "prompts 'ch'"),
+    "context that is none": (changed(context=["lamp"]), "context"),
+    "one word of context": (changed(context={"n": 0, "words": "lamp"}), "context 'lamp'"),
+    "more context than bytes": (changed(context={"n": 1, "words": ["lamp"]}), "for 2 and 1 boxes"),
+    "fewer than none": (changed(n=-1, context={"n": 3, "words": []}), "for -1 and 3 boxes"),
+    "less context than none": (changed(n=3, context={"n": -1, "words": []}), "for 3 and -1 boxes"),
     "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes '2'"),
     "no health": (changed(health=None), "health None"),
     "unknown health": (changed(health=["fine", ""]), "health 'fine'.*choices: ok, building"),

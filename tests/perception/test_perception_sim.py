@@ -127,3 +127,39 @@ def test_it_asks_for_the_picture_of_that_stamp(make_observation):
     with pytest.raises(ValueError, match="no segmentation"):
         detector.detect(make_observation(stamp_ns=77, **scene()))
     assert asked == [77]
+
+
+@pytest.mark.parametrize(
+    ("prompts", "background", "words", "classes"),
+    [
+        (("bed",), (), (), []),
+        (("bed",), None, ("chair", "sofa", "trash can"), [0, 1]),
+        (("chair",), None, ("sofa", "trash can"), [0]),
+        (("couch",), None, ("chair", "trash can"), [0]),
+        (("bed",), ("couch", "sofa", "lamp"), ("sofa", "table lamp"), [0]),
+        (("furniture", "chair"), ("armchair", "sofa"), ("sofa",), [0]),
+    ],
+)
+def test_what_stands_around_is_context(make_observation, prompts, background, words, classes):
+    context = make(prompts, background=background).detect(make_observation(**scene())).context
+    assert context.words == words
+    assert sorted(context.class_id) == classes
+    assert context.class_id.dtype == np.int32
+    assert (np.diff(context.score) <= 0).all()
+
+
+def test_context_changes_nothing_about_the_targets(make_observation):
+    noisy = {"miss_rate": 0.3, "false_positive_rate": 0.3, "score_noise": 0.2}
+    frames = [make_observation(seq=i, **scene()) for i in range(40)]
+    bare, full = make(**noisy, background=()), make(**noisy)
+    for frame in frames:
+        without, found = bare.detect(frame), full.detect(frame)
+        np.testing.assert_array_equal(found.score, without.score)
+        np.testing.assert_array_equal(found.xyxy_px, without.xyxy_px)
+        np.testing.assert_array_equal(found.class_id, without.class_id)
+
+
+def test_what_is_taken_for_a_target_is_not_seen_as_itself(make_observation):
+    found = make(("bed",), false_positive_rate=1.0).detect(make_observation(**scene()))
+    assert len(found) == 2
+    assert len(found.context) == 0

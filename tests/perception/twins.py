@@ -18,6 +18,10 @@ def iou(a, b):
     return w * h / (area - w * h)
 
 
+def fold(scores, thing):
+    return np.stack([scores[:, thing == k].max(axis=1) for k in range(thing.max() + 1)], axis=1)
+
+
 def candidates(boxes, scores, n_targets, tau):
     """(anchor, label, score, top, invalid)."""
     finite = np.isfinite(boxes).all(axis=1) & np.isfinite(scores).all(axis=1)
@@ -26,14 +30,15 @@ def candidates(boxes, scores, n_targets, tau):
     return anchor, label, clean[anchor, label], clean.max(axis=1), int((~finite).sum())
 
 
-def suppress(boxes, anchor, label, score, iou_max, limit):
-    """Indices of the kept candidates."""
+def suppress(boxes, anchor, label, score, labels, one_word, iou_max, limit):
+    """Indices of the kept candidates whose label is among `labels`."""
     kept = []
     for i in sorted(range(len(score)), key=lambda i: (-score[i], i)):
         if len(kept) == limit:
             break
-        here = boxes[anchor[i]]
-        if all(label[i] != label[j] or iou(here, boxes[anchor[j]]) <= iou_max for j in kept):
+        others = [j for j in kept if one_word or label[i] == label[j]]
+        apart = all(iou(boxes[anchor[i]], boxes[anchor[j]]) <= iou_max for j in others)
+        if label[i] in labels and apart:
             kept.append(i)
     return kept
 

@@ -19,7 +19,7 @@ from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, Health
 from edge.perception.text import PromptError
 from edge.text import one_line
-from edge.types import Detections
+from edge.types import ContextBoxes, Detections
 
 MAX_BYTES = 1 << 18
 """Of a message; a thousand boxes are 28 KB, the prompts of the longest order 120 KB. What is longer
@@ -52,19 +52,27 @@ def encode(**header: object) -> bytes:
 
 def encode_answer(seq: int, found: Detections, detector: Detector) -> bytes:
     """What `detector` found in image `seq`, and how it is: header, its end, and block."""
-    n = len(found)
+    around = found.context
     header = {
         "seq": seq,
-        "n": n,
+        "n": len(found),
         "rival": found.rival is not None,
         "prompts": found.prompts,
+        "context": None if around is None else {"n": len(around), "words": around.words},
         "health": detector.health(),
         "invalid_boxes": detector.invalid_boxes,
     }
-    rival = np.zeros(n, np.float32) if found.rival is None else found.rival
-    arrays = ((found.xyxy_px, "<f4"), (found.score, "<f4"), (found.class_id, "<i4"), (rival, "<f4"))
-    block = b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
+    block = _packed(found, found.rival)
+    if around is not None:
+        block += _packed(around, None)
     return encode(**header) + END_OF_HEADER + block
+
+
+def _packed(boxes: Detections | ContextBoxes, rival: np.ndarray | None) -> bytes:
+    if rival is None:
+        rival = np.zeros(len(boxes), np.float32)
+    arrays = ((boxes.xyxy_px, "<f4"), (boxes.score, "<f4"), (boxes.class_id, "<i4"), (rival, "<f4"))
+    return b"".join(np.ascontiguousarray(a, dtype).tobytes() for a, dtype in arrays)
 
 
 def encode_error(error: BaseException, **header: int) -> bytes:
@@ -78,15 +86,41 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    n, prompts, invalid = (header.get(key) for key in ("n", "prompts", "invalid_boxes"))
+    prompts, invalid = header.get("prompts"), header.get("invalid_boxes")
     if header.get("seq") != seq:
         raise ValueError(f"seq {header.get('seq')!r:.40}, expected {seq}")
-    if type(n) is not int or len(block) != n * _BOX_BYTES:
-        raise ValueError(f"{len(block)} bytes for {n!r:.40} boxes of {_BOX_BYTES} bytes")
-    if not isinstance(prompts, list) or not all(isinstance(p, str) for p in prompts):
-        raise ValueError(f"prompts {prompts!r:.40}")
     if type(invalid) is not int:
         raise ValueError(f"invalid_boxes {invalid!r:.40}")
+    told = header.get("context")
+    if not (told is None or isinstance(told, dict)):
+        raise ValueError(f"context {told!r:.40}")
+    words, m = ([], 0) if told is None else (told.get("words"), told.get("n"))
+    _check_words("prompts", prompts)
+    _check_words("context", words)
+    n = header.get("n")
+    counted = type(n) is int and type(m) is int and min(n, m) >= 0
+    if not counted or len(block) != (n + m) * _BOX_BYTES:
+        raise ValueError(f"{len(block)} bytes for {n!r:.40} and {m!r:.40} boxes of {_BOX_BYTES}")
+    xyxy, score, class_id, rival = _unpacked(block[: n * _BOX_BYTES], n, prompts)
+    context = None
+    if told is not None:
+        context = ContextBoxes(*_unpacked(block[n * _BOX_BYTES :], m, words)[:3], tuple(words))
+    found = Detections(
+        None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None,
+        context,
+    )  # fmt: skip
+    return Answer(found, decode_health(header), invalid)
+
+
+def _check_words(what: str, words: Any) -> None:
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise ValueError(f"{what} {words!r:.40}")
+
+
+def _unpacked(
+    block: bytes, n: int, words: list[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Boxes, scores, classes and rivals of `n` boxes, each checked."""
     reals = np.frombuffer(block, "<f4").astype(np.float32)
     xyxy, score, rival = reals[: 4 * n].reshape(n, 4), reals[4 * n : 5 * n], reals[6 * n :]
     class_id = np.frombuffer(block, "<i4")[5 * n : 6 * n].astype(np.int32)
@@ -94,12 +128,9 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> Answer:
         raise ValueError("boxes that are not finite")
     if not ((score >= 0) & (score <= 1) & (rival >= 0) & (rival <= 1)).all():  # NaN is neither
         raise ValueError("scores that are not in 0 to 1")
-    if not ((class_id >= 0) & (class_id < len(prompts))).all():
-        raise ValueError(f"classes that are not among {len(prompts)} prompts")
-    found = Detections(
-        None, xyxy, score, class_id, tuple(prompts), rival if header.get("rival") is True else None
-    )
-    return Answer(found, decode_health(header), invalid)
+    if not ((class_id >= 0) & (class_id < len(words))).all():
+        raise ValueError(f"classes that are not among {len(words)} prompts")
+    return xyxy, score, class_id, rival
 
 
 def decode_health(header: dict[str, Any]) -> Health:

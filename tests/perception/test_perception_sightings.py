@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge import config
+from edge.perception.lift import POINTS, Lifted
+from edge.perception.sightings import SightingTracker
+from edge.types import Detections
+
+NEAR, FAR = 2.0, 5.0
+
+
+class Scene:
+    """Feeds a tracker with things at known places, one frame after the other."""
+
+    def __init__(self, make_observation, **settings):
+        self.tracker = SightingTracker(config.Perception(detector=config.DetectorSim(), **settings))
+        self.make, self.seq = make_observation, 0
+        self.seen = self.tracker.shown
+
+    def see(self, *things, targets=("bed",), words=("chair", "sofa"), depth_m=6.0):
+        """One frame with (word, x, y, score) each; targets and context are looked for."""
+        self.seq += 1
+        depth = np.full((64, 80), depth_m, np.float32)
+        frame = self.make(seq=self.seq, depth_m=depth)
+        self.tracker.look(self.lifted(frame, things, targets), self.lifted(frame, things, words))
+        return self
+
+    @staticmethod
+    def lifted(frame, things, words):
+        mine = sorted((t for t in things if t[0] in words), key=lambda t: -t[3])
+        n = len(mine)
+        places = np.array([(t[1], t[2], 0.6) for t in mine], np.float32).reshape(n, 3)
+        spread = np.random.default_rng(frame.seq).uniform(-0.15, 0.15, (n, POINTS, 3))
+        detections = Detections(
+            frame, np.zeros((n, 4), np.float32), np.array([t[3] for t in mine], np.float32),
+            np.array([words.index(t[0]) for t in mine], np.int32), words,
+        )  # fmt: skip
+        full = np.full(n, POINTS, np.int32)
+        points = (places[:, None] + spread).astype(np.float32)
+        return Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+
+    def table(self):
+        s = self.seen
+        return [(s.words[s.word[i]], round(float(s.confidence[i]), 2)) for i in range(s.n)]
+
+
+@pytest.fixture
+def scene(make_observation):
+    return lambda **settings: Scene(make_observation, **settings)
+
+
+def test_nothing_seen_nothing_there(scene):
+    s = scene().see()
+    assert (s.seen.n, s.seen.generation) == (0, 0)
+    assert s.seen.words == ["bed", "chair", "sofa"]
+    assert len(s.seen.of("chair")) == len(s.seen.of("lamp")) == 0
+
+
+def test_targets_and_context_stand_side_by_side(scene):
+    s = scene().see(("bed", NEAR, 0, 0.8), ("chair", NEAR, 1, 0.6))
+    seen = s.seen
+    assert seen.n == 2
+    (bed,), (chair,) = seen.of("bed"), seen.of("chair")
+    np.testing.assert_allclose(seen.xyz_m[[bed, chair]], [[NEAR, 0, 0.6], [NEAR, 1, 0.6]])
+    assert seen.last_seen_ns[bed] == s.seq * 100_000_000
+    assert seen.id[bed] != seen.id[chair]
+    assert 0 < seen.confidence[chair] < seen.confidence[bed] < 0.8
+
+
+def test_it_grows_sure_of_what_it_sees_again_and_again(scene):
+    s = scene()
+    grew = [s.see(("chair", NEAR, 0, 0.6)).seen.confidence[0] for _ in range(20)]
+    assert (np.diff(grew) > 0).all()
+    assert grew[-1] == pytest.approx(0.6, abs=0.03)
+    assert (s.seen.n, s.seen.hits[0], s.seen.near_hits[0]) == (1, 20, 20)
+
+
+def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
+    s = scene().see(("chair", NEAR, 0, 0.6))
+    fell = [float(s.see().seen.confidence[0]) for _ in range(4)]
+    assert (np.diff(fell) < 0).all()
+    for _ in range(20):
+        s.see()
+    assert s.seen.n == 0
+
+
+@pytest.mark.parametrize(
+    "look",
+    [{"words": ("sofa",)}, {"depth_m": 1.0}],
+    ids=["not looked for", "hidden"],
+)
+def test_a_look_that_cannot_tell_takes_nothing(scene, look):
+    s = scene().see(("chair", NEAR, 0, 0.6))
+    before = s.table()
+    for _ in range(10):
+        s.see(**look)
+    assert s.table() == before
+
+
+def test_a_far_look_says_less(scene):
+    near, far = scene(), scene()
+    for _ in range(3):
+        near.see(("chair", NEAR, 0, 0.6))
+        far.see(("chair", FAR, 0, 0.6))
+    assert far.seen.confidence[0] < near.seen.confidence[0]
+    assert far.seen.near_hits[0] == 0
+
+
+def test_weak_boxes_count_only_where_something_is(scene):
+    s = scene().see(("chair", NEAR, 0, 0.2))
+    assert s.seen.n == 0
+    s.see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, 0, 0.2))
+    assert (s.seen.n, s.seen.hits[0]) == (1, 1)
+    assert 0.2 < s.seen.confidence[0] < 0.5
+
+
+@pytest.mark.parametrize(("apart_m", "count"), [(0.3, 1), (1.2, 2)])
+def test_places_of_one_word_merge_where_they_are_near(scene, apart_m, count):
+    s = scene().see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, apart_m, 0.6))
+    assert s.seen.n == count
+
+
+def test_a_word_may_be_target_then_context_and_stays_the_same_thing(scene):
+    s = scene().see(("bed", NEAR, 0, 0.6))
+    first = int(s.seen.id[0])
+    s.see(("bed", NEAR, 0, 0.6), targets=("chair",), words=("bed", "sofa"))
+    assert (s.seen.n, int(s.seen.id[0]), int(s.seen.hits[0])) == (1, first, 2)
+
+
+def test_over_its_capacity_the_least_confident_goes(scene):
+    s = scene(max_sightings=3)
+    for _ in range(5):
+        s.see(("chair", NEAR, 0, 0.9), ("sofa", NEAR, 0, 0.8))
+    for i in range(5):
+        s.see(("chair", NEAR, 0, 0.9), ("sofa", NEAR, 0, 0.8), ("bed", FAR, 2.0 * (i - 2), 0.4))
+    assert s.seen.n == 3
+    assert len(set(s.seen.id[:3])) == 3
+    assert {s.seen.words[w] for w in s.seen.word[:3]} == {"chair", "sofa", "bed"}
+
+
+def test_the_generation_counts_what_matters(scene):
+    s = scene().see(("chair", NEAR, 0, 0.6))
+    first = s.seen.generation
+    assert first > 0
+    for _ in range(30):
+        s.see(("chair", NEAR, 0, 0.6))
+    settled = s.seen.generation
+    assert settled > first
+    for _ in range(5):
+        s.see(("chair", NEAR, 0, 0.6))
+    assert s.seen.generation == settled
+    s.see(("chair", NEAR, 0, 0.6), ("sofa", NEAR, 1.5, 0.6))
+    assert s.seen.generation > settled
+
+
+def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
+    s = scene().see(("chair", NEAR, 0, 0.6))
+    before, generation = int(s.seen.id[0]), s.seen.generation
+    s.tracker.clear()
+    assert s.seen.n == 0
+    assert s.seen.generation > generation
+    assert s.see(("chair", NEAR, 0, 0.6)).seen.id[0] > before
+
+
+def test_who_reads_cannot_write(scene):
+    seen = scene().see(("chair", NEAR, 0, 0.6)).seen
+    with pytest.raises(ValueError, match="read-only"):
+        seen.confidence[0] = 1.0
