@@ -221,7 +221,7 @@ class Service:
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
-        self.pool.measure(self.grid, observation.pose)
+        self.pool.measure(self.grid)
         policy, camera = self.config.policy, observation.camera
         if policy.look_round and camera is not None:
             self.pool.add_look(
