@@ -74,7 +74,8 @@ def run_episode(
 
 
 def config_of(column: Column, episode: Episode) -> Config:
-    """What an episode of a column runs with: in lockstep, every model on one thread.
+    """What an episode of a column runs with: in lockstep, every model in the service's process and
+    on one thread, so that no real time decides anything.
 
     Raises:
         ConfigError: the episode's world or sensors are not what a configuration may hold.
@@ -86,7 +87,11 @@ def config_of(column: Column, episode: Episode) -> Config:
     return parse(data, f"{column.path}: column {column.name}")
 
 
-_LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+_LOCKSTEP: Data = {
+    "loop": {"lockstep": True},
+    "sim": {"lockstep": True},
+    "perception": {"isolation": "thread"},
+}
 
 
 # -- in this process ------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def _sections(spec: str) -> list[Section]:
         return [{"kind": "procthor", "file": name, "name": house} for house in chosen]
     if name == "generated" and ranged:
         seeds = _range(spec, matched, None)
-        return [{"kind": "house", "house": "generated", "seed": seed} for seed in seeds]
+        return [{"kind": "generated", "seed": seed} for seed in seeds]
     built_in, colon, house = name.partition(":")
     if (built_in, colon) == ("house", ":") and house and not ranged:
         return [{"kind": "house", "house": house}]

@@ -189,8 +189,8 @@ def test_houses_of_a_file_are_chosen_by_their_places(tmp_path, ranged, chosen):
 def test_other_worlds_have_forms_of_their_own():
     named = ["generated[5:7]", "house:demo", "a.glb,b.json"]
     assert world_list.sections(named) == [
-        {"kind": "house", "house": "generated", "seed": 5},
-        {"kind": "house", "house": "generated", "seed": 6},
+        {"kind": "generated", "seed": 5},
+        {"kind": "generated", "seed": 6},
         {"kind": "house", "house": "demo"},
         {"kind": "mesh", "mesh": "a.glb", "objects": "b.json"},
     ]
