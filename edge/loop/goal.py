@@ -117,6 +117,11 @@ class GoalTracker:
         return None if self._present is None else self._present.answer
 
     @property
+    def searched(self) -> bool:
+        """Whether nothing was left to go to: what was passed over as doubtful is what is left."""
+        return self._search.exhausted
+
+    @property
     def exhausted(self) -> bool:
         """Nothing is left to go to, nor to look at again."""
         return self._search.exhausted and self._next_view.done

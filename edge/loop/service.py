@@ -216,7 +216,8 @@ class Service:
         """What stage 5 takes as instance candidates."""
         if self.mission.done:
             return []
-        return self.tracker.of(self.mission.target, sure=not self.config.policy.instances)
+        sure = not self.config.policy.instances
+        return self.tracker.of(self.mission.target, sure, doubted=self.goals.searched)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
@@ -334,6 +335,7 @@ class Service:
         self._worker.set_prompts(brief.targets)
         self.mission = mission
         self.tracker.forget_verdicts()
+        self.tracker.recall(brief.targets)
         self.grid.coverage.forget()
         self.policy.reset("mission")
         self._detections = None
