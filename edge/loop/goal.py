@@ -358,8 +358,10 @@ class GoalTracker:
         else:
             at, missed = self._present.goal.pose, self._missed
             self._missed = instance.id, at
-            if missed is None or missed[0] != instance.id or (
-                at.distance_to(missed[1].x_m, missed[1].y_m) > _SAME_PLACE_M
+            if (
+                missed is None
+                or missed[0] != instance.id
+                or (at.distance_to(missed[1].x_m, missed[1].y_m) > _SAME_PLACE_M)
             ):
                 # What came to be known on the way here may lead nearer.
                 self.drop()
