@@ -1,6 +1,6 @@
 """Which things stand in the same room of furnished houses: the table of the planner's prior.
 
-python -m exporters.cooccurrence HOUSES.jsonl.gz > edge/mission/planning/cooccurrence.json
+python -m exporters.cooccurrence HOUSES.jsonl.gz > edge/perception/prior/table.json
 """
 
 from __future__ import annotations

@@ -37,12 +37,18 @@ class _Selection(Section):
 
 
 class PolicyHvl(_Selection):
-    """VL-Nav eq. 2-8; `instances` and `heuristics` are its ablations (table I)."""
+    """VL-Nav eq. 2-8; `instances` and `heuristics` are its ablations (table I).
+
+    `distance` of eq. 5 is along the path, or straight as in the paper. `w_context` is what boxes
+    of what is no target count in eq. 3, beside those of the target; 0: nothing.
+    """
 
     kind: Literal["hvl"] = "hvl"
     sigma_rad: Positive = 0.1
     w_dist: NonNegative = 0.5
     w_vl: NonNegative = 1.0
+    w_context: NonNegative = 1.0
+    distance: Literal["path", "straight"] = "path"
     unknown_k: Positive = 2.0
     unknown_radius_m: Positive = 1.0
     heuristics: bool = True
@@ -52,6 +58,7 @@ class PolicyNearest(_Selection):
     """The nearest frontier; instances first (a baseline)."""
 
     kind: Literal["nearest_frontier"] = "nearest_frontier"
+    distance: Literal["path", "straight"] = "path"
 
 
 class PolicySearch(_Selection):

@@ -146,6 +146,19 @@ class Context:
         return self.targets.index(self.target)
 
 
+def distances_m(context: Context, how: Literal["path", "straight"]) -> np.ndarray:
+    """Metres from the robot to each candidate, along the path or as the crow flies.
+
+    Returns:
+        (n,) float32; inf where no path leads.
+    """
+    candidates, pose, n = context.candidates, context.pose, context.candidates.n
+    if how == "path":
+        return candidates.path_m[:n]
+    xy_m = candidates.xy_m[:n]
+    return np.hypot(xy_m[:, 0] - np.float32(pose.x_m), xy_m[:, 1] - np.float32(pose.y_m))
+
+
 Why = Literal["mission", "pose", "map rolled"]
 
 

@@ -9,11 +9,18 @@ from numba import njit
 
 from edge.config import PolicyHvl
 from edge.geometry import optical_yaw_rad
-from edge.policies.base import FRONTIER, Context, Why
+from edge.perception.prior import table
+from edge.policies.base import FRONTIER, Context, Why, distances_m
+from edge.types import Detections
 
 
 class Hvl:
     """Scores by eq. 8: what was seen in a frontier's direction, how near, how unknown.
+
+    Eq. 3 takes every detection: a box of a target speaks for it by its score, and the one of
+    anything else by that times how much the two have to do with each other (`relatedness`). Of
+    what is no target the box that speaks most in a direction is taken, and not the sum: ten
+    pillows say no more of a bed than one.
 
     A frontier's VL scores stay as they were at its first sight (VL-Nav III.D). It has one for each
     target of the mission (ViTL eq. 3), so that nothing that was seen is lost when the plan turns
@@ -22,11 +29,13 @@ class Hvl:
 
     def __init__(self, config: PolicyHvl) -> None:
         self.config = config
+        self._words: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+        self._related = np.zeros((0, 0))
         self._remember(0, 0)
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`. The VL score stays from first sight; the rest is of now."""
-        c, candidates, pose = self.config, context.candidates, context.pose
+        c, candidates = self.config, context.candidates
         xy_m, kind, n = candidates.xy_m, candidates.kind, candidates.n
         if self._vl.shape != (len(context.targets), len(kind)):
             self._remember(len(context.targets), len(kind))
@@ -36,20 +45,41 @@ class Hvl:
         seen = context.detections
         if seen is not None and seen.observation.camera is not None:
             camera, at = seen.observation.camera, seen.observation.pose
-            middle = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
-            mu = camera.bearing_of(middle)
+            mu, alpha = self._speaking(seen, context.targets)
             vl_scores(
                 xy_m, candidates.first_seen_ns, self._n, at.x_m, at.y_m,
                 at.yaw_rad + optical_yaw_rad(seen.observation.T_base_camera),
-                seen.observation.stamp_ns, camera.hfov_rad, mu,
-                seen.score.astype(np.float64), seen.class_id, c.sigma_rad, self._vl,
+                seen.observation.stamp_ns, camera.hfov_rad, mu, alpha, len(seen), c.sigma_rad,
+                self._vl,
             )  # fmt: skip
         context.map.unknown_ratio(xy_m, n, c.unknown_radius_m, self._ratio)
+        away_m = distances_m(context, c.distance)
         hvl_scores(
-            xy_m, kind, candidates.confidence, self._vl[context.active], self._ratio, n,
-            pose.x_m, pose.y_m, c.w_dist, c.w_vl, c.unknown_k, c.heuristics, self._score,
+            kind, candidates.confidence, self._vl[context.active], self._ratio, away_m, n,
+            c.w_dist, c.w_vl, c.unknown_k, c.heuristics, self._score,
         )  # fmt: skip
         return self._score
+
+    def _speaking(
+        self, seen: Detections, targets: tuple[str, ...]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bearing of each box, those of targets first, and what it says for each target.
+
+        Returns:
+            mu (k,) float64 radians, alpha (k, targets) float64.
+        """
+        alpha = np.zeros((len(seen), len(targets)))
+        alpha[np.arange(len(seen)), seen.class_id] = seen.score
+        middle = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
+        around, weight = seen.context, self.config.w_context
+        if around is not None and len(around) and weight > 0.0:
+            if self._words != (around.words, targets):
+                self._words = (around.words, targets)
+                self._related = relatedness(around.words, targets)
+            said = weight * around.score[:, None] * self._related[around.class_id]
+            alpha = np.concatenate((alpha, said))
+            middle = np.append(middle, 0.5 * (around.xyxy_px[:, 0] + around.xyxy_px[:, 2]))
+        return seen.observation.camera.bearing_of(middle), alpha
 
     def reset(self, why: Why) -> None:
         """Another mission has other targets, and another map other frontiers."""
@@ -62,6 +92,19 @@ class Hvl:
         self._id, self._old_id = (np.zeros(capacity, np.int64) for _ in range(2))
         self._vl, self._old_vl = (np.zeros((targets, capacity), np.float32) for _ in range(2))
         self._ratio, self._score = (np.zeros(capacity, np.float32) for _ in range(2))
+
+
+def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
+    """How much a word has to do with a target: 1 - 1 / lift, 0 where the lift is at most 1.
+
+    Lift is how much likelier a room holds one where it holds the other.
+
+    Returns:
+        (words, targets) float64 in [0, 1); 0 for what the table of co-occurrence lacks.
+    """
+    known = table.load()
+    lift = np.array([[known.lift((word, target))[0, 1] for target in targets] for word in words])
+    return 1.0 - 1.0 / np.maximum(lift.reshape(len(words), len(targets)), 1.0)
 
 
 @njit(nogil=True, cache=True)
@@ -96,7 +139,7 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
 
 
 @njit(nogil=True, cache=True)
-def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, label, sigma, vl):
+def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma, vl):
     """S_VL of frontiers that no detector has looked at yet (VL-Nav eq. 2-4), in place.
 
     One score a target, all from the same look: an image without any box of a target says that
@@ -106,8 +149,9 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, label, sigma,
         xy: (cap, 2) float32 map positions, `n` frontiers first; first_seen: (cap,) int64 stamps.
         x, y, yaw, stamp: pose and stamp of the image that was searched.
         fov: horizontal field of view in radians.
-        mu, alpha: (k,) float64, bearing and confidence of each detection; label: (k,) int32, the
-            target it is of.
+        mu: (k,) float64, bearing of each detection; alpha: (k, targets) float64, what it says for
+            each target. The first `boxes` are of targets and are summed (eq. 3); of the others the
+            one that says most counts.
         vl: (targets, cap) float32; NaN entries inside the field of view are filled.
     """
     for i in range(n):
@@ -119,22 +163,29 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, label, sigma,
         if abs(offset) > 0.5 * fov:
             continue
         confidence = math.cos(offset / (0.5 * fov) * 0.5 * math.pi) ** 2
-        vl[:, i] = 0.0
-        for k in range(len(mu)):
-            z = (offset - mu[k]) / sigma
-            vl[label[k], i] += alpha[k] * math.exp(-0.5 * z * z) * confidence
+        for t in range(vl.shape[0]):
+            said = most = 0.0
+            for k in range(len(mu)):
+                if alpha[k, t] == 0.0:
+                    continue
+                z = (offset - mu[k]) / sigma
+                heard = alpha[k, t] * math.exp(-0.5 * z * z)
+                if k < boxes:
+                    said += heard
+                else:
+                    most = max(most, heard)
+            vl[t, i] = (said + most) * confidence
 
 
 @njit(nogil=True, cache=True)
-def hvl_scores(
-    xy, kind, confidence, vl, ratio, n, x, y, w_dist, w_vl, k, heuristics, score
-):  # fmt: skip
+def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics, score):
     """S_HVL of frontiers (VL-Nav eq. 5, 7, 8); an instance's VL score is its confidence. In place.
 
     Args:
         kind: (cap,) int8; confidence: (cap,) float32 of instances.
         vl: (cap,) float32 of frontiers, for the active target; NaN counts as 0.
         ratio: (cap,) float32, share of unknown cells around each candidate (eq. 6).
+        away: (n,) float32, metres to each; inf where there is no way.
         heuristics: False scores frontiers by S_VL alone (table I, "w/o Heuristics").
         score: (cap,) float32 output.
     """
@@ -146,6 +197,6 @@ def hvl_scores(
         if not heuristics:
             score[i] = s_vl
             continue
-        s_dist = 1.0 / (1.0 + math.hypot(xy[i, 0] - x, xy[i, 1] - y))
+        s_dist = 1.0 / (1.0 + away[i])
         s_unknown = 1.0 - math.exp(-k * ratio[i])
         score[i] = w_dist * s_dist + w_vl * s_vl * s_unknown

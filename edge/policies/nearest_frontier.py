@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from edge.config import PolicyNearest
-from edge.policies.base import INSTANCE, Context, Why
+from edge.policies.base import INSTANCE, Context, Why, distances_m
 
 
 class NearestFrontier:
     """Scores a frontier by eq. 5 of VL-Nav only."""
 
     def __init__(self, config: PolicyNearest) -> None:
-        pass
+        self.config = config
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
         candidates, n = context.candidates, context.candidates.n
-        near = 1.0 / (1.0 + candidates.path_m[:n])
+        near = 1.0 / (1.0 + distances_m(context, self.config.distance))
         return np.where(candidates.kind[:n] == INSTANCE, candidates.confidence[:n], near)
 
     def reset(self, why: Why) -> None:

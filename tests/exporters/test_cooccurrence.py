@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from edge.mission import planning
+from edge.perception import prior
 from exporters import cooccurrence
 
-FILE = Path(planning.__file__).with_name("cooccurrence.json")
+FILE = Path(prior.__file__).with_name("table.json")
 HOUSES = Path(__file__).parents[3] / "shared/worlds/procthor_train.jsonl.gz"
 SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
 L_SHAPE = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 4], [0, 4]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.mission.planning import cooccurrence
+from edge.perception.prior import table as cooccurrence
 
 
 def test_the_table_holds_together():

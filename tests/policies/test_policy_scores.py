@@ -13,9 +13,9 @@ from edge.config import PolicyHvl, PolicyNearest, PolicySearch
 from edge.geometry import SE2, CameraModel, wrap_angle
 from edge.policies import make_policy
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Answers, Candidates, Context, scores_of
-from edge.policies.hvl import hvl_scores, vl_scores
+from edge.policies.hvl import hvl_scores, relatedness, vl_scores
 from edge.policies.select import ranked
-from edge.types import Detections, Observation
+from edge.types import ContextBoxes, Detections, Observation
 
 FOV = math.radians(75)
 
@@ -26,16 +26,23 @@ def eq3(offset: float, boxes: list[tuple[float, float]], sigma: float) -> float:
     return mixture * math.cos(offset / (FOV / 2) * math.pi / 2) ** 2
 
 
-def scored(points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None, targets=1):  # noqa: B008
-    """(targets, points) scores; boxes are (bearing, confidence[, target])."""
+def scored(
+    points, boxes, pose=SE2(0, 0, 0), seen_ns=0, stamp=0, vl=None, targets=1, around=0  # noqa: B008
+):  # fmt: skip
+    """(targets, points) scores; boxes are (bearing, confidence[, target]), the last `around` of
+    them of what is no target."""
     xy = np.array(points, np.float32).reshape(-1, 2)
     n = len(xy)
     out = np.full((targets, n), np.nan, np.float32) if vl is None else np.array([vl], np.float32)
     mu = np.array([b[0] for b in boxes], np.float64)
-    alpha = np.array([b[1] for b in boxes], np.float64)
-    label = np.array([b[2] if len(b) > 2 else 0 for b in boxes], np.int32)
+    alpha = np.zeros((len(boxes), targets))
+    for k, b in enumerate(boxes):
+        alpha[k, b[2] if len(b) > 2 else 0] = b[1]
+    of_targets = len(boxes) - around
     seen = np.full(n, seen_ns, np.int64)
-    vl_scores(xy, seen, n, pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, label, 0.1, out)
+    vl_scores(
+        xy, seen, n, pose.x_m, pose.y_m, pose.yaw_rad, stamp, FOV, mu, alpha, of_targets, 0.1, out
+    )
     return out
 
 
@@ -75,6 +82,15 @@ def test_each_target_has_a_score_of_its_own_from_the_same_look():
         np.testing.assert_allclose(got[target], scored([(2, 0), (2, 1)], boxes)[0])
 
 
+def test_of_what_is_no_target_the_box_that_says_most_counts():
+    """Ten pillows say no more of a bed than one, and nothing is taken from what the bed says."""
+    bed, pillows = (0.0, 0.4), [(0.0, 0.3), (0.02, 0.3), (-0.4, 0.9)]
+    alone, one = scored([(2, 0)], [bed]), scored([(2, 0)], [bed, pillows[0]], around=1)
+    assert one[0, 0] == pytest.approx(alone[0, 0] + 0.3)
+    assert scored([(2, 0)], [bed, *pillows], around=3) == pytest.approx(one)
+    assert scored([(2, 0)], pillows, around=3)[0, 0] == pytest.approx(0.3)
+
+
 def test_an_image_from_before_the_candidate_says_nothing():
     assert math.isnan(scored([(2, 0)], [(0.0, 0.9)], seen_ns=10, stamp=9)[0, 0])
 
@@ -95,8 +111,8 @@ def test_hvl_score_is_eq_8(kind, vl, ratio, heuristics, expected):
         (np.array([np.nan], np.float32), one) if kind == INSTANCE else (one, one * 0)
     )
     hvl_scores(
-        np.array([[2.0, 0.0]], np.float32), np.array([kind], np.int8), confidence, sight,
-        np.array([ratio], np.float32), 1, 0.0, 0.0, 0.5, 2.0, 3.0, heuristics, score,
+        np.array([kind], np.int8), confidence, sight, np.array([ratio], np.float32),
+        np.array([2.0], np.float32), 1, 0.5, 2.0, 3.0, heuristics, score,
     )  # fmt: skip
     assert score[0] == pytest.approx(expected, rel=1e-5)
 
@@ -148,19 +164,30 @@ class Unknown:
         out[:n] = 1.0
 
 
-def context(candidates, targets=("chair",), target="chair", boxes=None, stamp_ns=0) -> Context:
-    """Boxes are (bearing, confidence, target) in an image taken at the origin."""
+def xyxy_of(boxes) -> np.ndarray:
+    middle = [CAMERA.cx_px - CAMERA.fx_px * math.tan(box[0]) for box in boxes]
+    return np.array([[u - 1, 0, u + 1, 9] for u in middle], np.float32).reshape(-1, 4)
+
+
+def scores_in(boxes) -> np.ndarray:
+    return np.array([box[1] for box in boxes], np.float32)
+
+
+def context(
+    candidates, targets=("chair",), target="chair", boxes=None, stamp_ns=0, around=None
+) -> Context:
+    """Boxes are (bearing, confidence, target) in an image taken at the origin, those of what is
+    around (bearing, confidence, word)."""
     seen = Observation(0, stamp_ns, np.eye(4), camera=CAMERA)
     found = None
     if boxes is not None:
-        middle = [CAMERA.cx_px - CAMERA.fx_px * math.tan(mu) for mu, _, _ in boxes]
-        found = Detections(
-            seen,
-            np.array([[u - 1, 0, u + 1, 9] for u in middle], np.float32).reshape(-1, 4),
-            np.array([alpha for _, alpha, _ in boxes], np.float32),
-            np.array([label for _, _, label in boxes], np.int32),
-            targets,
-        )
+        arrays = xyxy_of(boxes), scores_in(boxes), np.array([b[2] for b in boxes], np.int32)
+        things = None
+        if around is not None:
+            words = tuple(word for _, _, word in around)
+            count = np.arange(len(words), dtype=np.int32)
+            things = ContextBoxes(xyxy_of(around), scores_in(around), count, words)
+        found = Detections(seen, *arrays, targets, context=things)
     nowhere = (0, 0, 0, 0)
     return Context(
         seen, seen.pose, Unknown(), nowhere, candidates.read_only(), found, Answers(), targets,
@@ -173,6 +200,7 @@ def context(candidates, targets=("chair",), target="chair", boxes=None, stamp_ns
     ("policy", "expected"),
     [
         (PolicyNearest(), [0.2, 1 / 3, 0.0, 0.6, 0.5]),
+        (PolicyNearest(distance="straight"), [0.2, 1 / 3, 0.5, 0.6, 0.5]),
         (PolicySearch(), [0.4, 1.0, 0.0, 0.6, 1.0]),
         (PolicySearch(start_m=2.0, look_weight=0.5), [1 / 3, 0.75, 0.0, 0.6, 1 / 3]),
     ],
@@ -237,3 +265,47 @@ def test_a_policy_that_does_not_score_every_candidate_is_named(given):
 
     with pytest.raises(ValueError, match=r"^policy Odd: scores of shape .* for 2 candidates"):
         scores_of(Odd(), context(candidates_of((FRONTIER, 2, 0), (FRONTIER, 3, 0))))
+
+
+def test_what_is_related_is_what_shares_rooms():
+    words = ("pillow", "toilet", "zeppelin", "bed")
+    related = relatedness(words, ("bed", "blimp"))
+    assert related.shape == (4, 2)
+    assert related[0, 0] > 0.3 > related[1, 0] == 0.0
+    assert related[2:, 0].tolist() == [0.0, 0.0]
+    assert not related[:, 1].any()
+    assert relatedness((), ("bed",)).shape == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("around", "w_context", "expected"),
+    [
+        (None, 1.0, 0.0),
+        ([], 1.0, 0.0),
+        ([(0.0, 0.8, "pillow")], 1.0, "related"),
+        ([(0.0, 0.8, "pillow"), (0.0, 0.8, "pillow")], 1.0, "related"),
+        ([(0.0, 0.8, "pillow")], 0.0, 0.0),
+        ([(0.0, 0.8, "toilet")], 1.0, 0.0),
+        ([(0.6, 0.8, "pillow")], 1.0, 0.0),
+    ],
+)
+def test_hvl_follows_what_has_to_do_with_the_target(around, w_context, expected):
+    policy = make_policy(PolicyHvl(heuristics=False, w_context=w_context))
+    one = candidates_of((FRONTIER, 2, 0))
+    got = scores_of(policy, context(one, ("bed", "piano"), "bed", [], around=around))
+    if expected == "related":
+        expected = 0.8 * relatedness(("pillow",), ("bed",))[0, 0]
+    assert got[0] == pytest.approx(expected, abs=1e-3)
+    piano = scores_of(policy, context(one, ("bed", "piano"), "piano"))
+    assert piano[0] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", [PolicyHvl, PolicyNearest])
+def test_nearness_is_along_the_path_or_straight(kind):
+    candidates = candidates_of((FRONTIER, 1, 0), (FRONTIER, 3, 0), (FRONTIER, 2, 0))
+    candidates.path_m[:3] = 7.0, 3.0, math.inf
+    path = scores_of(make_policy(kind()), context(candidates)).copy()
+    straight = scores_of(make_policy(kind(distance="straight")), context(candidates))
+    assert np.argsort(-path).tolist() == [1, 0, 2]
+    assert path[2] == 0.0
+    assert np.argsort(-straight).tolist() == [0, 2, 1]

@@ -17,7 +17,7 @@ import numpy as np
 
 from edge import names
 
-_FILE = Path(__file__).with_name("cooccurrence.json")
+FILE = Path(__file__).with_name("table.json")
 # One more room with both, had they nothing to do with one another: pulls small counts to 1.
 _PRIOR_ROOMS = 2.0
 
@@ -62,7 +62,7 @@ class Table:
 @lru_cache(maxsize=1)
 def load() -> Table:
     """The table that comes with the package."""
-    data = json.loads(_FILE.read_text(encoding="utf-8"))
+    data = json.loads(FILE.read_text(encoding="utf-8"))
     n = len(data["things"])
     both = np.zeros((n, n), np.int64)
     both[np.tril_indices(n)] = np.concatenate(data["rooms_with_both"])
