@@ -25,7 +25,6 @@ from edge.config.perception import (
     Perception,
     Swap,
 )
-from edge.config.policy import PolicyHvl, PolicyNearest, PolicyOwn, PolicySearch
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
