@@ -25,6 +25,15 @@ from edge.config.perception import (
     Perception,
     Swap,
 )
+from edge.config.policy import (
+    PolicyAdaptive,
+    PolicyDirectional,
+    PolicyHvl,
+    PolicyNearest,
+    PolicyOwn,
+    PolicySearch,
+    PolicyVlfm,
+)
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
@@ -49,10 +58,13 @@ __all__ = [
     "Perception",
     "PlannerExpected",
     "PlannerVitl",
+    "PolicyAdaptive",
+    "PolicyDirectional",
     "PolicyHvl",
     "PolicyNearest",
     "PolicyOwn",
     "PolicySearch",
+    "PolicyVlfm",
     "Report",
     "Robot",
     "Section",
