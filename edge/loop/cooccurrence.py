@@ -6,8 +6,11 @@ The table of which things share a room was counted over furnished houses (see
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from edge import names
 from edge.mission.planning import cooccurrence
 from edge.types import Detections
 
@@ -31,7 +34,8 @@ class RelatedScores:
         targets, around = detections.prompts, detections.context
         words = () if around is None else around.words
         if (targets, words) != self._of:
-            self._of, self._p = (targets, words), self._table.given(targets, (*targets, *words))
+            self._of = targets, words
+            self._p = given(self._table, targets, (*targets, *words))
         best = np.zeros(len(targets), np.float32)
         boxes = [(detections.class_id, detections.score)]
         if around is not None:
@@ -40,3 +44,22 @@ class RelatedScores:
             if len(word):
                 np.maximum(best, (self._p[:, word] * score).max(axis=1), out=best)
         return best
+
+
+def given(table: cooccurrence.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
+    """P(a room holds the thing | it holds the word): the thing's share of all rooms, times the
+    lift.
+
+    Returns:
+        (n, m) float64: 1 where both are the same, 0 where the table lacks either.
+    """
+    p = table.lift([*things, *words])[: len(things), len(things) :]
+    for i, thing in enumerate(things):
+        row = table.index.get(names.canonical(thing))
+        p[i] *= 0.0 if row is None else table.rooms_with[row] / table.n_rooms
+        for j, word in enumerate(words):
+            if names.same(thing, word):
+                p[i, j] = 1.0
+            elif names.canonical(word) not in table.index:
+                p[i, j] = 0.0
+    return np.minimum(p, 1.0)

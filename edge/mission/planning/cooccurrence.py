@@ -58,23 +58,6 @@ class Table:
                 lift[i, j] = lift[j, i] = (both + _PRIOR_ROOMS) / (by_chance + _PRIOR_ROOMS)
         return lift
 
-    def given(self, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
-        """P(a room holds the thing | it holds the word), by `lift`.
-
-        Returns:
-            (n, m) float64: 1 where both are the same, 0 where the table lacks either.
-        """
-        p = self.lift([*things, *words])[: len(things), len(things) :]
-        for i, thing in enumerate(things):
-            row = self.index.get(names.canonical(thing))
-            p[i] *= 0.0 if row is None else self.rooms_with[row] / self.n_rooms
-            for j, word in enumerate(words):
-                if names.same(thing, word):
-                    p[i, j] = 1.0
-                elif names.canonical(word) not in self.index:
-                    p[i, j] = 0.0
-        return np.minimum(p, 1.0)
-
 
 @lru_cache(maxsize=1)
 def load() -> Table:
