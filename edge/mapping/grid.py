@@ -111,7 +111,7 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_camera, pose)
         rolled = self._follow(*cell)
         n_points = points.from_depth(
-            _plain(depth_m), *self._strides, self._column, self._row, T,
+            ly.plain(depth_m), *self._strides, self._column, self._row, T,
             np.float32(self.config.min_range_m), self._scan.xyz,
         )  # fmt: skip
         return self._finish(n_points, T, cell, fraction, pose, rolled)
@@ -132,7 +132,7 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_lidar, pose)
         rolled = self._follow(*cell)
         n_points = points.from_cloud(
-            _plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
+            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
         return self._finish(n_points, T, cell, fraction, pose, rolled)
 
@@ -392,13 +392,6 @@ class RollingMap:
         self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))
-
-
-def _plain(array: np.ndarray) -> np.ndarray:
-    """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
-    if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.float32, order="C")
 
 
 def _band(axis: int, along: tuple[int, int], n: int) -> tuple[int, int, int, int]:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from edge.geometry import optical_yaw_rad
-from edge.mapping.layers import OCCUPIED, UNSEEN, Layers
+from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, plain
 from edge.mapping.window import Window
 from edge.types import Observation
 
@@ -120,7 +120,7 @@ class ValueMap:
         range_m = np.zeros(RAYS, np.float32)
         if depth is not None and depth.shape == (camera.height_px, camera.width_px):
             depth_profile(
-                depth, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+                plain(depth), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
                 np.ascontiguousarray(T[:2, :3]), camera.hfov_rad, self._range_m, range_m,
             )  # fmt: skip
         elif self._window.placed:
