@@ -16,6 +16,7 @@ from edge.config.mission import (
     TranslatorLtl,
 )
 from edge.config.perception import (
+    ChoiceCooccurrence,
     ChoiceNone,
     ChoiceOpenai,
     ChoiceText,
@@ -42,6 +43,7 @@ from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
+    "ChoiceCooccurrence",
     "ChoiceNone",
     "ChoiceOpenai",
     "ChoiceText",

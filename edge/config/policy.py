@@ -84,7 +84,7 @@ class PolicyAdaptive(_Selection):
     `keep` of the best is begun; else the robot goes to the nearest by path."""
 
     kind: Literal["adaptive"] = "adaptive"
-    by: Literal["similarity", "choice"] = "similarity"
+    by: Literal["similarity", "choice", "prior"] = "similarity"
     radius_m: Positive = 0.5
     least_spread: NonNegative = 0.030
     least_ratio: Annotated[float, Field(ge=1)] = 1.2

@@ -67,7 +67,7 @@ class Config(Section):
             there = self._scorers_there()
             return there[0] if there else None
         if isinstance(self.policy, PolicyAdaptive):
-            return self.policy.by
+            return None if self.policy.by == "prior" else self.policy.by
         return _GOES_BY.get(self.policy.kind)
 
     def _scorers_there(self) -> list[ValueSource]:

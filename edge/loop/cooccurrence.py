@@ -12,6 +12,7 @@ import numpy as np
 
 from edge import names
 from edge.mission.planning import cooccurrence
+from edge.perception.choice.question import Choice, View
 from edge.types import Detections
 
 
@@ -44,6 +45,36 @@ class RelatedScores:
             if len(word):
                 np.maximum(best, (self._p[:, word] * score).max(axis=1), out=best)
         return best
+
+
+class PriorChoice:
+    """ViTL's two answers by the prior: a scorer of views that asks no model.
+
+    A direction's probability is its lift's share, where "elsewhere" has the lift 1 of an average
+    place; that the view leads to the target at all has the odds of its best direction.
+    """
+
+    name = "cooccurrence, by the prior"
+
+    def look(self, view: View) -> View:
+        return view
+
+    def answer(self, view: View) -> Choice | None:
+        """None where the prior was not asked."""
+        if view.lift is None:
+            return None
+        total, best = 1.0 + float(view.lift.sum()), float(view.lift.max())
+        return Choice(
+            stamp_ns=view.observation.stamp_ns,
+            target=view.target,
+            ids=tuple(mark.id for mark in view.marks),
+            p=(view.lift / total).astype(np.float32),
+            elsewhere=1.0 / total,
+            scene=best / (1.0 + best),
+        )
+
+    def close(self) -> None:
+        """Nothing to give up."""
 
 
 def given(table: cooccurrence.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:

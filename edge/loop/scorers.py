@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from edge.config import ChoiceNone, Config
+from edge.config import ChoiceCooccurrence, ChoiceNone, Config
 from edge.config.root import ValueSource
 from edge.geometry import SE2
-from edge.loop.cooccurrence import RelatedScores
+from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.mapping.values import Sight, ValueMap
 from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import Choice, Mark, Sighting, View
@@ -29,7 +29,7 @@ from edge.perception.similarity import (
     similarity_card,
 )
 from edge.perception.worker import ScorerWorker
-from edge.policies.base import FRONTIER, Answers, Candidates, Similarity
+from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # what was seen longer ago is not in view any more
@@ -144,9 +144,12 @@ class Scorers:
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
+        self._by_prior = isinstance(choice, PriorChoice)  # too quick to be worth a thread
         to_choose = None if choice is None else _ChoiceAnswers(choice)
         self._choice = (
-            None if to_choose is None else ScorerWorker("choice", to_choose, rest_s, inline)
+            None
+            if to_choose is None
+            else ScorerWorker("choice", to_choose, rest_s, inline or self._by_prior)
         )
         self._workers = [w for w in (self._similarity, self._choice) if w is not None]
 
@@ -158,6 +161,7 @@ class Scorers:
         candidates: Candidates,
         tracker: InstanceTracker,
         values: ValueMap,
+        prior: Prior | None = None,
     ) -> None:
         """Put this moment to the scorers that are idle. Never blocks, unless inline.
 
@@ -166,6 +170,7 @@ class Scorers:
             candidates: the frontiers among them are the directions to choose from.
             tracker: has what was detected.
             values: tells what is in view; written to when the answers are taken up.
+            prior: for the choice that goes by it.
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
@@ -178,8 +183,12 @@ class Scorers:
             if marks:
                 sight = values.sight(observation) if self._feeds == "choice" else None
                 about = self._asked_about(targets, target)
-                view = View(observation, about, marks, sightings(tracker, observation))
-                choice.submit(_Directions(view, _places_m(observation.pose, marks), sight))
+                xy_m, lift = _places_m(observation.pose, marks), None
+                if self._by_prior and prior is not None:
+                    lift = np.ones(len(marks), np.float32)
+                    prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
+                seen = sightings(tracker, observation)
+                choice.submit(_Directions(View(observation, about, marks, seen, lift), xy_m, sight))
 
     def saw(self, detections: Detections, values: ValueMap) -> None:
         """Take the running detector's scores, where they are the similarity that is wanted."""
@@ -302,12 +311,16 @@ def make_scorers(config: Config, targets: Sequence[str]) -> Scorers | None:
     perception = config.perception
     card = similarity_card(perception)
     choice = perception.choice
-    asked = None if isinstance(choice, ChoiceNone) else make_choice(choice)
+    asked: ViewScorer | None = None
+    if isinstance(choice, ChoiceCooccurrence):
+        asked = PriorChoice()
+    elif not isinstance(choice, ChoiceNone):
+        asked = make_choice(choice)
     if card is None and asked is None:
         return None
     how = {
         "inline": config.loop.lockstep,
-        "rest_s": 0.0 if isinstance(choice, ChoiceNone) else choice.rest_s,
+        "rest_s": getattr(choice, "rest_s", 0.0),
         "feeds": config.value_source,
     }
     if card is None:

@@ -39,7 +39,7 @@ class Adaptive:
         paths_m(context, n, path_m)
         score[:n] = 1.0 / (1.0 + path_m[:n])
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
-        values_near(context, n, self.config.radius_m, value)
+        self._judge(context, n)
         pose, xy_m = context.pose, candidates.xy_m
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
         open_ = np.isfinite(path_m[:n]) & ~candidates.blocked[:n]
@@ -53,6 +53,21 @@ class Adaptive:
 
     def reset(self, why: Why) -> None:
         """It remembers nothing: the value maps are the map's."""
+
+    def _judge(self, context: Context, n: int) -> None:
+        """The values of the first n candidates; NaN where nothing was said.
+
+        A lift L counts as L / (1 + L), the probability that it gives to even odds: as the values
+        of the maps it lies between 0 and 1.
+        """
+        value = self._value
+        if self.config.by != "prior":
+            values_near(context, n, self.config.radius_m, value)
+        elif context.prior is None:
+            value[:n] = np.nan
+        else:
+            context.prior.lift(context.target, context.candidates.xy_m, n, value)
+            value[:n] /= 1.0 + value[:n]
 
     def _promising(self, scored: np.ndarray) -> np.ndarray:
         """Which of the scored frontiers a tour is to go through; none where geometry decides."""

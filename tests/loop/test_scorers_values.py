@@ -12,7 +12,7 @@ from patience import eventually
 from simulated import simulated
 
 from edge.geometry import SE2, CameraModel, optical, se3
-from edge.loop.cooccurrence import RelatedScores, given
+from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
 from edge.loop.scorers import Scorers
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import prepare
@@ -56,9 +56,9 @@ class Case:
         self.grid.update_depth(start.depth_m, CAMERA, T, start.pose)
         self.grid.values.begin(targets)
 
-    def ask(self, pose: SE2, candidates: Candidates, target: str = "bed", seq: int = 1) -> None:
+    def ask(self, pose: SE2, candidates: Candidates, seq: int = 1, prior=None) -> None:
         seen, values = seen_from(pose, seq), self.grid.values
-        self.scorers.ask(seen, self.targets, target, candidates, self.tracker, values)
+        self.scorers.ask(seen, self.targets, "bed", candidates, self.tracker, values, prior)
 
     def best(self, *places: tuple[float, float], target: str = "bed") -> np.ndarray:
         out, xy_m = np.zeros(len(places), np.float32), np.array(places, np.float32)
@@ -207,6 +207,44 @@ def test_related_things_promise_a_target_by_how_often_they_share_a_room():
 def test_of_a_target_that_the_table_lacks_only_its_own_boxes_tell():
     seen = detections([("lampion", 0.3)], [("pillow", 0.9)], prompts=("lampion",))
     assert RelatedScores()(seen).tolist() == pytest.approx([0.3])
+
+
+class Favour:
+    """A prior that knows one place, near which everything is."""
+
+    def __init__(self, x_m: float, y_m: float, lift: float) -> None:
+        self.at, self.much = (x_m, y_m), lift
+
+    def lift(self, target, xy_m, n, out) -> None:
+        near = np.hypot(*(xy_m[:n] - np.float32(self.at)).T) < 0.5
+        out[:n] = np.where(near, self.much, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lift", "p", "elsewhere"), [(3.0, [0.2, 0.6], 0.2), (1.0, [1 / 3] * 2, 1 / 3)]
+)
+def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
+    """Its share of all lifts, "elsewhere" being average; S has the odds of the best direction."""
+    scorers = Scorers(None, PriorChoice(), feeds="choice")  # at once, though not inline
+    case = Case(scorers)
+    left, right = (3.0, 1.0), (3.0, -1.0)
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers(left, right), prior=Favour(*right, lift))
+    scorers.take_up(case.grid.values)
+    choice = scorers.answers.choice
+    assert dict(zip(choice.ids, choice.p.tolist(), strict=True)) == pytest.approx(
+        {7: p[0], 8: p[1]}
+    )
+    assert choice.elsewhere == pytest.approx(elsewhere)
+    assert choice.scene == pytest.approx(lift / (1.0 + lift))
+    assert case.best(left, right) == pytest.approx(choice.scene * np.array(p), abs=0.05)
+
+
+def test_without_a_prior_there_is_no_choice_by_it():
+    scorers = Scorers(None, PriorChoice(), feeds="choice")
+    case = Case(scorers)
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
+    scorers.take_up(case.grid.values)
+    assert scorers.answers.choice is None
 
 
 # -- in the service ------------------------------------------------------------------------

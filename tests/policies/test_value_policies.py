@@ -36,12 +36,24 @@ class Valued:
         return None if path_m is None else (x_m, y_m, path_m)
 
 
-def scored(policy, seen: Valued, *entries, targets=("bed",), target="bed", blocked=()):
+class Lifts:
+    """A prior that knows some places, by target."""
+
+    def __init__(self, lifts) -> None:
+        self.lifts = lifts
+
+    def lift(self, target, xy_m, n, out) -> None:
+        for i in range(n):
+            out[i] = self.lifts.get((target, *xy_m[i].tolist()), 1.0)
+
+
+def scored(policy, seen: Valued, *entries, targets=("bed",), target="bed", blocked=(), prior=None):
     candidates = candidates_of(*entries)
     candidates.blocked[list(blocked)] = True
     at = Observation(0, 0, np.eye(4))
     context = Context(
-        at, at.pose, seen, (0, 0, 0, 0), candidates.read_only(), None, Answers(), targets, target, 0
+        at, at.pose, seen, (0, 0, 0, 0), candidates.read_only(), None, Answers(), targets,
+        target, 0, prior=prior,
     )  # fmt: skip
     return scores_of(make_policy(policy), context).copy()
 
@@ -116,6 +128,22 @@ def test_each_target_has_a_channel():
 )
 def test_values_are_followed_where_they_tell_frontiers_apart(values, expected):
     assert first(scored(PolicyAdaptive(), Valued(values), A, B, C, D)) == expected
+
+
+@pytest.mark.parametrize(
+    ("lifts", "expected"),
+    [
+        (None, 0),  # no prior
+        ({}, 0),  # no opinion
+        ({("sofa", *b): 4.0}, 0),  # of something else
+        ({("bed", *b): 4.0}, 1),
+        ({("bed", *b): 1.2}, 0),
+        ({("bed", *b): 3.0, ("bed", *d): 2.9}, 3),
+    ],
+)
+def test_the_prior_may_stand_in_for_values(lifts, expected):
+    by_prior, prior = PolicyAdaptive(by="prior"), None if lifts is None else Lifts(lifts)
+    assert first(scored(by_prior, Valued({c: 0.9}), A, B, C, D, prior=prior)) == expected
 
 
 def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
