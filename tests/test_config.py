@@ -80,12 +80,12 @@ FAULTS = [
     (
         {"policy": {"kind": "hvll"}},
         "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, vlfm, directional, adaptive, "
-        "nearest_frontier, module:Class)",
+        "nearest_frontier, search, module:Class)",
     ),
     (
         {"policy": {"w_dist": 1}},
         "f.yaml: policy.kind: missing (choices: hvl, vlfm, directional, adaptive, "
-        "nearest_frontier, module:Class)",
+        "nearest_frontier, search, module:Class)",
     ),
     ({"policy": {"kind": "my:b c"}}, "f.yaml: policy.kind: expected module:Class, got 'my:b c'"),
     ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),

@@ -61,6 +61,8 @@ class PolicySearch(_Selection):
     look_round: bool = True
     start_m: Positive = 1.0
     look_weight: NonNegative = 1.0
+
+
 class PolicyVlfm(_Selection):
     """The frontier near which the whole-view scores are best (VLFM); needs a similarity scorer."""
 

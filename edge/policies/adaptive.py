@@ -9,7 +9,7 @@ from numba import njit
 
 from edge.config import PolicyAdaptive
 from edge.policies.base import Context, Why
-from edge.policies.by_value import count_frontiers, paths_m, values_near
+from edge.policies.by_value import count_frontiers, values_near
 
 MAX_STOPS = 8
 """The shortest tour through more is not sought: the nearest of them are taken."""
@@ -35,14 +35,13 @@ class Adaptive:
         n = count_frontiers(candidates)
         if len(self._score) < len(candidates.kind):
             self._make_room(len(candidates.kind))
-        score, path_m, value = self._score, self._path_m, self._value
-        paths_m(context, n, path_m)
-        score[:n] = 1.0 / (1.0 + path_m[:n])
+        score, value, path_m = self._score, self._value, candidates.path_m[:n]
+        score[:n] = 1.0 / (1.0 + path_m)
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
         self._judge(context, n)
         pose, xy_m = context.pose, candidates.xy_m
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
-        open_ = np.isfinite(path_m[:n]) & ~candidates.blocked[:n]
+        open_ = np.isfinite(path_m) & ~candidates.blocked[:n]
         open_ &= away_m > self.config.delta_reached_m
         stops = self._promising(np.flatnonzero(open_ & ~np.isnan(value[:n])))
         if len(stops) > 0:
@@ -79,9 +78,7 @@ class Adaptive:
         return scored[value >= c.keep * value.max()]
 
     def _make_room(self, capacity: int) -> None:
-        self._score, self._path_m, self._value = (
-            np.zeros(capacity, np.float32) for _ in range(3)
-        )  # fmt: skip
+        self._score, self._value = (np.zeros(capacity, np.float32) for _ in range(2))
 
 
 @njit(nogil=True, cache=True)

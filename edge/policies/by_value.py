@@ -6,15 +6,11 @@ similarity, weighted towards the middle of the view, or directional scores, spre
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from edge.config import PolicyDirectional, PolicyVlfm
 from edge.policies.base import FRONTIER, Candidates, Context, Why
 
-SNAP_M = 0.6
-"""How far from a frontier the cell may lie that the way to it ends at."""
 NEARNESS = 1e-3
 """What nearness may add to a value: it decides where values are the same."""
 
@@ -28,26 +24,22 @@ class ByValue:
 
     def __init__(self, config: PolicyVlfm | PolicyDirectional) -> None:
         self._radius_m = config.radius_m
-        self._make_room(0)
+        self._score = np.zeros(0, np.float32)
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
         candidates = context.candidates
         n = count_frontiers(candidates)
         if len(self._score) < len(candidates.kind):
-            self._make_room(len(candidates.kind))
-        score, path_m = self._score, self._path_m
+            self._score = np.zeros(len(candidates.kind), np.float32)
+        score = self._score
         values_near(context, n, self._radius_m, score)
-        paths_m(context, n, path_m)
-        score[:n] = np.nan_to_num(score[:n]) + NEARNESS / (1.0 + path_m[:n])
+        score[:n] = np.nan_to_num(score[:n]) + NEARNESS / (1.0 + candidates.path_m[:n])
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
         return score
 
     def reset(self, why: Why) -> None:
         """It remembers nothing: the value maps are the map's."""
-
-    def _make_room(self, capacity: int) -> None:
-        self._score, self._path_m = (np.zeros(capacity, np.float32) for _ in range(2))
 
 
 def count_frontiers(candidates: Candidates) -> int:
@@ -58,11 +50,3 @@ def count_frontiers(candidates: Candidates) -> int:
 def values_near(context: Context, n: int, radius_m: float, out: np.ndarray) -> None:
     """Values of the active target near the first n candidates, into out[:n]; NaN: nothing said."""
     context.map.values.best(context.active, context.candidates.xy_m, n, radius_m, out)
-
-
-def paths_m(context: Context, n: int, out: np.ndarray) -> None:
-    """How far the robot has to drive to the first n candidates, into out[:n]; inf: no way."""
-    xy_m = context.candidates.xy_m
-    for i in range(n):
-        found = context.map.nearest(float(xy_m[i, 0]), float(xy_m[i, 1]), SNAP_M)
-        out[i] = math.inf if found is None else found[2]

@@ -7,10 +7,10 @@ import threading
 
 import numpy as np
 import pytest
-from closed_loop import START_NS, ClosedLoop
 from patience import eventually
 from simulated import simulated
 
+from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
 from edge.loop.scorers import Scorers

@@ -21,7 +21,7 @@ NOTHING = math.nan
 
 
 class Valued:
-    """A map in which values are known by place, and the way is straight, or given by place."""
+    """A map with values by place, in which the way is straight, or given by place; None: no way."""
 
     def __init__(self, values=None, path_m=None) -> None:
         self.told, self.path_m, self.values = values or {}, path_m or {}, self
@@ -31,9 +31,9 @@ class Valued:
             told = self.told.get(tuple(xy_m[i].tolist()), NOTHING)
             out[i] = told[channel] if isinstance(told, tuple) else told
 
-    def nearest(self, x_m, y_m, radius_m):
+    def way_m(self, x_m: float, y_m: float) -> float:
         path_m = self.path_m.get((x_m, y_m), math.hypot(x_m, y_m))
-        return None if path_m is None else (x_m, y_m, path_m)
+        return math.inf if path_m is None else path_m
 
 
 class Lifts:
@@ -50,6 +50,8 @@ class Lifts:
 def scored(policy, seen: Valued, *entries, targets=("bed",), target="bed", blocked=(), prior=None):
     candidates = candidates_of(*entries)
     candidates.blocked[list(blocked)] = True
+    for i in range(candidates.n):
+        candidates.path_m[i] = seen.way_m(*candidates.xy_m[i].tolist())
     at = Observation(0, 0, np.eye(4))
     context = Context(
         at, at.pose, seen, (0, 0, 0, 0), candidates.read_only(), None, Answers(), targets,
