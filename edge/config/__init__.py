@@ -17,6 +17,7 @@ from edge.config.mission import (
     TranslatorLtl,
 )
 from edge.config.perception import (
+    ChoiceCooccurrence,
     ChoiceNone,
     ChoiceOpenai,
     ChoiceText,
@@ -26,7 +27,15 @@ from edge.config.perception import (
     Perception,
     Swap,
 )
-from edge.config.policy import PolicyHvl, PolicyNearest, PolicyOwn, PolicySearch
+from edge.config.policy import (
+    PolicyAdaptive,
+    PolicyDirectional,
+    PolicyHvl,
+    PolicyNearest,
+    PolicyOwn,
+    PolicySearch,
+    PolicyVlfm,
+)
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
@@ -35,6 +44,7 @@ from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
+    "ChoiceCooccurrence",
     "ChoiceNone",
     "ChoiceOpenai",
     "ChoiceText",
@@ -52,10 +62,13 @@ __all__ = [
     "PlannerExpected",
     "PlannerInOrder",
     "PlannerVitl",
+    "PolicyAdaptive",
+    "PolicyDirectional",
     "PolicyHvl",
     "PolicyNearest",
     "PolicyOwn",
     "PolicySearch",
+    "PolicyVlfm",
     "Report",
     "Robot",
     "Section",

@@ -111,6 +111,12 @@ class ChoiceText(Section):
     rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
 
 
+class ChoiceCooccurrence(Section):
+    """The same by the prior (`perception.prior`): what stands near a frontier makes it likely."""
+
+    kind: Literal["cooccurrence"] = "cooccurrence"
+
+
 class Perception(Section):
     """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run.
 
@@ -123,9 +129,10 @@ class Perception(Section):
     process: ModelProcess = ModelProcess()
     swap: Swap = Swap()
     similarity: str | None = None
-    choice: Annotated[Union[ChoiceNone, ChoiceOpenai, ChoiceText], Field(discriminator="kind")] = (
-        ChoiceNone()
-    )
+    choice: Annotated[
+        Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceCooccurrence],
+        Field(discriminator="kind"),
+    ] = ChoiceNone()
     detector: Annotated[
         Union[DetectorOnnx, DetectorSim],
         Field(

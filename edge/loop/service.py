@@ -119,6 +119,7 @@ class Service:
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
             keeper.resume(self.mission)
+        self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -200,7 +201,7 @@ class Service:
         """Detections of what is looked for, in the map that there is."""
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
-            self._scorers.saw(detections)
+            self._scorers.saw(detections, self.grid.values)
         lifted, around = self._lifter.lift(detections), detections.around()
         self.sightings.look(lifted, None if around is None else self._lifter.lift(around))
         self.tracker.update(lifted, detections.observation.stamp_ns)
@@ -234,8 +235,9 @@ class Service:
         mission = self.mission
         if not (mission.done or mission.paused):
             targets, candidates = mission.brief.targets, self.pool.candidates
-            scorers.ask(observation, targets, mission.target, candidates, self.tracker)
-        scorers.take_up()
+            values = self.grid.values
+            scorers.ask(observation, targets, mission.target, candidates, self.tracker, values)
+        scorers.take_up(self.grid.values)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
 
@@ -334,6 +336,7 @@ class Service:
         mission = MissionRun(brief, self.config.mission, self._step_taken)
         self._worker.set_prompts(brief.targets)
         self.mission = mission
+        self._keep_values()
         self.tracker.forget_verdicts()
         self.tracker.recall(brief.targets)
         self.grid.coverage.forget()
@@ -388,6 +391,7 @@ class Service:
         self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
         self._seen_map = MapView(self.grid)
+        self._keep_values()
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()
@@ -410,6 +414,11 @@ class Service:
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
+
+    def _keep_values(self) -> None:
+        """A value map for each target, where a scorer is to write them."""
+        if self.config.value_source is not None:
+            self.grid.values.begin(self.mission.brief.targets)
 
     # -- what others may ask ------------------------------------------------------------------
 

@@ -64,6 +64,7 @@ def _warm_policy(config: Config) -> None:
     grid = RollingMap(config.mapping)
     pool = CandidatePool(8, config.policy.r_assoc_m)
     grid.frontiers.n = 1
+    grid.values.begin(("x",))
     pool.update(grid.frontiers, [], 0, 0)
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
