@@ -12,7 +12,8 @@ from mission_plan_twins import CASE_1, CASE_2, CHOICE, Exploration, automata, co
 
 from edge.config import PlannerExpected, PlannerVitl
 from edge.mission.planner import Knowledge, PlannerError, make_planner
-from edge.mission.planning import cooccurrence, expected
+from edge.mission.planning import expected
+from edge.perception.prior import table
 
 FORMULAS = ["F a", CHOICE, CASE_1, CASE_2, "F a & F b & F c", "F a & F b & G !c"]
 
@@ -199,7 +200,7 @@ def test_tables_are_kept_for_two_sets_of_failed_objects(monkeypatch):
 def test_probabilities_follow_the_rooms_of_known_objects(names):
     config = PlannerExpected(p_obs=0.3, prior="cooccurrence")
     p = expected.find_probabilities(config, names)
-    lift = cooccurrence.load().lift(names)
+    lift = table.load().lift(names)
     assert p.shape == (1 << len(names), len(names))
     for known in range(1 << len(names)):
         others = [i for i in range(len(names)) if known >> i & 1]

@@ -14,10 +14,10 @@ import numpy as np
 from edge.config import PlannerExpected, PlannerVitl
 from edge.errors import UserError
 from edge.mission.automaton import NOTHING, Automaton
-from edge.mission.planning import cooccurrence
 from edge.mission.planning import plan_kernels as kernels
 from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, explain
 from edge.mission.planning.vitl import W_NOTHING, VitlPlanner, working_order
+from edge.perception.prior import table
 
 MAX_LETTERS = 12
 MAX_VALUES = 1 << 18
@@ -54,7 +54,7 @@ class ExpectedPlanner:
     Going to a known object costs `w_det` and succeeds. Exploring for an unknown one costs 1 and
     with probability p finds and reaches it; else one other object that is not known yet, each as
     likely, is seen but not reached, and where none is left nothing is learned. p is `p_obs`, or
-    with `prior: cooccurrence` that times the lift of `cooccurrence.Table.lift`, at most 1. Known
+    with `prior: cooccurrence` that times the lift of `Table.lift`, at most 1. Known
     are D and R, failed objects are neither available nor met.
 
     The model is taken at its word: where p is so low that an object is met sooner by chance, the
@@ -168,7 +168,7 @@ def find_probabilities(config: PlannerExpected, names: tuple[str, ...]) -> np.nd
     p = np.full((1 << m, m), config.p_obs)
     if config.prior == "cooccurrence" and m:
         sets = (np.arange(1 << m)[:, None] >> np.arange(m)) & 1
-        lift = cooccurrence.load().lift(names)
+        lift = table.load().lift(names)
         n_known = sets.sum(axis=1, keepdims=True)
         # A room drawn from those of the known objects; with none known, any room: lift 1.
         mean = np.where(n_known > 0, sets @ lift.T / np.maximum(n_known, 1), 1.0)
