@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import Grid
+from edge.geometry import SE2, Grid
 from edge.host.worker import Worker
 from edge.mapping import regions
+from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES, LOWEST_OBSTACLE
 from edge.mapping.view import MapView
 from edge.perception.prior import cooccurrence, rooms
@@ -192,3 +193,15 @@ def make_prior(config: Config) -> Prior | None:
     words = make_words(table, perception.detector)
     tall_code = LOWEST_OBSTACLE + int(TALL * HEIGHT_CODES)
     return Prior(perception.prior, table, words, tall_code, config.loop.lockstep)
+
+
+def warm_up(config: Config) -> None:
+    """Compile the kernels, or read them from the cache."""
+    grid, sightings = RollingMap(config.mapping), Sightings(1)
+    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    table = load()
+    prior = Prior("both", table, Words(table), LOWEST_OBSTACLE, inline=True)
+    sightings.words.append(table.things[0])
+    sightings.n = 1
+    prior.step(MapView(grid), sightings.read_only(), 0)
+    prior.lift(table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32))

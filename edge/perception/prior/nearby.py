@@ -40,10 +40,10 @@ def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
     """Whether no wall stands on the way (dx_m, dy_m) from a place, but for its end."""
     h, w = wall.shape
     length = math.sqrt(dx_m * dx_m + dy_m * dy_m)
+    y, x = (y_m - y0_m) / cell_m, (x_m - x0_m) / cell_m
+    step_y, step_x = dy_m / length if length > 0.0 else 0.0, dx_m / length if length > 0.0 else 0.0
     for k in range(1, int((length - _SHORT_M) / cell_m) + 1):
-        f = k * cell_m / length
-        r = math.floor((y_m + f * dy_m - y0_m) / cell_m)
-        c = math.floor((x_m + f * dx_m - x0_m) / cell_m)
-        if 0 <= r < h and 0 <= c < w and wall[r, c]:
+        r, c = y + k * step_y, x + k * step_x
+        if 0.0 <= r < h and 0.0 <= c < w and wall[int(r), int(c)]:
             return False
     return True
