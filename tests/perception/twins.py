@@ -151,7 +151,7 @@ def nearby(wall, x0, y0, cell, xy, things, row, weight, radius, kinds):
             steps = np.arange(1, int((length - 0.25) / cell) + 1) / max(length, 1e-9)
             c = np.floor((place[0] - x0) / cell + steps * d[0]).astype(int)
             r = np.floor((place[1] - y0) / cell + steps * d[1]).astype(int)
-            inside = (0 <= r) & (r < wall.shape[0]) & (0 <= c) & (c < wall.shape[1])
+            inside = (r >= 0) & (r < wall.shape[0]) & (c >= 0) & (c < wall.shape[1])
             if not wall[r[inside], c[inside]].any():
                 out[i, k] = max(out[i, k], w)
     return out
