@@ -123,6 +123,9 @@ class Perception(Section):
     What the detector says counts within `confirm_range_m`: a thing found there in `confirm_hits`
     images can be confirmed, and a place that was there in so many was seen well, so that it need
     not be looked at again before a target is given up.
+
+    `prior` says by what that was seen places are judged where no target is in view: what stands
+    near (`cooccurrence`), which kind of room it is (`rooms`), or both. Policies weigh it.
     """
 
     isolation: Literal["thread", "process"] = "thread"
@@ -140,6 +143,7 @@ class Perception(Section):
             description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
         ),
     ]
+    prior: Literal["none", "cooccurrence", "rooms", "both"] = "cooccurrence"
     tau_det: Fraction = 0.3
     lift: Literal["depth", "cloud"] = "depth"
     lift_min_points: Annotated[int, Field(ge=1)] = 8

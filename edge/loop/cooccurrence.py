@@ -1,7 +1,7 @@
 """What a view promises by what stands in it: scores of views that need no vision-language model.
 
 The table of which things share a room was counted over furnished houses (see
-`edge.mission.planning.cooccurrence`).
+`edge.perception.prior.table`).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge import names
-from edge.mission.planning import cooccurrence
 from edge.perception.choice.question import Choice, View
+from edge.perception.prior import table
 from edge.types import Detections
 
 
@@ -26,7 +26,7 @@ class RelatedScores:
     """
 
     def __init__(self) -> None:
-        self._table = cooccurrence.load()
+        self._table = table.load()
         self._of: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._p = np.zeros((0, 0))
 
@@ -77,20 +77,20 @@ class PriorChoice:
         """Nothing to give up."""
 
 
-def given(table: cooccurrence.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
+def given(known: table.Table, things: Sequence[str], words: Sequence[str]) -> np.ndarray:
     """P(a room holds the thing | it holds the word): the thing's share of all rooms, times the
     lift.
 
     Returns:
         (n, m) float64: 1 where both are the same, 0 where the table lacks either.
     """
-    p = table.lift([*things, *words])[: len(things), len(things) :]
+    p = known.lift([*things, *words])[: len(things), len(things) :]
     for i, thing in enumerate(things):
-        row = table.index.get(names.canonical(thing))
-        p[i] *= 0.0 if row is None else table.rooms_with[row] / table.n_rooms
+        row = known.row(thing)
+        p[i] *= 0.0 if row < 0 else known.rooms_with_both[row, row] / known.n_rooms
         for j, word in enumerate(words):
             if names.same(thing, word):
                 p[i, j] = 1.0
-            elif names.canonical(word) not in table.index:
+            elif known.row(word) < 0:
                 p[i, j] = 0.0
     return np.minimum(p, 1.0)

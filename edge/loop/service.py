@@ -22,6 +22,7 @@ from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
+from edge.loop.prior import make_prior
 from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult, facts_of
 from edge.loop.scorers import Scorers
@@ -100,6 +101,7 @@ class Service:
         self.epoch = 0
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
+        self._prior = make_prior(config)
         self.faults = Faults(self.event)
         self.stage = INGEST
         self._worker = worker
@@ -147,6 +149,8 @@ class Service:
         self._map(observation, pose, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
+        if self._prior is not None:
+            self._prior.step(self._seen_map, self.sightings.shown, now_ns)
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
@@ -255,6 +259,7 @@ class Service:
             self.mission.target,
             now_ns,
             self.sightings.shown,
+            self._prior,
         )
         self.scores = scores_of(self.policy, self._context)
 
@@ -399,6 +404,8 @@ class Service:
         self.mission.forget_distances()
         if self._surveyor is not None:
             self._surveyor.forget()
+        if self._prior is not None:
+            self._prior.forget()
         if self._scorers is not None:
             self._scorers.forget()
         self.goals.forget_places()
@@ -414,6 +421,8 @@ class Service:
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
+        if self._prior is not None:
+            self._prior.close()
 
     def _keep_values(self) -> None:
         """A value map for each target, where a scorer is to write them."""

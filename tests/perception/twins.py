@@ -142,3 +142,21 @@ def merge_points(old, support, new, voxel_m, cap, near_m):
     kept = min(len(first), cap)
     chosen = first[np.arange(kept) * len(first) // kept]
     return joined[chosen], counts[chosen]
+
+
+def nearby(wall, x0, y0, cell, xy, things, row, weight, radius, kinds):
+    """See `edge.perception.prior.nearby.nearby`."""
+    out = np.zeros((len(xy), kinds), np.float32)
+    for i, place in enumerate(xy):
+        for (x, y), k, w in zip(things[:, :2], row, weight, strict=True):
+            d = np.array([x - place[0], y - place[1]], np.float32)
+            if k < 0 or d @ d > radius**2:
+                continue
+            length = np.sqrt(d[0] * d[0] + d[1] * d[1])
+            steps = np.arange(1, int((length - 0.25) / cell) + 1) / max(length, 1e-9)
+            c = np.floor((place[0] - x0) / cell + steps * d[0]).astype(int)
+            r = np.floor((place[1] - y0) / cell + steps * d[1]).astype(int)
+            inside = (r >= 0) & (r < wall.shape[0]) & (c >= 0) & (c < wall.shape[1])
+            if not wall[r[inside], c[inside]].any():
+                out[i, k] = max(out[i, k], w)
+    return out
