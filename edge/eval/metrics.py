@@ -2,33 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 REACHED_M = 1.0
 """Within this of a thing's footprint the robot has reached it; shortest ways end there."""
-
-
-def success_rate(successes: Sequence[bool]) -> float:
-    """Share of episodes that succeeded; 0 for none.
-
-    >>> success_rate([True, False])
-    0.5
-    """
-    return sum(successes) / len(successes) if len(successes) else 0.0
-
-
-def spl(successes: Sequence[bool], shortest_m: Sequence[float], path_m: Sequence[float]) -> float:
-    """Mean of `episode_spl`; 0 for none.
-
-    >>> spl([True, False], [2.0, 1.0], [4.0, 1.0])
-    0.25
-    """
-    if not len(successes) == len(shortest_m) == len(path_m):
-        raise ValueError("successes, shortest_m and path_m: one is shorter than another")
-    each = episode_spl(np.asarray(successes), np.asarray(shortest_m), np.asarray(path_m))
-    return float(each.mean()) if len(each) else 0.0
 
 
 def episode_spl(success: np.ndarray, shortest_m: np.ndarray, path_m: np.ndarray) -> np.ndarray:
@@ -70,5 +47,5 @@ def efficiency(shortest_m: np.ndarray, path_m: np.ndarray) -> np.ndarray:
 def _share(part: np.ndarray, whole: np.ndarray, of_nothing: float) -> np.ndarray:
     """part / whole; nothing of nothing is `of_nothing`, something of nothing infinite."""
     part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         return np.where((whole == 0.0) & (part == 0.0), of_nothing, part / whole)

@@ -7,30 +7,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.eval.metrics import episode_soft_spl, episode_spl, spl, success_rate
+from edge.eval.metrics import episode_soft_spl, episode_spl
 
 
 @pytest.mark.parametrize(
-    ("successes", "shortest", "path", "sr", "expected"),
+    ("success", "shortest", "path", "expected"),
     [
-        ([], [], [], 0.0, 0.0),
-        ([True], [2.0], [2.0], 1.0, 1.0),
-        ([True], [2.0], [4.0], 1.0, 0.5),
+        ([], [], [], []),
+        ([True], [2.0], [2.0], [1.0]),
+        ([True], [2.0], [4.0], [0.5]),
         # A driven path shorter than the raster's shortest one earns no bonus.
-        ([True], [2.0], [1.9], 1.0, 1.0),
-        ([True], [0.0], [0.0], 1.0, 1.0),
-        ([False], [2.0], [2.0], 0.0, 0.0),
-        ([True, False, True, True], [1, 1, 2, 3], [1, 1, 4, 3], 0.75, 0.625),
+        ([True], [2.0], [1.9], [1.0]),
+        ([True], [0.0], [0.0], [1.0]),
+        ([False], [2.0], [2.0], [0.0]),
+        ([True, False, True, True], [1, 1, 2, 3], [1, 1, 4, 3], [1.0, 0.0, 0.5, 1.0]),
     ],
 )
-def test_success_rate_and_spl(successes, shortest, path, sr, expected):
-    assert success_rate(successes) == pytest.approx(sr)
-    assert spl(successes, shortest, path) == pytest.approx(expected)
-
-
-def test_lengths_must_agree():
-    with pytest.raises(ValueError, match="shorter"):
-        spl([True, True], [1.0], [1.0, 1.0])
+def test_spl(success, shortest, path, expected):
+    found = episode_spl(np.array(success, bool), np.array(shortest, float), np.array(path, float))
+    assert found.tolist() == expected
 
 
 @pytest.mark.parametrize(

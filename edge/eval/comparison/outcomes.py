@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edge.errors import FileError, UserError
+from edge.eval.outcome import FAILURES, MAX_BYTES
 from edge.host.files import read_regular
 from edge.text import one_line, read_json_object
 
-OUTCOMES_NAME = "outcomes.jsonl"
-MAX_BYTES = 1 << 30
-FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
 OTHER = "other"
 
 Record = dict[str, Any]
@@ -55,7 +53,7 @@ class Outcomes:
         columns, episodes: their names; C columns in the order in which they came, E episodes
             sorted, so that nothing depends on who ran them or when.
         world, kind, target: (E,) str; `target` is empty for a mission with several.
-        rooms: (E,) float64, NaN where the record does not say.
+        rooms: (E,) float64, of the world; NaN where that is not known (`with_rooms`).
         shortest_m: (E,) float64.
         ran: (C, E) bool: whether there is a record.
         numbers: of `NUMBERS`, each (C, E) float64, NaN where there is none.
@@ -165,7 +163,7 @@ def gather(records: Iterable[Record]) -> Outcomes:
         np.array([r["world"] for r in about], dtype=str),
         np.array([r["kind"] for r in about], dtype=str),
         np.array([r.get("target") or "" for r in about], dtype=str),
-        np.array([math.nan if r.get("rooms") is None else r["rooms"] for r in about], np.float64),
+        np.full(len(about), np.nan),
         np.array([r["shortest_m"] for r in about], np.float64),
         ran, numbers, failure, at, len(records) - len(at),
     )  # fmt: skip
@@ -179,6 +177,13 @@ def _agree(one: Record, other: Record) -> None:
                 f"column {one_line(one['column'])} and {one_line(other.get(key))} in "
                 f"{one_line(other['column'])}: these are different episodes; run both on one file"
             )
+
+
+def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
+    """The same, told how many rooms worlds have, by name."""
+    counts = [rooms.get(name) for name in outcomes.world.tolist()]
+    known = np.array([math.nan if n is None else float(n) for n in counts])
+    return replace(outcomes, rooms=known)
 
 
 def of_episodes(outcomes: Outcomes, kept: np.ndarray) -> Outcomes:

@@ -13,10 +13,11 @@ from importlib.resources import files
 import numpy as np
 
 from edge.eval.comparison import plots, tables, trails
-from edge.eval.comparison.outcomes import FAILURES, OTHER
+from edge.eval.comparison.outcomes import OTHER
 from edge.eval.comparison.statistics import Comparison, spl_of
 from edge.eval.comparison.trails import Ground
 from edge.eval.comparison.worlds import Drawing
+from edge.eval.outcome import FAILURES
 from edge.report.document import data_url, document
 from edge.text import one_line
 

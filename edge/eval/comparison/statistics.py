@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.eval.comparison.outcomes import FAILURES, OTHER, Outcomes, baseline_of, clusters, natural
+from edge.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural
 from edge.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
 from edge.eval.metrics import episode_soft_spl, episode_spl
+from edge.eval.outcome import FAILURES
 
 NAN = Interval(math.nan, math.nan, math.nan)
 

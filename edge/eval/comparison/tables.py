@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.eval.comparison.outcomes import FAILURES, OTHER
+from edge.eval.comparison.outcomes import OTHER
 from edge.eval.comparison.statistics import METRICS, Comparison, Figure, Metric, Pair
 from edge.eval.intervals import Interval
+from edge.eval.outcome import FAILURES
 from edge.text import aligned, one_line
 
 DASH = "–"
@@ -28,6 +29,13 @@ SUMMARIES = {
     ),
     "cost": ("Cost in the tick", ("tick_p95_ms", "score_p95_ms")),
 }  # fmt: skip
+
+
+GROUPS = ("target", "kind of world", "rooms")
+TABLES = (
+    "summary", "paired", "conduct", "failures", "losses", *(f"by {group}" for group in GROUPS),
+    "cost",
+)  # fmt: skip
 
 
 class Table(NamedTuple):

@@ -116,14 +116,14 @@ def _drawn(ground: Ground, record: Record) -> str:
     trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
     units = ground.units(trail)
     marks = [_trail(units), _goals(ground, record.get("goal_xy") or [])]
-    seen_m = record.get("first_sight_path_m")
-    if seen_m is not None and math.isfinite(seen_m):
-        marks.append(_circle("seen", ground.units(along(trail, seen_m))[0], 3.2))
     x, y, yaw = record["start"]
     ahead = np.array([[x, y], [x + HEADING_M * math.cos(yaw), y + HEADING_M * math.sin(yaw)]])
     ends = ground.units(ahead)
     marks.append(f'<path class="heading" d="{_path(ends)}"/>{_circle("start", ends[0], 4)}')
     marks.append(_circle("end", units[-1], 4))
+    seen_m = record.get("first_sight_path_m")
+    if seen_m is not None and math.isfinite(seen_m):
+        marks.append(_circle("seen", ground.units(along(trail, seen_m))[0], 5.5))
     return "".join(marks)
 
 

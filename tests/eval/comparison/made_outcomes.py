@@ -51,7 +51,7 @@ def many(
             for column, times in columns.items():
                 about = {
                     "world": f"house-{w}", "target": target, "shortest_m": shortest,
-                    "rooms": 2 + w % 5, "start": [*rng.uniform(1, 4, 2).tolist(), 0.0],
+                    "start": [*rng.uniform(1, 4, 2).tolist(), 0.0],
                     "trail": (rng.normal(0, 0.1, (60, 2)).cumsum(axis=0) + 4).tolist(),
                 }  # fmt: skip
                 path = shortest * (1 + (times - 1) * hardness * rng.exponential())

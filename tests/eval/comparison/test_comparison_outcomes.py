@@ -11,7 +11,6 @@ from made_outcomes import failure, many, record
 
 from edge.errors import FileError, UserError
 from edge.eval.comparison.outcomes import (
-    FAILURES,
     OTHER,
     baseline_of,
     clusters,
@@ -19,7 +18,9 @@ from edge.eval.comparison.outcomes import (
     natural,
     of_episodes,
     read,
+    with_rooms,
 )
+from edge.eval.outcome import FAILURES
 
 
 def written(tmp_path, *lines) -> list[dict]:
@@ -68,7 +69,7 @@ def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
         [
             record("house-10/bed", "a"),
             failure("house-9/bed", "a", world="house-9", wrong_stops=None),
-            record("house-9/bed", "b", world="house-9", score_ms={"p95": 0.25}, rooms=3),
+            record("house-9/bed", "b", world="house-9", score_ms={"p95": 0.25}),
         ]
     )
     assert outcomes.columns == ("a", "b")
@@ -80,7 +81,9 @@ def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
     np.testing.assert_array_equal(outcomes["wrong_stops"], [[np.nan, 0.0], [0.0, np.nan]])
     np.testing.assert_array_equal(outcomes["score_p95_ms"], [[0.5, 0.5], [0.25, np.nan]])
     np.testing.assert_array_equal(outcomes["tick_p95_ms"][0], [2.0, 2.0])
-    np.testing.assert_array_equal(outcomes.rooms, [3.0, np.nan])
+    assert np.isnan(outcomes.rooms).all()
+    told = with_rooms(outcomes, {"house-9": 3, "house-10": None})
+    np.testing.assert_array_equal(told.rooms, [3.0, np.nan])
 
 
 def test_the_newest_of_a_column_counts():

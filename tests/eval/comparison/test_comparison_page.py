@@ -151,7 +151,7 @@ def test_text_cannot_become_markup():
 
 
 def test_what_the_script_sorts_and_filters_by():
-    records = [record("1", "a", rooms=4), failure("1", "b", rooms=4), record("2", "b", path_m=5.0)]
+    records = [record("1", "a"), failure("1", "b"), record("2", "b", path_m=5.0)]
     first, second = Reader(page_of(records)).all("article")
     assert (first["data-spl"], first["data-path"], first["data-shortest"]) == (
         "0.5,0",

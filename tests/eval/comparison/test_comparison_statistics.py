@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from made_outcomes import failure, many, record
 
 from edge.errors import UserError
-from edge.eval.comparison.outcomes import gather
+from edge.eval.comparison.outcomes import gather, with_rooms
 from edge.eval.comparison.statistics import METRICS, compare, excess_m, pair
 
 FEW = 400  # resamples
@@ -137,11 +137,11 @@ def test_the_same_outcomes_give_the_same_figures():
 def test_groups():
     outcomes = gather(
         [
-            record("1", target="bed", rooms=10), failure("2", target="sofa", rooms=9),
-            record("3", target="sofa", path_m=5.0, rooms=10),
+            record("1", target="bed", world="a"), failure("2", target="sofa", world="b"),
+            record("3", target="sofa", path_m=5.0, world="a"),
         ]
     )  # fmt: skip
-    groups = compare(outcomes, resamples=FEW).groups
+    groups = compare(with_rooms(outcomes, {"a": 10, "b": 9}), resamples=FEW).groups
     assert list(groups) == ["target", "rooms"]  # there is one kind of world
     assert list(groups["rooms"]) == ["9", "10"]
     sofa = groups["target"]["sofa"]["hvl"]

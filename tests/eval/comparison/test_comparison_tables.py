@@ -11,7 +11,7 @@ import pytest
 from made_outcomes import failure, many, record
 
 from edge.eval.comparison import tables
-from edge.eval.comparison.outcomes import gather
+from edge.eval.comparison.outcomes import gather, with_rooms
 from edge.eval.comparison.statistics import compare
 
 BAD = "<script>|\n\x1b[31m"
@@ -24,6 +24,7 @@ def comparison_of(records, left_m=None, baseline=None):
 @pytest.fixture(scope="module")
 def comparison():
     outcomes = gather(many({"base": 2.5, "new": 1.5}, 12))
+    outcomes = with_rooms(outcomes, {f"house-{k}": 2 + k % 5 for k in range(12)})
     return compare(outcomes, "base", np.full(outcomes.ran.shape, 3.0), 200)
 
 
