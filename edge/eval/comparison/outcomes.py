@@ -186,25 +186,6 @@ def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
     return replace(outcomes, rooms=known)
 
 
-def of_episodes(outcomes: Outcomes, kept: np.ndarray) -> Outcomes:
-    """The outcomes of some episodes, every column kept.
-
-    Args:
-        kept: (E,) bool.
-    """
-    index = np.flatnonzero(kept)
-    place = {int(e): k for k, e in enumerate(index)}
-    return Outcomes(
-        outcomes.columns, tuple(outcomes.episodes[e] for e in index),
-        outcomes.world[index], outcomes.kind[index], outcomes.target[index],
-        outcomes.rooms[index], outcomes.shortest_m[index], outcomes.ran[:, index],
-        {name: values[:, index] for name, values in outcomes.numbers.items()},
-        outcomes.failure[:, index],
-        {(c, place[e]): r for (c, e), r in outcomes.records.items() if e in place},
-        outcomes.passed_over,
-    )  # fmt: skip
-
-
 def natural(text: str) -> list[tuple[int, Any]]:
     """A key that sorts numbers within texts as numbers.
 

@@ -40,6 +40,7 @@ class Chapter(Section):
         episodes: words after `edge eval episodes`, a run each: configuration, worlds, targets.
         columns: by name, what is changed in the configuration, as `--column` has it.
         of: other sections, whose outcomes it is made of; then it runs nothing itself.
+        show: the only columns of these to show; none: all.
         baseline: the column that the others are held against; None: the first.
         tables, plots: which, in their order.
     """
@@ -50,6 +51,7 @@ class Chapter(Section):
     episodes: tuple[str, ...] = ()
     columns: dict[str, dict[str, Any]] = Field(default_factory=dict)
     of: tuple[str, ...] = ()
+    show: tuple[str, ...] = ()
     baseline: str | None = None
     tables: tuple[str, ...] = ("summary", "paired", "failures")
     plots: tuple[str, ...] = ()
@@ -122,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.no_run:
             _run_episodes(chapter, args)
     found = {
-        chapter.name: compare_folders(folders, chapter.baseline)[0]
+        chapter.name: compare_folders(folders, chapter.baseline, chapter.show)[0]
         for chapter in book.sections
         if (folders := _folders(chapter, args.out))
     }

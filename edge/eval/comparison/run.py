@@ -14,7 +14,7 @@ from edge.eval import episodes, world_list
 from edge.eval.columns import merged
 from edge.eval.comparison import outcomes as records
 from edge.eval.comparison import page, plots, tables, worlds
-from edge.eval.comparison.outcomes import Outcomes
+from edge.eval.comparison.outcomes import Outcomes, Record
 from edge.eval.comparison.statistics import Comparison, compare
 from edge.eval.outcome import NAME as OUTCOMES_NAME
 from edge.eval.outcome import Outcome, line
@@ -51,19 +51,33 @@ def run(args: argparse.Namespace) -> int:
 
 
 def compare_folders(
-    folders: Sequence[Path], baseline: str | None = None
+    folders: Sequence[Path], baseline: str | None = None, columns: Sequence[str] = ()
 ) -> tuple[Comparison, dict[str, worlds.Drawing]]:
     """What the outcomes of folders say together, and drawings of their worlds, by world.
+
+    Args:
+        columns: the only ones to compare, in this order; none: all.
 
     Raises:
         UserError: there are no outcomes, or no such column; a file cannot be read.
     """
-    outcomes = records.gather(r for f in folders for r in records.read(f / OUTCOMES_NAME))
-    if not outcomes.columns:
+    found = [r for folder in folders for r in records.read(folder / OUTCOMES_NAME)]
+    if not found:
         raise UserError(f"{folders[0] / OUTCOMES_NAME}: empty; `edge eval episodes` fills it")
+    outcomes = records.gather(_of_columns(found, columns) if columns else found)
     records.baseline_of(outcomes, baseline)  # a wrong name is told before the worlds are loaded
     outcomes, left_m, drawings = look(outcomes, configs_of(folders, outcomes))
     return compare(outcomes, baseline, left_m), drawings
+
+
+def _of_columns(found: Sequence[Record], columns: Sequence[str]) -> list[Record]:
+    """The records of some columns, these in their order."""
+    there = dict.fromkeys(r["column"] for r in found)
+    for name in columns:
+        if name not in there:
+            names = ", ".join(map(one_line, there))
+            raise UserError(f"no column {name!r} was run; there are: {names}")
+    return [r for name in columns for r in found if r["column"] == name]
 
 
 def text(comparison: Comparison) -> str:

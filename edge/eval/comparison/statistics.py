@@ -1,7 +1,7 @@
 """The figures of a comparison: means with intervals, paired differences, failures, lost SPL.
 
-Every interval is a bootstrap over worlds (`outcomes.clusters`), but for the success rate's own,
-which is Wilson's.
+Every interval is a bootstrap over worlds (`outcomes.clusters`), but for those of shares, which are
+Wilson's: a bootstrap of what never happened says that it never will.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Metric(NamedTuple):
         words: what it is.
         values: (C, E) float64 of outcomes, NaN where an episode does not count.
         scale: what it is shown times.
-        how: "mean", "share" (a mean of yes and no) or "median" (of times a tick, which a busy
-            computer spoils now and then; without an interval).
+        how: "mean"; "share", of yes and no; or "median", without an interval, of times, which
+            a busy computer spoils now and then.
     """
 
     title: str
@@ -210,7 +210,7 @@ def _figures(
     outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Figure]]:
     values = {key: METRICS[key].values(outcomes) for key in keys}
-    means = [key for key in keys if METRICS[key].how != "median"]
+    means = [key for key in keys if METRICS[key].how == "mean"]
     intervals = mean([values[key] for key in means], cluster, resamples)
     figures: dict[str, dict[str, Figure]] = {name: {} for name in outcomes.columns}
     for c, name in enumerate(outcomes.columns):
@@ -218,7 +218,7 @@ def _figures(
             counted = values[key][c][~np.isnan(values[key][c])]
             if METRICS[key].how == "median":
                 interval = _median(counted)
-            elif key == "sr":
+            elif METRICS[key].how == "share":
                 interval = wilson(int(counted.sum()), len(counted))
             else:
                 interval = intervals[means.index(key)][c]

@@ -19,7 +19,12 @@ from edge.eval.outcome import FAILURES
 from edge.text import aligned, one_line
 
 DASH = "–"
-BOUNDED = ("sr", "spl", "soft_spl")  # with their intervals in the table; all others in the CSV
+BOUNDED = (
+    "sr",
+    "spl",
+    "soft_spl",
+    "wrong_stops",
+)  # with their intervals in the table; all others in the CSV
 SUMMARIES = {
     "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
     "conduct": (
@@ -77,7 +82,7 @@ def summary(comparison: Comparison, name: str) -> Table:
 def _words(comparison: Comparison, keys: Sequence[str]) -> str:
     words = "; ".join(f"{METRICS[key].title}: {METRICS[key].words}" for key in keys)
     words = f"{words[:1].upper()}{words[1:]}."
-    return f"{words} {unit_words(comparison)}" if {*keys} & {*BOUNDED} else words
+    return f"{words} {unit_words(comparison)}" if "spl" in keys else words
 
 
 def unit_words(comparison: Comparison) -> str:
@@ -89,7 +94,7 @@ def unit_words(comparison: Comparison) -> str:
         else f"by bootstrap over episodes; of {worlds} world{'s' * (worlds != 1)}, so they say "
         "nothing of others"
     )
-    return f"In brackets: 95 % intervals, of SR Wilson's, else {how}."
+    return f"In brackets: 95 % intervals, of shares Wilson's, else {how}."
 
 
 def paired(comparison: Comparison) -> Table:

@@ -16,7 +16,6 @@ from edge.eval.comparison.outcomes import (
     clusters,
     gather,
     natural,
-    of_episodes,
     read,
     with_rooms,
 )
@@ -125,16 +124,6 @@ def test_the_order_in_which_they_came_is_of_no_matter():
     other = gather([r for c in ("a", "b") for r in reversed(records) if r["column"] == c])
     assert first.episodes == other.episodes
     np.testing.assert_array_equal(first["path_m"], other["path_m"])
-
-
-def test_some_episodes():
-    outcomes = gather(many({"a": 1.5, "b": 2.0}, 3))
-    kept = outcomes.world == "house-1"
-    some = of_episodes(outcomes, kept)
-    assert set(some.world) == {"house-1"}
-    np.testing.assert_array_equal(some["path_m"], outcomes["path_m"][:, kept])
-    for (c, e), found in some.records.items():
-        assert (found["column"], found["episode"]) == (some.columns[c], some.episodes[e])
 
 
 @pytest.mark.parametrize(("worlds", "unit", "units"), [(9, "episode", 36), (10, "world", 10)])

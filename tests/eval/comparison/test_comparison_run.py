@@ -11,6 +11,7 @@ from made_outcomes import record
 
 from edge.cli.main import main
 from edge.config import load
+from edge.errors import UserError
 from edge.eval import episodes as eps
 from edge.eval.comparison import run
 from edge.eval.outcome import Outcome
@@ -72,6 +73,13 @@ def test_folders_together(folder, tmp_path_factory):
     comparison, _ = run.compare_folders([folder, other])
     assert comparison.outcomes.ran.sum(axis=1).tolist() == [2, 3]
     assert comparison.pairs[0].missing == 1
+
+
+def test_some_columns(folder):
+    comparison, _ = run.compare_folders([folder], "slow", ["fast", "slow"])
+    assert comparison.outcomes.columns == ("fast", "slow")
+    with pytest.raises(UserError, match="no column 'quick' was run; there are: slow, fast"):
+        run.compare_folders([folder], None, ["quick"])
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,8 @@ def test_figures_are_shown_with_their_intervals():
 def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
     without = {"false_confirmations": None, "score_ms": None}
     both = [record("1", "a", **without), record("1", "b", **without)]
+    (never,) = {row[-2] for row in named(comparison_of(both), "conduct").rows}
+    assert never == "0.0 [0.0, 79.3]"  # of stops: what never happened in one episode yet may
     head = named(comparison_of(both), "conduct").head
     assert "false conf." not in head
     assert "wrong stops, %" in head
