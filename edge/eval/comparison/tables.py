@@ -19,12 +19,8 @@ from edge.eval.outcome import FAILURES
 from edge.text import aligned, one_line
 
 DASH = "–"
-BOUNDED = (
-    "sr",
-    "spl",
-    "soft_spl",
-    "wrong_stops",
-)  # with their intervals in the table; all others in the CSV
+# With their intervals in the tables; those of the others are in the CSV.
+BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops")
 SUMMARIES = {
     "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
     "conduct": (

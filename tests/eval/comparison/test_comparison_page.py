@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from made_outcomes import failure, many, record
 
-from edge.eval.comparison import page, trails
+from edge.eval.comparison import page, plots, trails
 from edge.eval.comparison.outcomes import gather
 from edge.eval.comparison.statistics import compare
 from edge.eval.comparison.worlds import Drawing
@@ -21,6 +21,12 @@ BAD = '<script>alert("x")</script>&\'"'
 VOID = {"meta", "img", "input", "br"}
 BOX = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0], [2.0, 3.0]])
 DRAWING = Drawing(b"png", 0.0, 4.0, 5.0, 4.0, {"bed": [BOX]})
+
+
+@pytest.fixture(autouse=True)
+def quick_plots(monkeypatch):
+    """They have tests of their own."""
+    monkeypatch.setattr(plots, "images", lambda comparison, kind: {"rates": b"png"})
 
 
 class Reader(HTMLParser):
