@@ -78,6 +78,8 @@ def summary(comparison: Comparison, name: str) -> Table:
 def _words(comparison: Comparison, keys: Sequence[str]) -> str:
     words = "; ".join(f"{METRICS[key].title}: {METRICS[key].words}" for key in keys)
     words = f"{words[:1].upper()}{words[1:]}."
+    if len(set(comparison.outcomes.ran.sum(axis=1).tolist())) > 1:
+        words += " Columns of different n drove different episodes: compare them by pairs."
     return f"{words} {unit_words(comparison)}" if "spl" in keys else words
 
 
@@ -95,15 +97,15 @@ def unit_words(comparison: Comparison) -> str:
 
 def paired(comparison: Comparison) -> Table:
     """A column a row, against the baseline on the same episodes."""
-    head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "path ratio",
-            "time ratio", "better", "worse")  # fmt: skip
+    head = ("column", "n", "SR, % points", "SPL", "SPL ratio", "soft SPL", "better",
+            "worse", "both", "path ratio", "time ratio")  # fmt: skip
     rows = [_pair_row(pair) for pair in comparison.pairs]
     left_out = [f"{p.column} {p.missing}" for p in comparison.pairs if p.missing]
     base = _column(comparison, comparison.baseline)
     note = (
         "Differences of means (column less baseline), and ratios of means, on the n episodes that "
-        "both ran; path and time over the episodes in which both succeeded. Better, worse: "
-        "episodes with higher and lower SPL."
+        "both ran. Better, worse: episodes with higher and lower SPL. Both: in which both succeeded; "
+        "path and time are of these."
     )
     if left_out:
         note += f" Left out, for only one of the two ran them: {one_line(', '.join(left_out))}."
@@ -115,8 +117,8 @@ def _pair_row(pair: Pair) -> list[str]:
         one_line(pair.column), str(pair.n),
         _bounded(pair.sr, 1, 100.0, "+"), _bounded(pair.spl, 3, 1.0, "+"),
         _bounded(pair.spl_ratio, 3), _bounded(pair.soft_spl, 3, 1.0, "+"),
+        str(pair.won), str(pair.lost), str(pair.both),
         _bounded(pair.path_ratio, 3), _bounded(pair.time_ratio, 3),
-        str(pair.won), str(pair.lost),
     ]  # fmt: skip
 
 

@@ -76,6 +76,14 @@ def test_what_only_one_ran_is_told():
     records = [record("1", "a"), record("2", "a"), record("1", "b")]
     assert "only one of the two ran them: b 1." in named(comparison_of(records), "paired").note
     assert "only one" not in named(comparison_of(records[::2]), "paired").note
+    assert "drove different episodes" in named(comparison_of(records), "summary").note
+    assert "different" not in named(comparison_of(records[::2]), "summary").note
+
+
+def test_ratios_of_paths_tell_how_many_they_are_of():
+    both = [record(f"{k}", c, path_m=p) for k in range(3) for c, p in (("a", 10), ("b", 8))]
+    (row,) = named(comparison_of([*both, failure("3", "a"), record("3", "b")]), "paired").rows
+    assert row[-3:-1] == ["3", "0.800 [0.800, 0.800]"]
 
 
 @pytest.mark.parametrize(("worlds", "words"), [(1, "of 1 world, so"), (12, "over 12 worlds")])
