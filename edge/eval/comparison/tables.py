@@ -104,8 +104,8 @@ def paired(comparison: Comparison) -> Table:
     base = _column(comparison, comparison.baseline)
     note = (
         "Differences of means (column less baseline), and ratios of means, on the n episodes that "
-        "both ran. Better, worse: episodes with higher and lower SPL. Both: in which both succeeded; "
-        "path and time are of these."
+        "both ran. Better, worse: episodes with higher and lower SPL. Both: in which both "
+        "succeeded; path and time are of these."
     )
     if left_out:
         note += f" Left out, for only one of the two ran them: {one_line(', '.join(left_out))}."
