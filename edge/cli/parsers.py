@@ -165,6 +165,8 @@ def _eval(commands) -> None:  # type: ignore[no-untyped-def]
     _eval_episodes(kinds)
     _eval_tasks(kinds)
     _eval_translate(kinds)
+    _eval_compare(kinds)
+    _eval_results(kinds)
 
 
 def _eval_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -279,6 +281,36 @@ def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+
+
+def _eval_compare(kinds) -> None:  # type: ignore[no-untyped-def]
+    compare = kinds.add_parser(
+        "compare", help="columns of episodes side by side: tables, plots, every trail on its map"
+    )
+    option = compare.add_argument
+    option("out", type=Path, metavar="DIR", help="what `edge eval episodes --out` filled")
+    option(
+        "--baseline", metavar="NAME",
+        help="the column that the others are held against (default: the first)",
+    )  # fmt: skip
+    compare.set_defaults(handler=lazy("edge.eval.comparison.run", "run"))
+
+
+def _eval_results(kinds) -> None:  # type: ignore[no-untyped-def]
+    results = kinds.add_parser(
+        "results", help="run what a document of measurements lacks, and write it"
+    )
+    option = results.add_argument
+    option("file", type=Path, metavar="FILE", help="YAML; the Markdown is written beside it")
+    option("--only", nargs="+", metavar="SECTION", help="run these sections only")
+    option("--episodes", type=count, metavar="N", help="run the first N episodes of each only")
+    option("--no-run", action="store_true", help="write what is there")
+    option(
+        "--out", type=Path, default=Path("results"), metavar="DIR",
+        help="for the outcomes, a folder a section (default: ./%(default)s)",
+    )  # fmt: skip
+    option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
+    results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

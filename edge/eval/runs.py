@@ -14,13 +14,12 @@ from edge.eval import columns as cols
 from edge.eval import episodes as eps
 from edge.eval import world_list
 from edge.eval.columns import Column
+from edge.eval.comparison.run import told
 from edge.eval.episodes import Episode
-from edge.eval.metrics import spl, success_rate
 from edge.eval.outcome import Outcome, OutcomeFile
 from edge.eval.workers import Task, outcomes_of
 from edge.host.signals import stop_on_signals
 from edge.report.page import prepare
-from edge.text import aligned
 
 EPISODES_NAME = "episodes.jsonl"
 TARGETS = "trash can,sofa,chair,bed,desk"
@@ -126,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip
-    print(_table(columns, outcomes))
+    print(f"\n{told(outcomes)}")
     return 0
 
 
@@ -163,18 +162,3 @@ def _line(number: int, total: int, o: Outcome) -> str:
         f"{o.shortest_m:4.1f} m shortest, {o.collisions} bumps, {o.wall_s:.1f} s of real time: "
         f"{o.reason}"
     )
-
-
-def _table(columns: Sequence[Column], outcomes: Sequence[Outcome]) -> str:
-    """SR and SPL of each column, by target and over all."""
-    rows: list[Sequence[object]] = [("column", "target", "episodes", "SR", "SPL")]
-    for column in columns:
-        mine = [o for o in outcomes if o.column_id == column.id]
-        targets = sorted({o.target for o in mine if o.target is not None})
-        groups = {target: [o for o in mine if o.target == target] for target in targets}
-        for name, group in {**groups, "all": mine}.items():
-            won = [o.success for o in group]
-            weighted = spl(won, [o.shortest_m for o in group], [o.path_m for o in group])
-            rate = f"{success_rate(won):.2f}"
-            rows.append((column.name, name, len(group), rate, f"{weighted:.2f}"))
-    return aligned(rows, left=2)
