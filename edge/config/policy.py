@@ -62,12 +62,14 @@ class PolicyNearest(_Selection):
 
 
 class PolicySearch(_Selection):
-    """Ours: the area that a frontier would show, under a root, over the way there."""
+    """Ours: the area that a frontier would show, under a root, over the way there and `start_m`,
+    times the prior's lift to the power of `prior_weight`; 0: what was seen does not count."""
 
     kind: Literal["search"] = "search"
     look_round: bool = True
     start_m: Positive = 1.0
     look_weight: NonNegative = 1.0
+    prior_weight: NonNegative = 0.5
 
 
 class PolicyVlfm(_Selection):

@@ -16,9 +16,9 @@ from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
 from edge.loop.scorers import Scorers
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import prepare
-from edge.mission.planning import cooccurrence
 from edge.perception.choice.question import Choice
 from edge.perception.instances import InstanceTracker
+from edge.perception.prior import table
 from edge.policies.base import FRONTIER, Candidates
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -195,12 +195,12 @@ def test_a_view_of_nothing_promises_nothing():
 def test_related_things_promise_a_target_by_how_often_they_share_a_room():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
-    p = given(cooccurrence.load(), BOTH, ("pillow", "toilet", "lampion"))
+    p = given(table.load(), BOTH, ("pillow", "toilet", "lampion"))
     assert p[0, 0] > 0.6 > 0.05 > p[0, 1]
     assert p[:, 2].tolist() == [0.0, 0.0]  # a word of which nothing is known
     around = [("pillow", 0.8), ("toilet", 0.9), ("lampion", 1.0)]
     got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
-    by_sofa = given(cooccurrence.load(), BOTH, ("sofa",))[0, 0] * 0.9
+    by_sofa = given(table.load(), BOTH, ("sofa",))[0, 0] * 0.9
     assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
 
 

@@ -135,7 +135,7 @@ def test_lengths_of_many_ways_are_those_of_each():
     assert np.isinf(out).all(), "no field yet"
     complete(grid, pose)
     rng = np.random.default_rng(0)
-    xy_m = (rng.uniform(-3, 3, (40, 2)) + (pose.x_m, pose.y_m)).astype(np.float32)
+    xy_m = (rng.uniform(-3, 3, (40, 2)) + np.array([pose.x_m, pose.y_m])).astype(np.float32)
     kind, radius_m = rng.integers(0, 2, 40).astype(np.int8), np.array([0.2, 0.8])
     out = np.zeros(40, np.float32)
     grid.reach.paths_m(xy_m, kind, radius_m, 40, out)
