@@ -4,6 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.perception.sighting_kernels import (
+    FORGET,
+    LOOK_MIN_M,
+    LOOK_RIM,
+    OCCLUDED_M,
+    PARTIAL,
+    PRIOR,
+    SAME_M,
+    WITHIN,
+)  # fmt: skip
+
 
 def to_planes(rgb, scale, top, left, out):
     h, w = rgb.shape[:2]
@@ -160,3 +171,56 @@ def nearby(wall, x0, y0, cell, xy, things, row, weight, radius, kinds):
             if not wall[r[inside], c[inside]].any():
                 out[i, k] = max(out[i, k], w)
     return out
+
+
+def match(centers, points, n_points, word, of_word, x, y, merge_m):
+    """Index of the nearest record of a word, or -1."""
+    best, least = -1, merge_m
+    for i in np.flatnonzero(word == of_word):
+        places = np.vstack((centers[i], points[i, : n_points[i]]))[:, :2]
+        apart = np.hypot(*(places - np.array((x, y), np.float64)).T).min()
+        if apart < least:
+            best, least = int(i), apart
+    return best
+
+
+def strongest_rival(surface, centers, points, n_points, word, confidence, competes, reach_m):
+    """The highest mean confidence of another word over the surface."""
+    middle = surface[:, :2].mean(axis=0)
+    cover = np.zeros((len(competes), len(surface)))
+    for i in range(len(word)):
+        mine = points[i, : n_points[i]]
+        if not competes[word[i]] or not len(mine):
+            continue
+        near = np.abs(mine[:, None] - surface[None]).max(axis=2) < SAME_M
+        if np.hypot(*(centers[i, :2] - middle)) > reach_m or near.any(axis=1).mean() < WITHIN:
+            continue
+        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * confidence[i])
+    return cover.mean(axis=1).max()
+
+
+def look_weight(xyz, T, view, depth):
+    """What a look counts for a place."""
+    fx, fy, cx, cy, width, height, near_m, far_m = view
+    x, y, z = T[:3, :3] @ xyz + T[:3, 3]
+    if not 0.1 < z < far_m:
+        return 0.0
+    u, v = fx * x / z + cx, fy * y / z + cy
+    if not (0 <= u < width and 0 <= v < height) or 0 < depth[int(v), int(u)] < z - OCCLUDED_M:
+        return 0.0
+    across, down = u / width, v / height
+    whole = LOOK_RIM < across < 1 - LOOK_RIM and LOOK_RIM < down < 1 - LOOK_RIM and z > LOOK_MIN_M
+    return min(1.0, (near_m / z) ** 2) * (1.0 if whole else PARTIAL)
+
+
+def fuse(centers, word, now, asked, T, view, depth, weight, total, confidence):
+    """One look at every record."""
+    for i in range(len(word)):
+        w = look_weight(centers[i].astype(np.float64), T, view, depth)
+        w = max(w, PARTIAL**2) if now[i] > 0 else w
+        if asked[word[i]] and w > 0:
+            half = 0.5 if weight[i] + w > FORGET else 1.0
+            weight[i] = half * (weight[i] + w)
+            total[i] = half * (total[i] + w * now[i])
+            confidence[i] = total[i] / (weight[i] + PRIOR)
+    now[:] = 0.0
