@@ -53,7 +53,11 @@ class PlannerVitl(Section):
 
 
 class PlannerExpected(Section):
-    """Least expected cost: a stochastic shortest path over automaton and knowledge."""
+    """Least expected cost: a stochastic shortest path over automaton and knowledge.
+
+    An object that was not seen takes 1 / `p_obs` attempts to be seen, on average and whatever is
+    searched for; `prior: cooccurrence` changes that by what is known.
+    """
 
     kind: Literal["expected"] = "expected"
     p_obs: Annotated[float, Field(gt=0, le=1)] = 0.5

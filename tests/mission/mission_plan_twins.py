@@ -124,6 +124,9 @@ class Exploration:
             (s, k, e) for s in range(automaton.n_states) for k in known for e in range(extra + 1)
         ]
 
+    def actions(self, node):
+        return (*self.letters, NOTHING)
+
     def outcomes(self, node, letter):
         """(cost, [(probability, next node)])."""
         s, known, extra = node
@@ -166,7 +169,7 @@ class Exploration:
             better = dict(policy)
             for node in policy:
                 best = value[node] - 1e-9
-                for x in (*self.letters, NOTHING):
+                for x in self.actions(node):
                     q = self.cost(node, x, value)
                     if q < best:
                         best, better[node] = q, x
@@ -196,6 +199,29 @@ class Exploration:
                 nx.multi_source_dijkstra_path_length(graph, goals, weight=None) if goals else {}
             )
         return self._steps.get(state, math.inf)
+
+
+class Search(Exploration):
+    """The robot: whatever it searches for, unknown objects are seen as the first of independent
+    exponential waits, of mean 1 / p. "?x" searches for x and does not go there when it is seen."""
+
+    def actions(self, node):
+        s, known, _ = node
+        may = [x for x in self.letters if self._left(self.a.step(s, x)) < math.inf]
+        return (*may, NOTHING, *(f"?{x}" for x in may if x not in known))
+
+    def outcomes(self, node, letter):
+        s, known, extra = node
+        if letter == NOTHING or letter in known:
+            return super().outcomes(node, letter)
+        target, goes = letter.lstrip("?"), not letter.startswith("?")
+        rate = {x: self.rate(x, known) for x in self.letters if x not in known}
+        total = sum(rate.values())
+        after = {x: self.a.step(s, x) if goes and x == target else s for x in rate}
+        return 1.0 / total, [(r / total, (after[x], known | {x}, extra)) for x, r in rate.items()]
+
+    def rate(self, letter, known):
+        return self.p_obs
 
 
 def grid_dijkstra(state, step, starts):

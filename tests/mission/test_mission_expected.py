@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission_plan_twins import CASE_1, CASE_2, CHOICE, Exploration, automata, compiled, knowing
+from mission_plan_twins import (
+    CASE_1,
+    CASE_2,
+    CHOICE,
+    Exploration,
+    Search,
+    automata,
+    compiled,
+    knowing,
+)
 
 from edge.config import PlannerExpected, PlannerVitl
 from edge.mission.planner import Knowledge, PlannerError, make_planner
@@ -17,7 +26,8 @@ from edge.mission.planning import cooccurrence, expected
 FORMULAS = ["F a", CHOICE, CASE_1, CASE_2, "F a & F b & F c", "F a & F b & G !c"]
 
 
-def planned(text, knowledge=None, current=None, extra=0, **config):
+def planned(text, knowledge=None, current=None, extra=None, **config):
+    """With `extra`, for the paper's executor; else for the robot."""
     planner = make_planner(PlannerExpected(**config), compiled(text), universe_extra=extra)
     return planner.plan(0, knowledge or Knowledge(), current)
 
@@ -28,49 +38,6 @@ def planned(text, knowledge=None, current=None, extra=0, **config):
 def test_nothing_to_plan(text, feasible, cost):
     plan = planned(text)
     assert (plan.target, plan.steps, plan.feasible, plan.cost) == (None, (), feasible, cost)
-
-
-@pytest.mark.parametrize(
-    ("p_obs", "extra", "cost"),
-    [
-        (1.0, 0, 1.0),
-        (0.5, 0, 2.0),  # nothing else to meet: 1 / p
-        (0.25, 0, 4.0),
-        (0.5, 1, 2.0),
-        (0.5, 3, 2.0),
-    ],
-)
-def test_one_object_takes_one_over_p_attempts(p_obs, extra, cost):
-    """Whatever else is met, since the objective is the only thing of use."""
-    assert planned("F a", p_obs=p_obs, extra=extra).cost == pytest.approx(cost)
-
-
-def test_two_objects_by_hand():
-    """Explore for one: found (0.5), or the other one is seen and costs w_det to go to; then one
-    is left, which takes two attempts."""
-    plan = planned("F a & F b", p_obs=0.5, w_det=0.01)
-    assert plan.cost == pytest.approx(1 + 0.5 * 2 + 0.5 * (0.01 + 2))
-    assert plan.steps == ("a", "b")
-    assert planned("F a & F b", knowing("b"), p_obs=0.5).cost == pytest.approx(0.01 + 2)
-
-
-def test_an_extra_object_takes_chances_away():
-    """Beside a and b there is one more to be met: known as soon as it was."""
-    first = 1 + 0.5 * 2 + 0.5 * (0.5 * (0.01 + 2) + 0.5 * (1 + 0.5 * 2 + 0.5 * (0.01 + 2)))
-    assert planned("F a & F b", extra=1).cost == pytest.approx(first)
-    met = planned("F a & F b", knowing(["spoon"]), extra=1)
-    assert met.cost == planned("F a & F b").cost
-
-
-def test_exploring_for_what_comes_later_can_be_best():
-    """The tv is needed on every way, the chair only on one of two."""
-    plan = planned(CHOICE, p_obs=0.5)
-    assert plan.steps == ("tv", "chair", "tv")
-    assert plan.cost < dict(plan.options)["chair"]
-    assert plan.reason == (
-        "tv has to be found: about 2.51 attempts to the end; "
-        "chair would have to be found: about 2.76 attempts"
-    )
 
 
 @pytest.mark.parametrize(
@@ -92,19 +59,146 @@ def test_failed_objects(text, failed, blocked_by, target):
     assert plan.feasible == (target is not None)
 
 
-def test_a_failed_object_is_not_met_either():
-    """With b gone, exploring for a meets nothing, and c alone cannot help."""
-    assert planned("F a | F b", knowing(failed="b")).cost == pytest.approx(2.0)
+@pytest.mark.parametrize("extra", [None, 0])
+def test_a_failed_object_is_not_met_either(extra):
+    """With b gone, exploring for a meets nothing."""
+    assert planned("F a | F b", knowing(failed="b"), extra=extra).cost == pytest.approx(2.0)
+
+
+# --- the robot: every look searches for everything ---
+
+
+@pytest.mark.parametrize("p_obs", [1.0, 0.5, 0.1])
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_objects_are_searched_for_together(p_obs, count):
+    """The longest of `count` independent waits of 1 / p; all but the last are gone to besides, or
+    found as the target: of k unknown ones that is one in k."""
+    waits = sum(1 / k for k in range(1, count + 1)) / p_obs
+    walks = sum(1 - 1 / k for k in range(1, count + 1)) * 0.01
+    text = " & ".join(f"F a{i}" for i in range(count))
+    assert planned(text, p_obs=p_obs).cost == pytest.approx(waits + walks)
+
+
+def test_a_known_object_is_gone_to():
+    assert planned("F a & F b", knowing("b"), p_obs=0.5).cost == pytest.approx(0.01 + 2)
+
+
+@pytest.mark.parametrize("p_obs", [1.0, 0.5, 0.1, 0.01])
+def test_nothing_is_searched_for_merely_to_meet_another(p_obs):
+    """What comes later is of no use now, however rare sights are."""
+    for text in (CHOICE, "F(chair & F tv)", "F chair & (F tv | true)"):
+        plan = planned(text, p_obs=p_obs)
+        assert plan.target == "chair"
+        assert dict(plan.options)["tv"] > plan.cost
+
+
+def test_in_the_executor_looking_for_another_thing_can_be_better_luck():
+    """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
+    assert planned("F chair & (F tv | true)", p_obs=0.1, extra=0).target == "tv"
+
+
+@settings(max_examples=60)
+@given(
+    data=st.data(),
+    automaton=automata(max_states=5, max_letters=4),
+    p_obs=st.sampled_from([0.05, 0.35, 1.0]),
+)
+def test_the_target_of_a_search_is_what_to_go_to_when_it_is_seen(data, automaton, p_obs):
+    """No other target would bring any object nearer, so none is better by more than the step to
+    an object that is seen and of use at once."""
+    w_det = 0.25
+    planner = make_planner(PlannerExpected(p_obs=p_obs, w_det=w_det), automaton)
+    letters = automaton.letters
+    known = data.draw(st.sets(st.sampled_from(letters))) if letters else set()
+    for state in range(automaton.n_states):
+        plan = planner.plan(state, knowing(known))
+        unknown = [x for x in letters if x not in known]
+        searches = {x: cost for x, cost in plan.options if x in unknown}
+        rate = p_obs * len(unknown)
+
+        def gain(x, state=state):
+            seen = knowing(known | {x})
+            there = planner.plan(automaton.step(state, x), seen).cost
+            return max(0.0, planner.plan(state, seen).cost - there)
+
+        gains = {x: gain(x) for x in searches}
+        for x in searches:
+            assert gains[x] <= w_det + 1e-9
+            for y in searches:
+                less = (gains[x] - gains[y]) * p_obs / rate
+                assert searches[y] - searches[x] == pytest.approx(less, abs=1e-6)
+        if plan.target in searches:
+            assert gains[plan.target] == pytest.approx(max(gains.values()), abs=1e-6)
+
+
+def test_an_object_that_would_end_the_mission_is_no_target():
+    plan = planned("(!b W a) & F b", p_obs=0.1)
+    assert [letter for letter, _ in plan.options] == ["a"]
+
+
+# --- the paper's executor ---
+
+
+@pytest.mark.parametrize(
+    ("p_obs", "extra", "cost"),
+    [
+        (1.0, 0, 1.0),
+        (0.5, 0, 2.0),  # nothing else to meet: 1 / p
+        (0.25, 0, 4.0),
+        (0.5, 1, 2.0),
+        (0.5, 3, 2.0),
+    ],
+)
+def test_one_object_takes_one_over_p_attempts(p_obs, extra, cost):
+    """Whatever else is met, since the objective is the only thing of use."""
+    assert planned("F a", p_obs=p_obs, extra=extra).cost == pytest.approx(cost)
+
+
+def test_two_objects_by_hand():
+    """Explore for one: found (0.5), or the other one is seen and costs w_det to go to; then one
+    is left, which takes two attempts."""
+    plan = planned("F a & F b", p_obs=0.5, w_det=0.01, extra=0)
+    assert plan.cost == pytest.approx(1 + 0.5 * 2 + 0.5 * (0.01 + 2))
+    assert plan.steps == ("a", "b")
+
+
+def test_an_extra_object_takes_chances_away():
+    """Beside a and b there is one more to be met: known as soon as it was."""
+    first = 1 + 0.5 * 2 + 0.5 * (0.5 * (0.01 + 2) + 0.5 * (1 + 0.5 * 2 + 0.5 * (0.01 + 2)))
+    assert planned("F a & F b", extra=1).cost == pytest.approx(first)
+    met = planned("F a & F b", knowing(["spoon"]), extra=1)
+    assert met.cost == planned("F a & F b", extra=0).cost
+
+
+def test_exploring_for_what_comes_later_can_be_best():
+    """The tv is needed on every way, the chair only on one of two."""
+    plan = planned(CHOICE, p_obs=0.5, extra=0)
+    assert plan.steps == ("tv", "chair", "tv")
+    assert plan.cost < dict(plan.options)["chair"]
+    assert plan.reason == (
+        "tv has to be found: about 2.51 attempts to the end; "
+        "chair would have to be found: about 2.76 attempts"
+    )
 
 
 @pytest.mark.parametrize("text", FORMULAS)
 def test_certain_exploration_gives_the_shortest_word(text):
     automaton = compiled(text)
-    plan = make_planner(PlannerExpected(p_obs=1.0), automaton).plan(0, Knowledge())
+    plan = planned(text, p_obs=1.0, extra=0)
     vitl = make_planner(PlannerVitl(), automaton).plan(0, Knowledge())
     assert len(plan.steps) == automaton.steps_left[0]
     assert plan.cost == pytest.approx(vitl.cost)
     assert plan.steps == vitl.steps
+
+
+def test_where_finding_is_rare_it_pays_to_look_for_something_else():
+    """At p_obs = 0.1 an object is met by chance sooner than found on purpose."""
+    plan = planned(CHOICE, p_obs=0.1, extra=0)
+    assert plan.cost == pytest.approx(2.568, abs=1e-3)
+    assert vitl_value(compiled(CHOICE), 0.1, Exploration) == pytest.approx(6.963, abs=1e-3)
+
+
+# --- both ---
 
 
 @settings(max_examples=60)
@@ -112,18 +206,19 @@ def test_certain_exploration_gives_the_shortest_word(text):
     data=st.data(),
     automaton=automata(max_states=5, max_letters=3),
     p_obs=st.sampled_from([0.1, 0.35, 0.8, 1.0]),
-    extra=st.integers(0, 2),
+    extra=st.none() | st.integers(0, 2),
 )
 def test_costs_are_those_of_policy_iteration(data, automaton, p_obs, extra):
     letters = automaton.letters
     failed = data.draw(st.sets(st.sampled_from(letters))) if letters else set()
-    model = Exploration(automaton, p_obs, 0.25, extra, failed)
+    make = Search if extra is None else Exploration
+    model = make(automaton, p_obs, 0.25, extra or 0, failed)
     optimum = model.optimum()
     config = PlannerExpected(p_obs=p_obs, w_det=0.25)
     planner = make_planner(config, automaton, universe_extra=extra)
     for node in model.nodes:
         state, known, left = node
-        met = [f"other {i}" for i in range(extra - left)]
+        met = [f"other {i}" for i in range((extra or 0) - left)]
         plan = planner.plan(state, knowing([*known, *met], failed=failed))
         best = 0.0 if automaton.accepting[state] else optimum.get(node, math.inf)
         assert plan.cost == pytest.approx(best, rel=1e-6, abs=1e-6)
@@ -131,8 +226,11 @@ def test_costs_are_those_of_policy_iteration(data, automaton, p_obs, extra):
             continue
         for letter, cost in plan.options:
             others = len(model.letters) - len(known) - 1 + left
-            if letter in known or letter == "" or others > 0:  # else it goes on until found
-                assert cost == pytest.approx(model.cost(node, letter, optimum), rel=1e-6)
+            # Where the executor has nothing else to meet, it goes on until the object is found.
+            if letter in known or letter == "" or others > 0:
+                ways = {letter, f"?{letter}"}.intersection(model.actions(node))
+                least = min(model.cost(node, way, optimum) for way in ways)
+                assert cost == pytest.approx(least, rel=1e-6)
         assert plan.options[0] == (plan.steps[0], plan.cost)
         for letter in plan.steps:
             assert letter not in failed
@@ -140,9 +238,9 @@ def test_costs_are_those_of_policy_iteration(data, automaton, p_obs, extra):
         assert automaton.accepting[state]
 
 
-def vitl_value(automaton, p_obs: float) -> float:
+def vitl_value(automaton, p_obs: float, make) -> float:
     """What ViTL's planner costs under the model, worked out exactly."""
-    model = Exploration(automaton, p_obs, 0.01)
+    model = make(automaton, p_obs, 0.01)
     vitl = make_planner(PlannerVitl(), automaton)
     policy = {}
     for node in model.nodes:
@@ -154,17 +252,10 @@ def vitl_value(automaton, p_obs: float) -> float:
 
 @pytest.mark.parametrize("p_obs", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("text", FORMULAS)
-def test_vitl_never_costs_less(text, p_obs):
-    automaton = compiled(text)
-    best = make_planner(PlannerExpected(p_obs=p_obs), automaton).plan(0, Knowledge()).cost
-    assert best <= vitl_value(automaton, p_obs) + 1e-9
-
-
-def test_where_finding_is_rare_it_pays_to_look_for_something_else():
-    """At p_obs = 0.1 an object is met by chance sooner than found on purpose."""
-    plan = planned(CHOICE, p_obs=0.1)
-    assert plan.cost == pytest.approx(2.568, abs=1e-3)
-    assert vitl_value(compiled(CHOICE), 0.1) == pytest.approx(6.963, abs=1e-3)
+@pytest.mark.parametrize(("make", "extra"), [(Search, None), (Exploration, 0)])
+def test_vitl_never_costs_less(text, p_obs, make, extra):
+    best = planned(text, p_obs=p_obs, extra=extra).cost
+    assert best <= vitl_value(compiled(text), p_obs, make) + 1e-9
 
 
 @pytest.mark.parametrize(
@@ -228,13 +319,11 @@ def test_a_prior_model_is_solved_exactly():
     letters = automaton.letters
     p = expected.find_probabilities(config, letters)
 
-    class Prior(Exploration):
-        def outcomes(self, node, letter):
-            if letter in letters:
-                known = sum(1 << i for i, x in enumerate(letters) if x in node[1])
-                self.p_obs = p[known, letters.index(letter)]
-            return super().outcomes(node, letter)
+    class Prior(Search):
+        def rate(self, letter, known):
+            known = sum(1 << i for i, x in enumerate(letters) if x in known)
+            return p[known, letters.index(letter)]
 
     best = Prior(automaton, 0.5, 0.01).optimum()[0, frozenset(), 0]
     assert make_planner(config, automaton).plan(0, Knowledge()).cost == pytest.approx(best)
-    assert not np.isclose(best, Exploration(automaton, 0.5, 0.01).optimum()[0, frozenset(), 0])
+    assert not np.isclose(best, Search(automaton, 0.5, 0.01).optimum()[0, frozenset(), 0])

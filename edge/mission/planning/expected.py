@@ -1,8 +1,7 @@
 """The expected-cost planner: a stochastic shortest path over automaton and knowledge.
 
-ViTL's planner takes every unknown object for one attempt away. Here an attempt may fail and meet
-another object instead, as in ViTL V-C's executor, and the plan with the least expected cost under
-that model is found exactly.
+ViTL's planner takes every unknown object for one attempt away. Here a search may show another
+object first, and the plan with the least expected cost under that model is found exactly.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Solution:
 
     Attributes:
         usable: (m,) int64, letters that have not failed; bit i of a set stands for usable[i].
-        p_find: (2**m, m) float64, probability that exploring finds a letter, by what is known.
+        p_find: (2**m, m) float64, see `find_probabilities`.
         value: (2**m, e + 1, n) float64, least expected cost by set, by objects outside the
             formula that were not met, and by state.
     """
@@ -51,32 +50,41 @@ class Solution:
 class ExpectedPlanner:
     """Least expected cost to acceptance.
 
-    Going to a known object costs `w_det` and succeeds. Exploring for an unknown one costs 1 and
-    with probability p finds and reaches it; else one other object that is not known yet, each as
-    likely, is seen but not reached, and where none is left nothing is learned. p is `p_obs`, or
-    with `prior: cooccurrence` that times the lift of `cooccurrence.Table.lift`, at most 1. Known
-    are D and R, failed objects are neither available nor met.
+    Going to a known object costs `w_det` and succeeds. To search costs by time, and every look
+    searches for all objects at once: while the robot searches for one, each unknown object is
+    seen at a rate of `p_obs` an attempt (a search of length 1), independent of the others and of
+    which one is the target. So one object takes 1 / p_obs attempts and two take 1.5 / p_obs. The
+    target is reached when it is seen; another one is then known. No target makes others come
+    sooner, so nothing is pursued merely for what may be met on the way: the target is what to go
+    to if it is seen. An object whose reaching would make success impossible is never the target.
 
-    The model is taken at its word: where p is so low that an object is met sooner by chance, the
-    best plan looks for another one.
+    With `prior: cooccurrence` the rate is times the lift of `cooccurrence.Table.lift`, at most 1.
+    Known are D and R, failed objects are neither available nor met.
+
+    With `universe_extra` the model is ViTL V-C's executor instead (`edge.eval.executor`): an
+    attempt costs 1 and with probability p_obs finds and reaches its target; else one other object
+    that is not known yet, each as likely, is seen but not reached, and where none is left nothing
+    is learned. There the chance to meet an object does depend on the target: where p_obs is so
+    low that an object is met sooner by chance, the best plan looks for another one.
 
     Values are solved at the first plan with a set of failed objects and kept for the last two.
     One thread at a time.
     """
 
     def __init__(
-        self, config: PlannerExpected, automaton: Automaton, universe_extra: int = 0
+        self, config: PlannerExpected, automaton: Automaton, universe_extra: int | None = None
     ) -> None:
         """
         Args:
-            universe_extra: objects outside the formula that may be met too; names in D and R
-                that the formula lacks are taken off it.
+            universe_extra: plan for the paper's executor with so many objects outside the formula
+                that may be met too; names in D and R that the formula lacks are taken off it.
 
         Raises:
             PlannerError: the table of values would be too large.
         """
         k, n = len(automaton.letters), automaton.n_states
-        values = n * (universe_extra + 1) << k
+        extra = universe_extra or 0
+        values = n * (extra + 1) << k
         if k > MAX_LETTERS or values > MAX_VALUES:
             raise PlannerError(
                 f"mission.planner: 'expected' cannot take on a formula with {k} objects and {n} "
@@ -85,7 +93,8 @@ class ExpectedPlanner:
             )
         self.config = config
         self.automaton = automaton
-        self.universe_extra = universe_extra
+        self._extra = extra
+        self._executor = universe_extra is not None
         self._w_known = max(config.w_det, 1.0 / kernels.SCALE)
         self._order = working_order(automaton)
         self._solved: dict[frozenset[str], Solution] = {}
@@ -95,7 +104,7 @@ class ExpectedPlanner:
         self._path = np.empty(n * (k + 1) + 1, np.int32)
 
     def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
-        """See `Planner.plan`. `steps` is the way if every exploration finds its object."""
+        """See `Planner.plan`. `steps` is the way if every search finds its target first."""
         a = self.automaton
         if a.accepting[state]:
             return ACCEPTED
@@ -130,15 +139,16 @@ class ExpectedPlanner:
         names = (*a.letters, NOTHING)
         return tuple(names[c] for c in self._path[:length].tolist())
 
-    def _model(self, solution: Solution) -> tuple[np.ndarray, np.ndarray, float, float, np.ndarray]:
-        return solution.usable, solution.p_find, self._w_known, W_NOTHING, solution.value
+    def _model(self, solution: Solution) -> tuple[np.ndarray | float | bool, ...]:
+        costs = (self._w_known, W_NOTHING)
+        return solution.usable, solution.p_find, *costs, self._executor, solution.value
 
     def _place(self, solution: Solution, knowledge: Knowledge) -> tuple[int, int]:
         """What is known as a set of bits, and how many objects outside the formula are left."""
         letters = self.automaton.letters
         seen = knowledge.detected | knowledge.reached
         known = sum(1 << i for i, c in enumerate(solution.usable.tolist()) if letters[c] in seen)
-        return known, max(self.universe_extra - len(seen.difference(letters)), 0)
+        return known, max(self._extra - len(seen.difference(letters)), 0)
 
     def _solution(self, failed: frozenset[str]) -> Solution:
         if failed not in self._solved:
@@ -151,15 +161,17 @@ class ExpectedPlanner:
         a, c = self.automaton, self.config
         usable = np.array([i for i, x in enumerate(a.letters) if x not in failed], np.int64)
         p_find = find_probabilities(c, tuple(a.letters[i] for i in usable))
-        value = np.empty((1 << usable.size, self.universe_extra + 1, a.n_states))
+        value = np.empty((1 << usable.size, self._extra + 1, a.n_states))
         kernels.expected_costs(
-            a.delta, a.accepting, self._order, usable, p_find, self._w_known, W_NOTHING, value
-        )
+            a.delta, a.accepting, self._order, usable, p_find, self._w_known, W_NOTHING,
+            self._executor, value,
+        )  # fmt: skip
         return Solution(usable, p_find, value)
 
 
 def find_probabilities(config: PlannerExpected, names: tuple[str, ...]) -> np.ndarray:
-    """Probability that exploring for an object finds it, by what is known.
+    """Rate at which an object is seen (in the executor: probability that an attempt finds it), by
+    what is known.
 
     Returns:
         (2**m, m) float64; bit i of the first index: names[i] is known.

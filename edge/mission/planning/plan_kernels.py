@@ -109,8 +109,55 @@ def follow(delta, accepting, weight, cost, steps, state, place, first, path):
 
 
 @njit(nogil=True, cache=True)
+def _search(delta, usable, p_find, value, state, known, i):
+    """Expected cost of searching with `usable[i]`, which is not known, as the target, until the
+    next object is seen, and going on from there: the robot's model.
+
+    Each unknown object is seen at its own rate, whatever the target is, so the next one comes
+    after 1 / (sum of rates) and is j with j's share of the sum. If it is the target, the robot is
+    there (or turns to what the sight makes better).
+    """
+    rate, total = 0.0, 1.0
+    for j in range(usable.size):
+        if known & (1 << j) == 0:
+            after = value[known | (1 << j), 0, state]
+            if j == i:
+                after = min(after, value[known | (1 << j), 0, delta[state, usable[j]]])
+            rate += p_find[known, j]
+            total += p_find[known, j] * after
+    return total / rate
+
+
+@njit(nogil=True, cache=True)
+def _search_all(delta, order, usable, p_find, value, known, total):
+    """The least of `_search` over all objects that may be reached into value[known, 0], for every
+    state.
+
+    Args:
+        total: (n,) float64 scratch, one and what follows from seeing each object, by rates.
+    """
+    rate = 0.0
+    total[:] = 1.0
+    for i in range(usable.size):
+        if known & (1 << i) == 0:
+            rate += p_find[known, i]
+            total += p_find[known, i] * value[known | (1 << i), 0]
+    here = value[known, 0]
+    for i in range(usable.size):
+        if known & (1 << i):
+            continue
+        after, letter = value[known | (1 << i), 0], usable[i]
+        for s in order:
+            there = after[delta[s, letter]]
+            if there < np.inf:
+                q = (total[s] - p_find[known, i] * max(after[s] - there, 0.0)) / rate
+                here[s] = min(here[s], q)
+
+
+@njit(nogil=True, cache=True)
 def _explore(delta, usable, p_find, value, state, known, extra, i):
-    """Expected cost of exploring for `usable[i]`, which is not known, and going on from there.
+    """Expected cost of an attempt on `usable[i]`, which is not known, and going on from there: the
+    paper's executor.
 
     With probability p it is found and reached; else one other object that is not known yet is
     met, each as likely. Where there is no other, exploring goes on until it is found.
@@ -160,7 +207,9 @@ def _explore_all(delta, order, usable, p_find, value, known, extra, total):
 
 
 @njit(nogil=True, cache=True)
-def expected_costs(delta, accepting, order, usable, p_find, w_known, w_nothing, value):
+def expected_costs(
+    delta, accepting, order, usable, p_find, w_known, w_nothing, executor, value
+):  # fmt: skip
     """Least expected cost to acceptance, by what is known and by state.
 
     Knowledge only grows, so sets are solved from the full one down: what exploring leads to is
@@ -169,10 +218,12 @@ def expected_costs(delta, accepting, order, usable, p_find, w_known, w_nothing, 
     Args:
         delta, accepting, order: see `cost_to_go`.
         usable: (m,) int64, letters that have not failed; bit i of a set is usable[i].
-        p_find: (2**m, m) float64 in (0, 1], probability that exploring finds it, by set.
+        p_find: (2**m, m) float64 in (0, 1], by set: probability that an attempt on it finds it,
+            or, on the robot, its rate of being seen.
         w_known, w_nothing: cost of going to a known object, and of reaching nothing.
+        executor: whether exploring is `_explore`'s; else it is `_search`'s.
         value: (2**m, e + 1, n) float64, written; the second index counts objects outside the
-            formula that have not been met. inf where there is no way.
+            formula that have not been met (e = 0 on the robot). inf where there is no way.
     """
     nothing = delta.shape[1] - 1
     total = np.empty(delta.shape[0])
@@ -181,7 +232,10 @@ def expected_costs(delta, accepting, order, usable, p_find, w_known, w_nothing, 
             here = value[known, extra]
             for s in range(here.size):
                 here[s] = 0.0 if accepting[s] else np.inf
-            _explore_all(delta, order, usable, p_find, value, known, extra, total)
+            if executor:
+                _explore_all(delta, order, usable, p_find, value, known, extra, total)
+            elif known + 1 < value.shape[0]:
+                _search_all(delta, order, usable, p_find, value, known, total)
             changed = True
             while changed:
                 changed = False
@@ -196,7 +250,9 @@ def expected_costs(delta, accepting, order, usable, p_find, w_known, w_nothing, 
 
 
 @njit(nogil=True, cache=True)
-def expected_first(delta, usable, p_find, w_known, w_nothing, value, state, known, extra, out):
+def expected_first(
+    delta, usable, p_find, w_known, w_nothing, executor, value, state, known, extra, out
+):  # fmt: skip
     """Expected cost of each first letter.
 
     Args:
@@ -211,16 +267,20 @@ def expected_first(delta, usable, p_find, w_known, w_nothing, value, state, know
         c = usable[i]
         t = delta[state, c]
         if known & (1 << i) == 0:
-            if value[known | (1 << i), extra, t] < np.inf:
+            if value[known | (1 << i), extra, t] == np.inf:
+                continue
+            if executor:
                 out[c] = _explore(delta, usable, p_find, value, state, known, extra, i)
+            else:
+                out[c] = _search(delta, usable, p_find, value, state, known, i)
         elif t != state:
             out[c] = w_known + value[known, extra, t]
 
 
 @njit(nogil=True, cache=True)
 def expected_follow(
-    delta, accepting, usable, p_find, w_known, w_nothing, value, state, known, extra, first, out,
-    path,
+    delta, accepting, usable, p_find, w_known, w_nothing, executor, value, state, known, extra,
+    first, out, path,
 ):  # fmt: skip
     """Write the way that begins with `first` if every exploration finds what it looks for.
 
@@ -241,7 +301,7 @@ def expected_follow(
         if accepting[state]:
             return length
         expected_first(
-            delta, usable, p_find, w_known, w_nothing, value, state, known, extra, out
+            delta, usable, p_find, w_known, w_nothing, executor, value, state, known, extra, out
         )  # fmt: skip
         least = out.min() + TOLERANCE
         for c in range(out.size):
