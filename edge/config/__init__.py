@@ -29,7 +29,7 @@ from edge.config.policy import PolicyHvl, PolicyNearest, PolicyOwn
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
-from edge.config.sim import Sim, WorldHouse, WorldMesh, WorldProcthor
+from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor
 from edge.errors import ConfigError
 
 __all__ = [
@@ -63,6 +63,7 @@ __all__ = [
     "TranslatorGrammar",
     "TranslatorLlm",
     "TranslatorLtl",
+    "WorldGenerated",
     "WorldHouse",
     "WorldMesh",
     "WorldProcthor",

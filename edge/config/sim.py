@@ -12,7 +12,7 @@ from edge.config.section import NonNegative, Positive, Section
 class WorldHouse(Section):
     """A house of boxes, cylinders and the like; `house` names a built-in one or a JSON file.
 
-    docs/worlds.md describes the files of all three kinds.
+    docs/worlds.md describes the files of all kinds.
     """
 
     kind: Literal["house"] = "house"
@@ -35,12 +35,20 @@ class WorldProcthor(Section):
     name: str
 
 
+class WorldGenerated(Section):
+    """A furnished house of 4 to 10 rooms, another one for every seed; from 1000 on they are for
+    evaluation only."""
+
+    kind: Literal["generated"] = "generated"
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
 class Sim(Section):
     """`start` (x and y in metres, yaw in radians) takes the place of the world's own."""
 
-    world: Annotated[Union[WorldHouse, WorldMesh, WorldProcthor], Field(discriminator="kind")] = (
-        WorldHouse()
-    )
+    world: Annotated[
+        Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated], Field(discriminator="kind")
+    ] = WorldHouse()
     start: tuple[float, float, float] | None = None
     seed: int = 0
     lockstep: bool = False

@@ -8,11 +8,13 @@ from typing import Any
 from edge.config import Config
 from edge.geometry import SE2
 from edge.sim.base import World
+from edge.sim.generator.house import load_generated
 from edge.sim.house import load_house
 from edge.sim.mesh import load_mesh
 from edge.sim.procthor import load_procthor
 
 LOADERS: dict[str, Callable[[Any, Config], World]] = {
+    "generated": load_generated,
     "house": load_house,
     "mesh": load_mesh,
     "procthor": load_procthor,

@@ -3,6 +3,10 @@
     house, appearances = random_house(seed)
 
 The same seed gives the same house. Seeds from `HELD_OUT` on are for evaluation only.
+
+They are drawn wilder than homes are (`edge.sim.generator` makes those): a detector should know a
+thing by its looks, wherever it stands, at any angle and in any colour. The weights that this
+project has made depend on these draws.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.sim import assemblies
+from edge.sim.generator.contents import FLOOR_COLORS, ON_TOP, SUPPORTS, USUAL_ON, WALL_COLORS
+from edge.sim.generator.draws import Rect, at_wall, wall_span_m
 from edge.sim.house import FLOORS, House, Opening, Room, Thing, Wall
 from exporters.mini import looks
 
@@ -32,9 +38,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
 FREE = {"coffee table", "table", "chair", "stool", "ball", "box", "suitcase", "backpack",
         "trash can", "plant", "pillar", "rug", "armchair", "lamp"}  # fmt: skip
 """What may also stand away from the walls, at any angle."""
-SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
-ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
-USUAL_ON = {"tv stand": "television", "desk": "laptop"}
 EXTRA = (
     *assemblies.CATEGORIES,
     *("sofa", "bed", "bathtub", "wardrobe", "tv stand", "backpack", "pillar", "microwave") * 4,
@@ -46,11 +49,8 @@ SQUARE = 0.6
 """From this ratio of depth and width on, "wide" and "narrow" change both: nobody can tell which is
 which of a thing that may stand at any angle."""
 
-FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
-                (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
-WALL_COLORS = ((226, 222, 212), (214, 220, 210), (208, 214, 222), (222, 214, 198), (228, 220, 200),
-               (222, 204, 204), (196, 206, 196), (178, 190, 206), (238, 238, 236))  # fmt: skip
 _GAP_M = 0.05
+_FACING_DEG = (0.0, 90.0, 180.0, -90.0)
 _SPLIT_FROM_M = 4.8
 """A room whose longer side is shorter than this is not halved."""
 
@@ -69,14 +69,6 @@ class Look:
     category: int
     color: np.ndarray
     size: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class _Rect:
-    x0: float
-    y0: float
-    x1: float
-    y1: float
 
 
 class _Builder:
@@ -135,23 +127,23 @@ class _Builder:
     def take(self, x: float, y: float, reach: float) -> None:
         self._taken.append((x, y, reach))
 
-    def by_wall(self, category: str, room: _Rect, load: str | None = None) -> bool:
+    def by_wall(self, category: str, room: Rect, load: str | None = None) -> bool:
         """Against a random wall, facing into the room; see `_place` for `load`."""
         look = self.look(category)
         depth, width = look[0][0], look[0][1]
         for _ in range(12):
             side = int(self.rng.integers(4))
-            span = (room.x1 - room.x0) if side % 2 else (room.y1 - room.y0)
+            span = wall_span_m(room, side)
             if width > span - 0.3:
                 continue
             along = self.rng.uniform(0.5 * width + 0.1, span - 0.5 * width - 0.1)
             off = 0.5 * depth + 0.07 + self.rng.uniform(0, 0.08)
-            x, y, yaw = _at_wall(room, side, along, off)
-            if self._place(category, x, y, yaw + self.rng.uniform(-4, 4), look, load):
+            x, y = at_wall(room, side, along, off)
+            if self._place(category, x, y, _FACING_DEG[side] + self.rng.uniform(-4, 4), look, load):
                 return True
         return False
 
-    def in_middle(self, category: str, room: _Rect) -> bool:
+    def in_middle(self, category: str, room: Rect) -> bool:
         look = self.look(category)
         reach = 0.5 * max(look[0][0], look[0][1])
         if min(room.x1 - room.x0, room.y1 - room.y0) < 2 * reach + 0.6:
@@ -209,19 +201,19 @@ class _Builder:
         turn = self.rng.uniform(-25, 25) if category != "vase" else 0.0
         self.add(category, at, yaw_deg + turn, look, z_m=size[2])
 
-    def hang(self, room: _Rect) -> None:
+    def hang(self, room: Rect) -> None:
         """A picture on a wall."""
         look = self.look("picture", 1.6)
         side = int(self.rng.integers(4))
-        span = (room.x1 - room.x0) if side % 2 else (room.y1 - room.y0)
+        span = wall_span_m(room, side)
         if look[0][1] > span - 0.4:
             return
         along = self.rng.uniform(0.5 * look[0][1] + 0.1, span - 0.5 * look[0][1] - 0.1)
         off = 0.06 + 0.5 * look[0][0] + 0.01
-        x, y, yaw = _at_wall(room, side, along, off)
-        self.add("picture", (x, y), yaw, look, z_m=float(self.rng.uniform(1.0, 1.55)))
+        x, y = at_wall(room, side, along, off)
+        self.add("picture", (x, y), _FACING_DEG[side], look, z_m=float(self.rng.uniform(1.0, 1.55)))
 
-    def put(self, category: str, room: _Rect) -> None:
+    def put(self, category: str, room: Rect) -> None:
         """Wherever a thing of this kind belongs."""
         if category == "picture":
             self.hang(room)
@@ -246,23 +238,13 @@ class _Builder:
         self.add("door", at, math.degrees(t) - 90.0, (size, color, style))
 
 
-def _at_wall(room: _Rect, side: int, along: float, off: float) -> tuple[float, float, float]:
-    """x and y of a place at one of the four walls, and the yaw in degrees that faces the room."""
-    return (
-        (room.x0 + off, room.y0 + along, 0.0),
-        (room.x0 + along, room.y0 + off, 90.0),
-        (room.x1 - off, room.y0 + along, 180.0),
-        (room.x0 + along, room.y1 - off, -90.0),
-    )[side]
-
-
 def random_house(seed: int) -> tuple[House, list[Look]]:
     """A house with a corner at 0, 0 and what its objects look like, in their order."""
     rng = np.random.default_rng([7, seed])
     height = float(rng.uniform(2.45, 3.0))
     b = _Builder(rng, height)
     w, h = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
-    rects, walls = _split(b, _Rect(0.0, 0.0, w, h))
+    rects, walls = _split(b, Rect(0.0, 0.0, w, h))
     walls += _outer_walls(b, w, h)
     rooms = []
     for k, rect in enumerate(rects):
@@ -291,7 +273,7 @@ def extent_m(house: House) -> tuple[float, float]:
     return max(room.rect[2] for room in house.rooms), max(room.rect[3] for room in house.rooms)
 
 
-def _fill(b: _Builder, rect: _Rect, kind: str) -> None:
+def _fill(b: _Builder, rect: Rect, kind: str) -> None:
     wanted = list(ROOMS[kind])
     b.rng.shuffle(wanted)
     area = (rect.x1 - rect.x0) * (rect.y1 - rect.y0)
@@ -311,13 +293,13 @@ def _paint(b: _Builder) -> tuple[float, float, float]:
     return tuple(float(c) for c in np.clip(color + b.rng.uniform(-6, 6, 3), 5, 250))
 
 
-def _split(b: _Builder, whole: _Rect) -> tuple[list[_Rect], list[Wall]]:
+def _split(b: _Builder, whole: Rect) -> tuple[list[Rect], list[Wall]]:
     """Halve the largest room one to four times, with a doorway in each new wall."""
     rects, walls = [whole], []
     for _ in range(int(b.rng.integers(1, 5))):
         rects.sort(key=lambda r: (r.x1 - r.x0) * (r.y1 - r.y0))
         r = rects.pop()
-        span_x, span_y = r.x1 - r.x0, r.y1 - r.y0
+        span_x, span_y = r.width_m, r.depth_m
         if max(span_x, span_y) < _SPLIT_FROM_M:
             rects.append(r)
             break
@@ -326,11 +308,11 @@ def _split(b: _Builder, whole: _Rect) -> tuple[list[_Rect], list[Wall]]:
         if span_x >= span_y:
             x = r.x0 + f * span_x
             start, end, length, along = (x, r.y0), (x, r.y1), span_y, 90.0
-            rects += [_Rect(r.x0, r.y0, x, r.y1), _Rect(x, r.y0, r.x1, r.y1)]
+            rects += [Rect(r.x0, r.y0, x, r.y1), Rect(x, r.y0, r.x1, r.y1)]
         else:
             y = r.y0 + f * span_y
             start, end, length, along = (r.x0, y), (r.x1, y), span_x, 0.0
-            rects += [_Rect(r.x0, r.y0, r.x1, y), _Rect(r.x0, y, r.x1, r.y1)]
+            rects += [Rect(r.x0, r.y0, r.x1, y), Rect(r.x0, y, r.x1, r.y1)]
         at = float(b.rng.uniform(door_w, length - door_w))
         opening = Opening(at_m=at, width_m=door_w, height_m=float(b.rng.uniform(2.0, 2.2)))
         walls.append(Wall(start=start, end=end, color=_paint(b), openings=(opening,)))

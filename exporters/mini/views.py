@@ -24,6 +24,7 @@ from edge.host.files import replace_atomically
 from edge.perception import kernels as perception
 from edge.sim import assemblies, kernels
 from edge.sim.boxworld import BoxWorld
+from edge.sim.generator import contents
 from edge.sim.house import House, build_house
 from exporters.files import ExportError
 from exporters.mini import houses, looks
@@ -40,6 +41,7 @@ _CANDIDATES = 3
 _SOURCES = (
     *(Path(path) for path in (houses.__file__, looks.__file__, __file__)),
     *sorted(Path(assemblies.__file__).parent.glob("*.py")),
+    *sorted(Path(contents.__file__).parent.glob("*.py")),
 )
 """Code that the pictures depend on."""
 

@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.sim import assemblies
+from edge.sim.generator.contents import SUPPORTS
 from exporters.files import ExportError
 from exporters.mini import houses, looks, views
-from exporters.mini.houses import SUPPORTS, random_house
+from exporters.mini.houses import random_house
 
 
 @pytest.fixture(scope="module")
