@@ -10,6 +10,7 @@ from edge.config.mapping import Mapping
 from edge.config.mission import (
     Mission,
     PlannerExpected,
+    PlannerInOrder,
     PlannerVitl,
     TranslatorGrammar,
     TranslatorLlm,
@@ -49,6 +50,7 @@ __all__ = [
     "Motion",
     "Perception",
     "PlannerExpected",
+    "PlannerInOrder",
     "PlannerVitl",
     "PolicyHvl",
     "PolicyNearest",
