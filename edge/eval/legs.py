@@ -16,7 +16,7 @@ from numba import njit
 from edge import names
 from edge.config import Config
 from edge.eval import geodesic
-from edge.eval.missions import REACHED_M
+from edge.eval.metrics import REACHED_M
 from edge.sim.base import FloorPlan, World, WorldObject
 
 PLACE_M = 0.1
