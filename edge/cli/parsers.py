@@ -193,6 +193,10 @@ def _eval_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--starts", type=count, default=4, help="a target and world (default: %(default)s)")
     option("--per-world", type=count, metavar="N", help="at most N episodes a world, at random")
+    option(
+        "--missions", type=count, metavar="N",
+        help="instead, N missions a world with two to four of the targets: orders, choices",
+    )  # fmt: skip
     option("--limit", type=count, metavar="N", help="the first N episodes only")
     option("--seed", type=int, default=0, help="of starts and choices (default: %(default)s)")
     option(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ import numpy as np
 from edge import names
 from edge.config import Config, parse
 from edge.errors import FileError, UserError
-from edge.eval import geodesic, world_list
+from edge.eval import geodesic, missions, world_list
 from edge.eval.columns import data_of, merged
 from edge.eval.metrics import REACHED_M
 from edge.host.bars import counted
@@ -129,23 +129,56 @@ def plan(
     Raises:
         UserError: a world cannot be loaded, or there is nothing to do at all.
     """
-    sensing = sensing_of(config)
-    if not worlds:
-        world, section = load_world(config), config.sim.world.model_dump(mode="json")
-        where = Where(world, section, sensing, config.robot.radius_m)
-        return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
     episodes: list[Episode] = []
-    for section in counted("worlds", worlds):
-        data = merged(data_of(config), {"sim": {"world": section, "start": None}})
-        world = world_list.load(parse(data, f"{config.path} with --worlds"))
-        present = [t for t in targets if any(names.same(o.label, t) for o in world.objects)]
-        where = Where(world, section, sensing, config.robot.radius_m)
+    for where in _places(config, worlds):
+        if not worlds:
+            return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
+        labels = [o.label for o in where.world.objects]
+        present = [t for t in targets if any(names.same(label, t) for label in labels)]
         found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
-        episodes += _drawn(found, per_world, seed, world.name)
+        episodes += _drawn(found, per_world, seed, where.world.name)
     if targets and not episodes:
         raise UserError(
             f"none of the worlds has any of the targets {min_distance_m:g} m of driving away: "
             "name others with --targets, or a smaller --min-distance"
+        )
+    return episodes
+
+
+def plan_missions(
+    config: Config,
+    worlds: Sequence[dict[str, Any]],
+    targets: Sequence[str],
+    count: int,
+    seed: int,
+    min_distance_m: float,
+) -> list[Episode]:
+    """Missions with several targets, seeded, each from a start of its own (ViTL V-D).
+
+    Args:
+        worlds: sections `sim.world`; empty: the configuration's own world.
+        targets: what missions may name, of what a world has.
+        count: at most so many missions a world.
+        min_distance_m: the least that a mission takes to drive.
+
+    Raises:
+        UserError: a world cannot be loaded, or there is no mission at all.
+    """
+    episodes: list[Episode] = []
+    for place, (world, section, sensing, radius_m) in enumerate(_places(config, worlds)):
+        own = seed + 1_000_000 * place  # no two worlds are asked for the same missions
+        found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
+        episodes += [
+            make_episode(
+                section, world.name, item.start, item.shortest_m, sensing,
+                instruction=item.mission.instruction,
+            )
+            for item in found
+        ]  # fmt: skip
+    if not episodes:
+        raise UserError(
+            f"none of the worlds has two of the targets and {min_distance_m:g} m to drive for "
+            "them: name others with --targets, or a smaller --min-distance"
         )
     return episodes
 
@@ -157,6 +190,18 @@ class Where(NamedTuple):
     section: dict[str, Any]
     sensing: dict[str, Any]
     radius_m: float
+
+
+def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[Where]:
+    """The worlds of these sections; without any, the configuration's own."""
+    sensing, radius_m = sensing_of(config), config.robot.radius_m
+    if not worlds:
+        section = config.sim.world.model_dump(mode="json")
+        yield Where(load_world(config), section, sensing, radius_m)
+    for section in counted("worlds", worlds) if worlds else ():
+        data = merged(data_of(config), {"sim": {"world": section, "start": None}})
+        world = world_list.load(parse(data, f"{config.path} with --worlds"))
+        yield Where(world, section, sensing, radius_m)
 
 
 def _in_world(

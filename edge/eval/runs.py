@@ -148,6 +148,11 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     targets = [target for target in targets if target]
     if not targets:
         raise UserError("--targets: name at least one, such as --targets sofa,bed")
+    if args.missions is not None:
+        planned = eps.plan_missions(
+            config, worlds, targets, args.missions, args.seed, args.min_distance
+        )
+        return planned[: args.limit]
     planned = eps.plan(
         config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world
     )

@@ -20,6 +20,7 @@ _RASTER_COLUMNS = 320
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 _NO_RASTER = np.full((1, 1), -1, np.int32)
 _NO_POINTS = np.zeros((1, 3), np.float32)
+_NO_BOXES = np.zeros((0, 4), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +108,7 @@ class Lifter:
             float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
         )  # fmt: skip
         kernels.lift_boxes(
-            view, detections.xyxy_px, seen.T_map_base @ seen.T_base_camera,
+            view, detections.xyxy_px, _others(detections), seen.T_map_base @ seen.T_base_camera,
             float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
             self.config.lift_min_points, self._scratch,
             (out.center_m, out.points_m, out.n_points, out.n_samples, out.valid),
@@ -143,3 +144,8 @@ class Lifter:
             self._raster, self._cloud_points,
         )  # fmt: skip
         return cell_px
+
+
+def _others(detections: Detections) -> np.ndarray:
+    """Boxes of context words, which may stand before a target: (m, 4) float32."""
+    return _NO_BOXES if detections.context is None else detections.context.xyxy_px

@@ -22,6 +22,9 @@ FARTHER = 1.2
 """What a surface behind another must have more of, to be the thing's."""
 LEAST_SHARE = 0.15
 """The thing fills at least this share of its box."""
+SMALLER, APART, LEFT = 0.7, 0.5, 0.25
+"""A box of another thing, so much smaller by area and with less overlap (IoU), stands before or on
+the thing; what it shows is not the thing's, where so much of the box is left without it."""
 FLOOR_M = 0.06
 """Points lower than this over the ground count only when the box shows nothing else."""
 
@@ -125,6 +128,43 @@ def drop_floor(samples, n, T, floor_z):
             samples[k, 0], samples[k, 1], samples[k, 2] = x, y, d
             k += 1
     return k
+
+
+@njit(nogil=True, cache=True)
+def drop_others(samples, n, view, box, others):
+    """Move the samples that no smaller box of another thing explains to the front.
+
+    Args:
+        view: as in `lift_boxes`.
+        box: (4,) float32; others: (m, 4) float32, boxes of other things.
+
+    Returns:
+        How many count: all, where hardly any would be left.
+    """
+    _, _, _, _, fx, fy, cx, cy = view
+    area = (box[2] - box[0]) * (box[3] - box[1])
+    left = n
+    for j in range(len(others)):
+        u0, v0, u1, v1 = others[j]
+        wide, high = min(u1, box[2]) - max(u0, box[0]), min(v1, box[3]) - max(v0, box[1])
+        other = (u1 - u0) * (v1 - v0)
+        if not (wide > 0.0 and high > 0.0 and other < SMALLER * area):
+            continue
+        if wide * high > APART * (area + other - wide * high):
+            continue
+        k = 0
+        for i in range(left):
+            u = fx * samples[i, 0] / samples[i, 2] + cx
+            v = fy * samples[i, 1] / samples[i, 2] + cy
+            if not (u0 <= u <= u1 and v0 <= v <= v1):
+                # Swapped, not dropped: all are kept where too few would be left.
+                for axis in range(3):
+                    kept = samples[k, axis]
+                    samples[k, axis] = samples[i, axis]
+                    samples[i, axis] = kept
+                k += 1
+        left = k
+    return left if left >= LEFT * n else n
 
 
 @njit(nogil=True, cache=True)
@@ -248,7 +288,7 @@ def going_on(beside, n, low, high, T, floor_z):
 
 
 @njit(nogil=True, cache=True)
-def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratch, out):
+def lift_boxes(view, boxes, others, T_map_camera, floor_z, max_range, min_points, scratch, out):
     """Lift every box; see `lift.Lifter`.
 
     Of several surfaces in a box, the thing's is the one that fills much of it, goes on little
@@ -259,7 +299,7 @@ def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratc
 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
-        boxes: (n, 4) float32.
+        boxes: (n, 4) float32; others: (m, 4) float32, of what may stand before these.
         scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 where not said.
         out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
@@ -277,6 +317,7 @@ def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratc
             continue
         dx, dy = shrink * (x1 - x0), shrink * (y1 - y0)
         n = sample(view, x0 + dx, y0 + dy, x1 - dx, y1 - dy, max_range, samples)
+        n = drop_others(samples, n, view, boxes[i], others)
         n = drop_floor(samples, n, T, floor_z)
         low, high = 0.0, max_range  # every depth of its own: all of it is one surface
         k = surfaces(samples, n, max_range, histogram, found)

@@ -85,6 +85,22 @@ def test_of_each_world_so_many_are_drawn(tmp_path):
     assert drawn == plan(HOUSE, worlds, COMMON, 1, 0, 2.0, per_world=3)
 
 
+def test_missions_are_planned_in_each_world():
+    worlds = [{"kind": "generated", "seed": seed} for seed in (3, 4)]
+    config = simulated()
+    targets = ("bed", "sofa", "toilet", "oven", "unicorn")
+    planned = episodes.plan_missions(config, worlds, targets, 3, 0, 4.0)
+    assert planned == episodes.plan_missions(config, worlds, targets, 3, 0, 4.0)
+    assert [episode.world["seed"] for episode in planned] == [3, 3, 3, 4, 4, 4]
+    assert len({episode.id for episode in planned}) == 6
+    for episode in planned:
+        assert episode.target is None
+        assert episode.instruction.startswith("Reach")
+        assert episode.shortest_m >= 4.0
+    with pytest.raises(UserError, match="none of the worlds has two"):
+        episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
+
+
 def test_the_sensors_go_with_an_episode_and_its_id_tells_them():
     (here,) = plan(HOUSE, [], ["bed"], 1, 0, 2.0)
     wide = simulated({"sensors": {"camera": {"hfov_deg": 100}}})
