@@ -142,6 +142,18 @@ FAULTS = [
         {"policy": {"kind": "adaptive", "by": "choice"}},
         "f.yaml: policy.kind: adaptive goes by the choice scorer, and none is configured: set ",
     ),
+    (
+        {"perception": {**SIM["perception"], "prior": "none", "choice": {"kind": "cooccurrence"}}},
+        "f.yaml: perception.choice.kind: cooccurrence: there is no prior: set perception.prior to "
+        "cooccurrence, rooms or both",
+    ),
+    (
+        {
+            "policy": {"kind": "adaptive", "by": "prior"},
+            "perception": {**SIM["perception"], "prior": "none"},
+        },
+        "f.yaml: policy.by: prior: there is no prior: set perception.prior to cooccurrence,",
+    ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
@@ -158,6 +170,8 @@ SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
         ({"kind": "directional"}, {"similarity": "x", "choice": SERVER}, "choice"),
         ({"kind": "adaptive"}, {"similarity": "x", "choice": SERVER}, "similarity"),
         ({"kind": "adaptive", "by": "choice"}, {"choice": SERVER}, "choice"),
+        ({"kind": "directional"}, {"choice": {"kind": "cooccurrence"}}, "choice"),
+        ({"kind": "adaptive", "by": "prior"}, {"choice": SERVER}, None),
         ({"kind": "my:Own"}, {}, None),
         ({"kind": "my:Own"}, {"similarity": "x"}, "similarity"),
         ({"kind": "my:Own"}, {"similarity": "x", "choice": SERVER}, "choice"),

@@ -75,17 +75,27 @@ class Config(Section):
         return similar if self.perception.choice.kind == "none" else ["choice", *similar]
 
     def check_policy(self) -> None:
-        """Refuse a policy that would go by what no scorer says.
+        """Refuse a policy that would go by what no scorer says, and a scorer without its prior.
 
         Raises:
-            ConfigError: one line: the policy, and what to set.
+            ConfigError: one line: the key, and what to set.
         """
-        source = self.value_source
+        source, kind = self.value_source, self.policy.kind
         if source is not None and source not in self._scorers_there():
             raise ConfigError(
-                f"{self.path}: policy.kind: {self.policy.kind} goes by the {source} scorer, and "
-                f"none is configured: set {_SCORER[source]}"
+                f"{self.path}: policy.kind: {kind} goes by the {source} scorer, and none is "
+                f"configured: set {_SCORER[source]}"
             )
+        by_prior = {
+            "policy.by: prior": getattr(self.policy, "by", None) == "prior",
+            "perception.choice.kind: cooccurrence": self.perception.choice.kind == "cooccurrence",
+        }
+        for key, needed in by_prior.items():
+            if needed and self.perception.prior == "none":
+                raise ConfigError(
+                    f"{self.path}: {key}: there is no prior: set perception.prior to "
+                    "cooccurrence, rooms or both"
+                )
 
 
 def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:

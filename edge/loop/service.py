@@ -239,8 +239,10 @@ class Service:
         mission = self.mission
         if not (mission.done or mission.paused):
             targets, candidates = mission.brief.targets, self.pool.candidates
-            values = self.grid.values
-            scorers.ask(observation, targets, mission.target, candidates, self.tracker, values)
+            scorers.ask(
+                observation, targets, mission.target, candidates, self.tracker, self.grid.values,
+                self._prior,
+            )  # fmt: skip
         scorers.take_up(self.grid.values)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())

@@ -18,7 +18,7 @@ from edge.mapping.grid import RollingMap
 from edge.mission.brief import prepare
 from edge.perception.choice.question import Choice
 from edge.perception.instances import InstanceTracker
-from edge.perception.prior import table
+from edge.perception.prior.table import load
 from edge.policies.base import FRONTIER, Candidates
 from edge.types import ContextBoxes, Detections, Observation
 
@@ -195,12 +195,12 @@ def test_a_view_of_nothing_promises_nothing():
 def test_related_things_promise_a_target_by_how_often_they_share_a_room():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
-    p = given(table.load(), BOTH, ("pillow", "toilet", "lampion"))
+    p = given(load(), BOTH, ("pillow", "toilet", "lampion"))
     assert p[0, 0] > 0.6 > 0.05 > p[0, 1]
     assert p[:, 2].tolist() == [0.0, 0.0]  # a word of which nothing is known
     around = [("pillow", 0.8), ("toilet", 0.9), ("lampion", 1.0)]
     got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
-    by_sofa = given(table.load(), BOTH, ("sofa",))[0, 0] * 0.9
+    by_sofa = given(load(), BOTH, ("sofa",))[0, 0] * 0.9
     assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
 
 
@@ -250,14 +250,25 @@ def test_without_a_prior_there_is_no_choice_by_it():
 # -- in the service ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["vlfm", "adaptive"])
-def test_a_robot_without_any_server_finds_things_by_related_ones(kind):
+RELATED = {"similarity": "cooccurrence-similarity"}
+BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
+
+
+@pytest.mark.parametrize(
+    ("policy", "perception"),
+    [
+        ({"kind": "vlfm"}, RELATED),
+        ({"kind": "directional"}, BY_PRIOR),
+        ({"kind": "adaptive"}, RELATED),
+        ({"kind": "adaptive", "by": "choice"}, BY_PRIOR),
+    ],
+)
+def test_a_robot_without_any_server_finds_things_by_related_ones(policy, perception):
     """And what was said of a target is kept by the next mission, not by a jump of the pose."""
     config = simulated(
         {
-            "loop": {"lockstep": True}, "sim": {"lockstep": True},
-            "policy": {"kind": kind}, "perception": {"similarity": "cooccurrence-similarity"},
-            "mission": {"target": "television"},
+            "loop": {"lockstep": True}, "sim": {"lockstep": True}, "policy": policy,
+            "perception": perception, "mission": {"target": "television"},
         }
     )  # fmt: skip
     loop = ClosedLoop(config).run(240)
