@@ -54,7 +54,7 @@ class ExpectedPlanner:
     Going to a known object costs `w_det` and succeeds. Exploring for an unknown one costs 1 and
     with probability p finds and reaches it; else one other object that is not known yet, each as
     likely, is seen but not reached, and where none is left nothing is learned. p is `p_obs`, or
-    with `prior: cooccurrence` that times the lift of `Table.lift`, at most 1. Known
+    with `prior: cooccurrence` that times the lift of `cooccurrence.Table.lift`, at most 1. Known
     are D and R, failed objects are neither available nor met.
 
     The model is taken at its word: where p is so low that an object is met sooner by chance, the
