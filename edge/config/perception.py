@@ -143,7 +143,7 @@ class Perception(Section):
             description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
         ),
     ]
-    prior: Literal["none", "cooccurrence", "rooms", "both"] = "cooccurrence"
+    prior: Literal["none", "cooccurrence", "rooms", "both"] = "both"
     tau_det: Fraction = 0.3
     lift: Literal["depth", "cloud"] = "depth"
     lift_min_points: Annotated[int, Field(ge=1)] = 8

@@ -29,7 +29,8 @@ _LEAST_M2 = 1.0
 def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
     """The explored part on coarse cells.
 
-    Another thread may call it while the map is updated: cells are then from before or after.
+    Another thread may call it while the map is updated: cells are then from before or after, and
+    a window that moved meanwhile is read again.
 
     Args:
         tall_code: obstacles from this `Layers.top` on are walls.
@@ -40,16 +41,18 @@ def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Gri
     """
     factor = max(1, round(cell_m / window.resolution_m))
     side_m = factor * window.resolution_m
-    origin = window.origin
-    rows, words = np.flatnonzero(layers.known.any(1)), np.flatnonzero(layers.known.any(0))
-    if not window.placed or not len(rows):
-        return Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), side_m)
-    y0, y1 = _span(rows, origin[1], window.n, 1)
-    x0, x1 = _span(words, origin[0], window.n, 64)
-    x0, y0 = x0 // factor, y0 // factor
-    cells = np.empty((-(-y1 // factor) - y0, -(-x1 // factor) - x0), np.uint8)
-    _coarsen(layers, tall_code, x0 * factor, y0 * factor, factor, cells)
-    return Grid(cells, (x0 * side_m, y0 * side_m), side_m)
+    while True:
+        origin = window.origin
+        rows, words = np.flatnonzero(layers.known.any(1)), np.flatnonzero(layers.known.any(0))
+        if not window.placed or not len(rows):
+            return Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), side_m)
+        y0, y1 = _span(rows, origin[1], window.n, 1)
+        x0, x1 = _span(words, origin[0], window.n, 64)
+        x0, y0 = x0 // factor, y0 // factor
+        cells = np.empty((-(-y1 // factor) - y0, -(-x1 // factor) - x0), np.uint8)
+        _coarsen(layers, tall_code, x0 * factor, y0 * factor, factor, cells)
+        if window.origin == origin:
+            return Grid(cells, (x0 * side_m, y0 * side_m), side_m)
 
 
 def _span(stored: np.ndarray, origin: int, n: int, unit: int) -> tuple[int, int]:
