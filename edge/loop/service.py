@@ -206,8 +206,10 @@ class Service:
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
             self._scorers.saw(detections, self.grid.values)
-        lifted, around = self._lifter.lift(detections), detections.around()
-        self.sightings.look(lifted, None if around is None else self._lifter.lift(around))
+        others = detections.around()
+        around = None if others is None else self._lifter.lift(others)
+        lifted = self._lifter.lift(detections, around)
+        self.sightings.look(lifted, around)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation, detections.prompts)
         perception = self.config.perception

@@ -44,7 +44,15 @@ class Scene:
         )  # fmt: skip
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        return Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+        return Lifted(
+            detections,
+            places,
+            points,
+            np.zeros((n, 2), np.float32),
+            full,
+            full,
+            np.ones(n, np.bool_),
+        )
 
     def table(self):
         s = self.seen
