@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.perception.lift_kernels import APART, LEFT, OTHER_M
 from edge.perception.sighting_kernels import (
     FORGET,
     LOOK_MIN_M,
@@ -115,6 +116,22 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
             if 0 < z <= max_range:
                 points.append(((u - cx) / fx * z, (v - cy) / fy * z, z))
     return np.array(points, np.float32).reshape(-1, 3)
+
+
+def without_others(samples, view, box, others, depths):
+    """Samples in no other box at that one's depths; all where under `LEFT` of them remain."""
+    fx, fy, cx, cy = view[4:]
+    u = fx * samples[:, 0] / samples[:, 2] + cx
+    v = fy * samples[:, 1] / samples[:, 2] + cy
+    keep = np.ones(len(samples), bool)
+    for other, (near, far) in zip(others, depths, strict=True):
+        apart = np.minimum(other[2:], box[2:]) <= np.maximum(other[:2], box[:2])
+        if apart.any() or iou(other, box) > APART:
+            continue
+        inside = (other[0] <= u) & (u <= other[2]) & (other[1] <= v) & (v <= other[3])
+        z = samples[:, 2]
+        keep &= ~(inside & (near - OTHER_M <= z) & (z <= far + OTHER_M))
+    return samples[keep] if keep.mean() >= LEFT else samples
 
 
 def surfaces(z, max_range, bins, gap_m, sparse):
