@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_loop import ClosedLoop
 from hypothesis import given
 from hypothesis import strategies as st
 from patience import eventually
 from simulated import simulated
 
 from edge.config import DetectorSim, Mapping
+from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop.prior import LEAST, MOST, PERIOD_NS, Prior, make_prior
 from edge.mapping.grid import RollingMap
