@@ -67,7 +67,7 @@ def test_score_by_values_30(benchmark, kind):
     m.values.value[:] = np.where(high, 40000, 4000)
     pool = CandidatePool(30, 0.01)
     pool.update(around(30), [], 1, 1)
-    pool.measure(m, POSE)
+    pool.measure(m)
     policy = make_policy({"vlfm": config.PolicyVlfm, "adaptive": config.PolicyAdaptive}[kind]())
     context = Context(
         detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.shown, None,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from edge import names
 from edge.config import ChoiceCooccurrence, ChoiceNone, Config
 from edge.config.root import ValueSource
 from edge.geometry import SE2
@@ -21,6 +22,7 @@ from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import Choice, Mark, Sighting, View
 from edge.perception.choice.scorer import make_choice
 from edge.perception.instances import InstanceTracker
+from edge.perception.sightings import Sightings
 from edge.perception.similarity import (
     SimilarityScorer,
     best_scores,
@@ -162,6 +164,7 @@ class Scorers:
         tracker: InstanceTracker,
         values: ValueMap,
         prior: Prior | None = None,
+        around: Sightings | None = None,
     ) -> None:
         """Put this moment to the scorers that are idle. Never blocks, unless inline.
 
@@ -171,6 +174,7 @@ class Scorers:
             tracker: has what was detected.
             values: tells what is in view; written to when the answers are taken up.
             prior: for the choice that goes by it.
+            around: has what else was detected.
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
@@ -187,7 +191,7 @@ class Scorers:
                 if self._by_prior and prior is not None:
                     lift = np.ones(len(marks), np.float32)
                     prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
-                seen = sightings(tracker, observation)
+                seen = sightings(tracker, around, observation)
                 choice.submit(_Directions(View(observation, about, marks, seen, lift), xy_m, sight))
 
     def saw(self, detections: Detections, values: ValueMap) -> None:
@@ -284,17 +288,30 @@ def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
     )
 
 
-def sightings(tracker: InstanceTracker, observation: Observation) -> tuple[Sighting, ...]:
-    """What was detected a moment ago and not refuted, the nearest first."""
+def sightings(
+    tracker: InstanceTracker, around: Sightings | None, observation: Observation
+) -> tuple[Sighting, ...]:
+    """What was detected a moment ago and not refuted, targets and all else, the nearest first."""
     pose, least = observation.pose, tracker.config.min_hits
-    found = []
-    for instance in tracker.all:
-        ago_ns = observation.stamp_ns - instance.last_seen_ns
-        if instance.state != "refuted" and instance.hits >= least and ago_ns <= SIGHTED_NS:
-            x_m, y_m = float(instance.center_m[0]), float(instance.center_m[1])
-            bearing_rad, distance_m = pose.bearing_to(x_m, y_m), pose.distance_to(x_m, y_m)
-            found.append(Sighting(instance.label, bearing_rad, distance_m))
-    return tuple(sorted(found, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
+    found = [
+        (instance.label, instance.center_m)
+        for instance in tracker.all
+        if instance.state != "refuted"
+        and instance.hits >= least
+        and observation.stamp_ns - instance.last_seen_ns <= SIGHTED_NS
+    ]
+    if around is not None:
+        n, told = around.n, {names.canonical(i.label) for i in tracker.all}
+        fresh = around.last_seen_ns[:n] >= observation.stamp_ns - SIGHTED_NS
+        for i in np.flatnonzero(fresh & (around.hits[:n] >= least)):
+            word = around.words[around.word[i]]
+            if word not in told:  # of targets the tracker knows more
+                found.append((word, around.xyz_m[i]))
+    told_of = [
+        Sighting(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
+        for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
+    ]
+    return tuple(sorted(told_of, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
 
 
 def make_scorers(config: Config, targets: Sequence[str]) -> Scorers | None:

@@ -243,7 +243,7 @@ class Service:
             targets, candidates = mission.brief.targets, self.pool.candidates
             scorers.ask(
                 observation, targets, mission.target, candidates, self.tracker, self.grid.values,
-                self._prior,
+                self._prior, self.sightings.shown,
             )  # fmt: skip
         scorers.take_up(self.grid.values)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time

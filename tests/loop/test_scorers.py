@@ -20,6 +20,7 @@ from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.instances import InstanceTracker
+from edge.perception.sightings import Sightings
 from edge.types import Instance, Observation
 
 DIRECTION = {letter: -1.0 - i for i, letter in enumerate("ABCDEFGHJ")}
@@ -186,12 +187,28 @@ def test_what_was_seen_a_moment_ago_is_told_by_where_it_is():
         last_ns = seen_ns - int(ago * SIGHTED_NS)
         tracker.adopt(Instance(i, label, center, center[None], 0.5, hits, 0, last_ns, state))
     at = Observation(0, seen_ns, SE2(3.0, 1.0, math.pi / 2).matrix())
-    told = sightings(tracker, at)
+    told = sightings(tracker, None, at)
     assert [s.label for s in told] == ["tv", "bed", "desk"]  # by distance: 0, 1 and 3 m
     assert told[1].bearing_rad == pytest.approx(-math.pi / 2)
     assert [s.distance_m for s in told] == pytest.approx([0.0, 1.0, 3.0])
     later = replace(at, stamp_ns=seen_ns + 1)
-    assert [s.label for s in sightings(tracker, later)] == ["bed", "desk"]
+    assert [s.label for s in sightings(tracker, None, later)] == ["bed", "desk"]
+
+
+def test_what_stands_around_is_told_too():
+    tracker, around = InstanceTracker(simulated().perception), Sightings(8)
+    seen_ns = 5 * SIGHTED_NS
+    center = np.array([4.0, 1.0, 0.5], np.float32)
+    tracker.adopt(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "refuted"))
+    things = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
+    things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, SIGHTED_NS + 1)]
+    around.words, around.n = [word for word, *_ in things], len(things)
+    for i, (_, x_m, hits, ago_ns) in enumerate(things):
+        around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
+        around.last_seen_ns[i] = seen_ns - ago_ns
+    told = sightings(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
+    # What is refuted, seen once or seen long ago is not told, under any name.
+    assert [(s.label, s.distance_m) for s in told] == [("stove", pytest.approx(2.0))]
 
 
 @pytest.mark.parametrize(
