@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.bus.wire.kernels import warmup as warm_messages
 from edge.config import Config, PolicyOwn
-from edge.geometry import CameraModel
+from edge.geometry import SE2, CameraModel
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import warm_up as warm_prior
 from edge.mapping.grid import RollingMap
@@ -67,7 +67,11 @@ def _warm_policy(config: Config) -> None:
     pool = CandidatePool(8, config.policy.r_assoc_m)
     grid.frontiers.n = 1
     grid.values.begin(("x",))
+    grid.window.placed = True
+    grid.reach.step(SE2(0.0, 0.0, 0.0))
     pool.update(grid.frontiers, [], 0, 0)
+    pool.measure(grid)
+    pool.add_look(grid, SE2(0.0, 0.0, 0.0), 1.0, 0.1, 0)
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None
     )

@@ -37,6 +37,9 @@ class Map:
             return None
         return x, y, math.hypot(x, y)
 
+    def approach(self, x: float, y: float, within_m: float) -> tuple[float, float, float] | None:
+        return self.nearest(x, y, within_m)
+
     def state_at(self, x: float, y: float) -> int:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
 
