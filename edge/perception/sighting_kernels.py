@@ -136,7 +136,7 @@ def fuse(centers, word, n, now, asked, T_camera_map, view, depth, weight, total,
 
 
 @njit(nogil=True, cache=True)
-def strongest_rival(surface, centers, points, n_points, word, confidence, n, competes, reach_m):
+def strongest_rival(surface, centers, points, n_points, word, confidence, n, against, reach_m):
     """How sure it is that something else stands where a thing was seen.
 
     A record speaks for what it covers of the thing: a row of chairs for all of a sofa, a pillow
@@ -146,7 +146,7 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, com
     Args:
         surface: (k, 3) float32 in `map`, the thing's; k > 0.
         centers, points, n_points, word, confidence, n: the records, see `match`.
-        competes: (words,) bool, which words are another thing.
+        against: (words,) float32, what each word's confidence counts; 0: it names the same thing.
         reach_m: how far records' middles may lie from the surface's.
 
     Returns:
@@ -154,11 +154,11 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, com
     """
     k = len(surface)
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
-    told = np.zeros(len(competes), np.bool_)
-    cover = np.zeros((len(competes), k), np.float32)
+    told = np.zeros(len(against), np.bool_)
+    cover = np.zeros((len(against), k), np.float32)
     for i in range(n):
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
-        if not competes[word[i]] or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
+        if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
             continue
         on = np.zeros(k, np.bool_)
         inside = 0
@@ -180,7 +180,7 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, com
             if on[s]:
                 cover[word[i], s] = max(cover[word[i], s], confidence[i])
     best = np.float32(0.0)
-    for w in range(len(competes)):
+    for w in range(len(against)):
         if told[w]:
-            best = max(best, np.mean(cover[w]))
+            best = max(best, against[w] * np.mean(cover[w]))
     return best

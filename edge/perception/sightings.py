@@ -19,7 +19,10 @@ GONE = 0.1
 _MATTERS = 0.1
 """A confidence that moved so far since it was counted, or a place that moved twice as many metres,
 is a change of the whole."""
-_NONE = np.zeros(0, np.bool_)
+_BROADER = 0.75
+"""What a broader word counts against a narrower one: an armchair is a chair, but what is clearly a
+chair and hardly an armchair is none."""
+_NONE = np.zeros(0, np.float32)
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 
 
@@ -164,11 +167,11 @@ class SightingTracker:
         return rival > mine
 
     def _rivals_of(self, name: str) -> np.ndarray:
-        """(words,) bool: which words name another thing."""
+        """(words,) float32: what the confidence of each word counts against a thing."""
         known = self._rivals.get(name, _NONE)
         if len(known) < len(self._all.words):
-            more = [not names.akin(word, name) for word in self._all.words[len(known) :]]
-            known = self._rivals[name] = np.append(known, np.array(more, np.bool_))
+            more = [_against(word, name) for word in self._all.words[len(known) :]]
+            known = self._rivals[name] = np.append(known, np.array(more, np.float32))
         return known
 
     def clear(self) -> None:
@@ -285,3 +288,10 @@ class SightingTracker:
 
     def _show(self) -> None:
         self.shown.n, self.shown.generation = self._all.n, self._all.generation
+
+
+def _against(word: str, name: str) -> float:
+    """What it counts against a thing of some name that a word was seen in its place."""
+    if names.is_kind_of(word, name):
+        return 0.0
+    return _BROADER if names.is_kind_of(name, word) else 1.0
