@@ -19,7 +19,7 @@ FORGET = 40.0
 SAME_M = 0.2
 """Surface points so near to each other (along each axis) are of one surface."""
 WITHIN = 0.5
-"""Share of a thing's surface that must lie on another's for the two to be taken for one."""
+"""A thing with that share of its surface on another's may be that other; less of it, less so."""
 PRIOR = 0.5
 """Weight of the doubt that a confidence starts with: one look convinces nobody."""
 
@@ -141,7 +141,7 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, aga
 
     A record speaks for what it covers of the thing: a row of chairs for all of a sofa, a pillow
     for little of a bed. One that lies for the most part elsewhere, as the table under a vase does,
-    says nothing; records of one word speak together.
+    says little; records of one word speak together.
 
     Args:
         surface: (k, 3) float32 in `map`, the thing's; k > 0.
@@ -173,12 +173,11 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, aga
                     on[s] = True
                     lies = True
             inside += lies
-        if inside < WITHIN * n_points[i]:
-            continue
+        share = min(1.0, inside / (WITHIN * n_points[i]))
         told[word[i]] = True
         for s in range(k):
             if on[s]:
-                cover[word[i], s] = max(cover[word[i], s], confidence[i])
+                cover[word[i], s] = max(cover[word[i], s], share * confidence[i])
     best = np.float32(0.0)
     for w in range(len(against)):
         if told[w]:

@@ -145,7 +145,8 @@ class SightingTracker:
             )  # fmt: skip
 
     def doubts(self, name: str, surface_m: np.ndarray, radius_m: float) -> bool:
-        """Whether something else is surer to stand where a thing was seen.
+        """Whether something else is surer to stand where a thing was seen: of what the detector
+        looks for, since what it does not could never be found wanting.
 
         Args:
             name: canonical, of the thing.
@@ -162,7 +163,7 @@ class SightingTracker:
             mine = float(s.confidence[at])
         rival = kernels.strongest_rival(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
-            self._rivals_of(name), merge_m + radius_m,
+            self._rivals_of(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
         return rival > mine
 

@@ -77,7 +77,7 @@ def test_a_background_has_its_place_and_is_the_rival_of_what_is_another_thing(
     assert found.context.words == ("chair",)
     assert found.context.score[0] > 0.3
     assert found.rival.max() == 0.0  # an armchair is a chair
-    looking.set_prompts(["toilet"])
+    looking.set_prompts(["sofa"])
     found = looking.detect(seen)
     assert found.rival.max() > 0.3
     assert found.unrivalled().tolist() == (found.score >= found.rival).tolist()

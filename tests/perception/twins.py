@@ -175,9 +175,10 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, agains
         if against[word[i]] == 0 or not len(mine):
             continue
         near = np.abs(mine[:, None] - surface[None]).max(axis=2) < SAME_M
-        if np.hypot(*(centers[i, :2] - middle)) > reach_m or near.any(axis=1).mean() < WITHIN:
+        if np.hypot(*(centers[i, :2] - middle)) > reach_m:
             continue
-        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * confidence[i])
+        share = min(1.0, near.any(axis=1).mean() / WITHIN)
+        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * share * confidence[i])
     return (against * cover.mean(axis=1)).max()
 
 
