@@ -19,7 +19,7 @@ FORGET = 40.0
 SAME_M = 0.2
 """Surface points so near to each other (along each axis) are of one surface."""
 WITHIN = 0.5
-"""Share of a thing's surface that must lie on another's for the two to be taken for one."""
+"""A thing with that share of its surface on another's may be that other; less of it, less so."""
 PRIOR = 0.5
 """Weight of the doubt that a confidence starts with: one look convinces nobody."""
 
@@ -136,17 +136,17 @@ def fuse(centers, word, n, now, asked, T_camera_map, view, depth, weight, total,
 
 
 @njit(nogil=True, cache=True)
-def strongest_rival(surface, centers, points, n_points, word, confidence, n, competes, reach_m):
+def strongest_rival(surface, centers, points, n_points, word, confidence, n, against, reach_m):
     """How sure it is that something else stands where a thing was seen.
 
     A record speaks for what it covers of the thing: a row of chairs for all of a sofa, a pillow
     for little of a bed. One that lies for the most part elsewhere, as the table under a vase does,
-    says nothing; records of one word speak together.
+    says little; records of one word speak together.
 
     Args:
         surface: (k, 3) float32 in `map`, the thing's; k > 0.
         centers, points, n_points, word, confidence, n: the records, see `match`.
-        competes: (words,) bool, which words are another thing.
+        against: (words,) float32, what each word's confidence counts; 0: it names the same thing.
         reach_m: how far records' middles may lie from the surface's.
 
     Returns:
@@ -154,11 +154,11 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, com
     """
     k = len(surface)
     x, y = np.mean(surface[:, 0]), np.mean(surface[:, 1])
-    told = np.zeros(len(competes), np.bool_)
-    cover = np.zeros((len(competes), k), np.float32)
+    told = np.zeros(len(against), np.bool_)
+    cover = np.zeros((len(against), k), np.float32)
     for i in range(n):
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
-        if not competes[word[i]] or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
+        if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
             continue
         on = np.zeros(k, np.bool_)
         inside = 0
@@ -173,14 +173,13 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, n, com
                     on[s] = True
                     lies = True
             inside += lies
-        if inside < WITHIN * n_points[i]:
-            continue
+        share = min(1.0, inside / (WITHIN * n_points[i]))
         told[word[i]] = True
         for s in range(k):
             if on[s]:
-                cover[word[i], s] = max(cover[word[i], s], confidence[i])
+                cover[word[i], s] = max(cover[word[i], s], share * confidence[i])
     best = np.float32(0.0)
-    for w in range(len(competes)):
+    for w in range(len(against)):
         if told[w]:
-            best = max(best, np.mean(cover[w]))
+            best = max(best, against[w] * np.mean(cover[w]))
     return best

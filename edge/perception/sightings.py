@@ -19,7 +19,10 @@ GONE = 0.1
 _MATTERS = 0.1
 """A confidence that moved so far since it was counted, or a place that moved twice as many metres,
 is a change of the whole."""
-_NONE = np.zeros(0, np.bool_)
+_BROADER = 0.75
+"""What a broader word counts against a narrower one: an armchair is a chair, but what is clearly a
+chair and hardly an armchair is none."""
+_NONE = np.zeros(0, np.float32)
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 
 
@@ -142,7 +145,8 @@ class SightingTracker:
             )  # fmt: skip
 
     def doubts(self, name: str, surface_m: np.ndarray, radius_m: float) -> bool:
-        """Whether something else is surer to stand where a thing was seen.
+        """Whether something else is surer to stand where a thing was seen: of what the detector
+        looks for, since what it does not could never be found wanting.
 
         Args:
             name: canonical, of the thing.
@@ -159,16 +163,16 @@ class SightingTracker:
             mine = float(s.confidence[at])
         rival = kernels.strongest_rival(
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
-            self._rivals_of(name), merge_m + radius_m,
+            self._rivals_of(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
         return rival > mine
 
     def _rivals_of(self, name: str) -> np.ndarray:
-        """(words,) bool: which words name another thing."""
+        """(words,) float32: what the confidence of each word counts against a thing."""
         known = self._rivals.get(name, _NONE)
         if len(known) < len(self._all.words):
-            more = [not names.akin(word, name) for word in self._all.words[len(known) :]]
-            known = self._rivals[name] = np.append(known, np.array(more, np.bool_))
+            more = [_against(word, name) for word in self._all.words[len(known) :]]
+            known = self._rivals[name] = np.append(known, np.array(more, np.float32))
         return known
 
     def clear(self) -> None:
@@ -285,3 +289,10 @@ class SightingTracker:
 
     def _show(self) -> None:
         self.shown.n, self.shown.generation = self._all.n, self._all.generation
+
+
+def _against(word: str, name: str) -> float:
+    """What it counts against a thing of some name that a word was seen in its place."""
+    if names.is_kind_of(word, name):
+        return 0.0
+    return _BROADER if names.is_kind_of(name, word) else 1.0

@@ -228,7 +228,9 @@ class TextEmbeddings:
         for name, row in by_nearness:
             if near[row] < SYNONYM_COSINE:
                 break
-            if names.is_name(name) and (names.is_kind_of(name, word) or not names.akin(name, word)):
+            if not names.is_name(name) or names.is_kind_of(word, name):
+                continue
+            if names.is_kind_of(name, word) or not names.is_known(name):  # not a thing of its own
                 found.append(name)
         return [name for name in dict.fromkeys(found) if name != word][:MAX_SYNONYMS]
 

@@ -468,7 +468,6 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
         (0.5, "failed", True, "approaching", "goal failed: "),
         (0.5, "reached", True, "verifying", "confirmed, seen in 3 images"),
         (0.5, "reached", False, "verifying", ""),
-        (1.5, "reached", True, "searching", "out of reach: chair #9 at (3.0, 0.0)"),
     ],
 )
 def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
@@ -485,6 +484,18 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
     assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
     # What was settled is left alone, here by a mission that asks for a second chair.
     assert (case.goals.goal is None) == bool(came_to)
+
+
+def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
+    case = Case()
+    case.things.sure = (9,)
+    for x_m, given_up in ((1.0, False), (1.6, False), (1.7, True)):
+        case.choose(chair(9, x_m + 1.4, 0.8))
+        case.answer("reached")
+        case.judge(pose=SE2(0.0, 0.0, 0.0))
+        assert (case.goals.goal is None, case.goals.phase) == (True, "searching")
+        left = "out of reach: chair #9"
+        assert any(event.startswith(left) for event in case.events) == given_up
 
 
 @pytest.mark.parametrize(

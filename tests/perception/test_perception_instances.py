@@ -6,6 +6,7 @@ import pytest
 from edge import config
 from edge.perception.instances import MAX_POINTS, InstanceTracker
 from edge.perception.lift import POINTS, Lifted
+from edge.perception.sightings import SightingTracker
 from edge.types import Detections
 
 STEP_NS = 100_000_000
@@ -20,13 +21,18 @@ class Scene:
 
     def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, rival=0.0):
         """One frame with (label, x, y, score) each; returns all instances."""
+        self.last = seen = self.frame(x_m, y_m)
+        self.tracker.update(self.lifted(seen, things, size_m, seed, rival), seen.stamp_ns)
+        return self.tracker.all
+
+    @staticmethod
+    def lifted(seen, things, size_m=0.1, seed=0, rival=0.0):
         things = sorted(things, key=lambda t: -t[3])
         labels = [t[0] for t in things]
         prompts = tuple(dict.fromkeys(labels)) or ("none",)
         n = len(things)
         places = np.array([(t[1], t[2], 0.4) for t in things], np.float32).reshape(n, 3)
-        spread = np.random.default_rng(seed + self.seq).uniform(-size_m, size_m, (n, POINTS, 3))
-        seen = self.frame(x_m, y_m)
+        spread = np.random.default_rng(seed + seen.seq - 1).uniform(-size_m, size_m, (n, POINTS, 3))
         detections = Detections(
             seen,
             np.zeros((n, 4), np.float32),
@@ -37,18 +43,8 @@ class Scene:
         )
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        lifted = Lifted(
-            detections,
-            places,
-            points,
-            np.zeros((n, 2), np.float32),
-            full,
-            full,
-            np.ones(n, np.bool_),
-        )
-        self.tracker.update(lifted, seen.stamp_ns)
-        self.last = seen
-        return self.tracker.all
+        depth_m = np.zeros((n, 2), np.float32)
+        return Lifted(detections, places, points, depth_m, full, full, np.ones(n, np.bool_))
 
     def expire(self, observation, prompts=("chair", "desk")):
         return self.tracker.expire(observation, prompts)
@@ -346,3 +342,87 @@ def test_only_what_is_sure(scene):
     s.see(("chair", 2, 0, 0.6))
     s.see(("chair", 2, 0, 0.6))
     assert s.tracker.of("chair", sure=True) == s.tracker.of("chair") != []
+
+
+class Memory(Scene):
+    """A scene whose tracker remembers what else stands where."""
+
+    def __init__(self, make_observation, **settings):
+        super().__init__(make_observation, **settings)
+        self.sightings = SightingTracker(self.tracker.config)
+        self.tracker = InstanceTracker(self.tracker.config, self.sightings)
+
+    def look(self, *things, around=()):
+        """One frame with targets, and with context words likewise."""
+        seen = self.frame()
+        lifted = self.lifted(seen, things)
+        self.sightings.look(lifted, self.lifted(seen, around))
+        self.tracker.update(lifted, seen.stamp_ns)
+        self.expire(seen)
+        return self.tracker
+
+
+@pytest.fixture
+def memory(make_observation):
+    return lambda **settings: Memory(make_observation, **settings)
+
+
+def test_without_context_a_thing_is_confirmed_as_ever(memory):
+    s = memory()
+    for _ in range(4):
+        tracker = s.look(("desk", 2, 0, 0.6))
+    (desk,) = tracker.of("desk", sure=True, doubted=False)
+    assert desk.state == "confirmed"
+
+
+def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
+    s = memory()
+    for _ in range(10):
+        s.look(around=[("sofa", 2, 0, 0.7)])
+    for _ in range(4):
+        tracker = s.look(("desk", 2, 0, 0.5), around=[("sofa", 2, 0, 0.7)])
+    (desk,) = tracker.of("desk")
+    assert desk.state == "seen"
+    assert tracker.of("desk", doubted=False) == []
+    for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
+        s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])
+    assert tracker.of("desk", sure=True, doubted=False) == [desk]
+
+
+def test_what_is_not_looked_for_any_more_is_no_look_alike(memory):
+    s = memory()
+    for _ in range(10):
+        s.look(around=[("sofa", 2, 0, 0.7)])
+    for _ in range(4):  # another model, another background
+        tracker = s.look(("desk", 2, 0, 0.5), around=[("lamp", 2, 3, 0.7)])
+    assert len(tracker.of("desk", sure=True, doubted=False)) == 1
+
+
+@pytest.mark.parametrize(
+    ("word", "looks", "states"),
+    [
+        ("desk", 5, ["confirmed"]),
+        ("writing desk", 5, ["confirmed"]),
+        ("desk", 1, []),  # once is too seldom
+        ("sofa", 5, []),
+        ("table", 5, []),  # a table need not be a desk
+    ],
+)
+def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, states):
+    s = memory()
+    for _ in range(looks):
+        s.look(around=[(word, 2, 0, 0.6)])
+    assert s.tracker.all == []
+    s.tracker.recall(["desk", "chair"])
+    assert [instance.state for instance in s.tracker.of("desk")] == states
+    s.tracker.recall(["desk", "chair"])  # once is enough
+    assert len(s.tracker.all) == len(states)
+    for instance in s.tracker.all:
+        assert instance.distance_m(2, 0) < 0.2
+        assert instance.hits == looks
+
+
+def test_without_a_memory_nothing_is_recalled(scene):
+    s = scene()
+    s.tracker.recall(["desk"])
+    assert s.tracker.all == []

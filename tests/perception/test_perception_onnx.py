@@ -312,3 +312,47 @@ def test_contrasts_are_asked_for_beside_the_prompts(tiny, monkeypatch, make_obse
     found = detector.detect(seen)
     assert found.prompts == ("chair",)
     np.testing.assert_allclose(found.rival, found.score)
+
+
+def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_observation):
+    seen = make_observation(rgb=image())
+    alone = tiny(prompts=("bed", "trash can"))
+    assert [alone.prompts[k] for k in alone.detect(seen).class_id] == ["trash can"]
+    names = {"bed": ["chair"]}
+    monkeypatch.setattr(TextEmbeddings, "synonyms", lambda _, prompt: names.get(prompt, []))
+    alone.set_prompts(("bed", "trash can"))
+    found = alone.detect(seen)
+    assert sorted(found.prompts[k] for k in found.class_id) == ["bed", "trash can"]
+    chair = tiny(prompts=("chair",)).detect(seen)
+    names.clear()
+    assert found.score[list(found.class_id).index(0)] == chair.score[0]
+    best = alone.best_scores(seen.rgb)
+    assert best[0] == chair.score[0]
+
+
+@pytest.mark.parametrize(
+    ("prompts", "background", "words", "found"),
+    [
+        (("chair",), (), (), []),
+        (("bed",), ("chair", "sofa"), ("chair", "sofa"), ["chair"]),  # the better has the place
+        (("bed",), ("sofa", "couch"), ("sofa",), ["sofa"]),  # two names of one thing
+        (("chair",), ("sofa", "chair"), ("sofa",), ["sofa"]),
+        (("chair",), ("armchair", "trash can"), ("trash can",), ["trash can"]),
+    ],
+)
+def test_what_stands_around_has_boxes_of_its_own(
+    tiny, make_observation, prompts, background, words, found
+):
+    seen = make_observation(rgb=image())
+    context = tiny(prompts=prompts, background=background).detect(seen).context
+    assert context.words == words
+    assert [words[k] for k in context.class_id] == found
+    assert context.xyxy_px.shape == (len(found), 4)
+
+
+def test_a_kind_of_one_target_is_still_a_rival_of_the_other(tiny, make_observation):
+    found = tiny(prompts=("bed", "sofa"), background=("sofa bed", "chair")).detect(
+        make_observation(rgb=image())
+    )
+    assert found.context.words == ("chair",)
+    assert found.rival[0] > found.score[0]

@@ -211,6 +211,22 @@ def test_what_is_surer_to_be_something_else_is_doubted(scene, seen, doubtful):
     assert s.tracker.doubts("bed", surface(NEAR), 0.2) == doubtful
 
 
+@pytest.mark.parametrize(
+    ("target", "around", "doubtful"),
+    [
+        (("armchair", 0.45), ("chair", 0.5), False),  # an armchair is a chair
+        (("armchair", 0.3), ("chair", 0.9), True),  # but hardly this one
+        (("chair", 0.3), ("armchair", 0.9), False),
+    ],
+)
+def test_a_broader_word_counts_less_and_a_narrower_nothing(scene, target, around, doubtful):
+    s = scene()
+    for _ in range(8):
+        seen = [(word, NEAR, 0, score) for word, score in (target, around)]
+        s.see(*seen, targets=(target[0],), words=(around[0],))
+    assert s.tracker.doubts(target[0], surface(NEAR), 0.2) == doubtful
+
+
 def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
     row = [("chair", NEAR, y, 0.6) for y in (-0.7, 0.0, 0.7)]
     s = scene(merge_m=0.4)
@@ -234,11 +250,11 @@ def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     n_points = random.integers(0, kernels.POINTS + 1, n).astype(np.int32)
     word = random.integers(0, 3, n).astype(np.int16)
     confidence = random.random(n, np.float32)
-    competes = random.random(3) < 0.7
+    against = random.choice((0.0, 0.5, 1.0), 3).astype(np.float32)
     thing = random.uniform(-0.4, 0.4, (random.integers(1, 30), 3)).astype(np.float32)
     given = (thing, centers, points, n_points, word, confidence)
-    assert kernels.strongest_rival(*given, n, competes, 0.6) == pytest.approx(
-        strongest_rival(*given, competes, 0.6), abs=1e-5
+    assert kernels.strongest_rival(*given, n, against, 0.6) == pytest.approx(
+        strongest_rival(*given, against, 0.6), abs=1e-5
     )
 
 

@@ -188,3 +188,20 @@ def test_embeddings_of_another_length_are_refused(cards, vocabulary, monkeypatch
     monkeypatch.setattr(_Card, "text_dim", 64)
     with pytest.raises(PromptError, match=r"words\.npz: embeddings have length 512, .* needs 64"):
         make_text_encoder(_Card, str(vocabulary))
+
+
+def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
+    """Aliases that the vocabulary has, and what lies near in the embedding and is a kind of it, or
+    no thing of its own; never what is broader."""
+    words = {
+        "sofa": (1.0, 0.0), "couch": (0.6, 0.8), "futon": (0.97, 0.243), "bed": (0.98, 0.2),
+        "armchair": (0.0, 1.0), "chair": (0.01, 1.0), "lamp": (-1.0, 0.0), "#": (1.0, 0.01),
+    }  # fmt: skip
+    np.savez(tmp_path / "v.npz", names=list(words), emb=np.array(list(words.values())))
+    text = TextEmbeddings(str(tmp_path / "v.npz"))
+    assert text.synonyms("settee") == ["couch", "futon"]
+    assert text.synonyms("chair") == ["armchair"]
+    assert text.synonyms("armchair") == []
+    assert text.synonyms("desk lamp") == []
+    with pytest.raises(PromptError):
+        text.synonyms("zebra")

@@ -65,12 +65,20 @@ def test_an_image_of_the_inputs_size_and_a_larger_one_agree(detector, shared_dir
     assert a.score[0] == pytest.approx(b.score[0], abs=0.05)
 
 
-def test_a_background_is_the_rival_of_its_place(detector, shared_dir, make_observation):
+def test_a_background_has_its_place_and_is_the_rival_of_what_is_another_thing(
+    detector, shared_dir, make_observation
+):
     seen = make_observation(rgb=picture(shared_dir, 4))
-    rival = config.DetectorOnnx(
+    around = config.DetectorOnnx(
         model=detector.name, vocabulary=str(detector._text.path), background=("chair",)
     )
-    found = make_detector(config.Perception(detector=rival), ["armchair"]).detect(seen)
+    looking = make_detector(config.Perception(detector=around), ["armchair"])
+    found = looking.detect(seen)
+    assert found.context.words == ("chair",)
+    assert found.context.score[0] > 0.3
+    assert found.rival.max() == 0.0  # an armchair is a chair
+    looking.set_prompts(["sofa"])
+    found = looking.detect(seen)
     assert found.rival.max() > 0.3
     assert found.unrivalled().tolist() == (found.score >= found.rival).tolist()
 

@@ -201,19 +201,20 @@ def match(centers, points, n_points, word, of_word, x, y, merge_m):
     return best
 
 
-def strongest_rival(surface, centers, points, n_points, word, confidence, competes, reach_m):
+def strongest_rival(surface, centers, points, n_points, word, confidence, against, reach_m):
     """The highest mean confidence of another word over the surface."""
     middle = surface[:, :2].mean(axis=0)
-    cover = np.zeros((len(competes), len(surface)))
+    cover = np.zeros((len(against), len(surface)))
     for i in range(len(word)):
         mine = points[i, : n_points[i]]
-        if not competes[word[i]] or not len(mine):
+        if against[word[i]] == 0 or not len(mine):
             continue
         near = np.abs(mine[:, None] - surface[None]).max(axis=2) < SAME_M
-        if np.hypot(*(centers[i, :2] - middle)) > reach_m or near.any(axis=1).mean() < WITHIN:
+        if np.hypot(*(centers[i, :2] - middle)) > reach_m:
             continue
-        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * confidence[i])
-    return cover.mean(axis=1).max()
+        share = min(1.0, near.any(axis=1).mean() / WITHIN)
+        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * share * confidence[i])
+    return (against * cover.mean(axis=1)).max()
 
 
 def look_weight(xyz, T, view, depth):
