@@ -115,6 +115,11 @@ ALIASES: dict[str, tuple[str, ...]] = {
 
 BROADER: dict[str, tuple[str, ...]] = {
     "armchair": ("chair",),
+    "bookcase": ("shelf",),
+    "cushion": ("pillow",),
+    "desk": ("table",),
+    "mug": ("cup",),
+    "pillow": ("cushion",),
     "sofa bed": ("sofa", "bed"),
     "stool": ("chair",),
 }
@@ -122,18 +127,14 @@ BROADER: dict[str, tuple[str, ...]] = {
 
 NEAR: dict[str, tuple[str, ...]] = {
     "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
-    "carpet": ("door mat", "mat"),
-    "cup": ("mug", "wine glass", "glass"),
-    "cushion": ("pillow",),
-    "nightstand": ("chest of drawers", "side table", "table"),
+    "chest of drawers": ("nightstand", "tv stand", "wardrobe"),
+    "countertop": ("table",),
+    "cup": ("wine glass",),
+    "nightstand": ("side table", "table"),
     "ottoman": ("stool",),
-    "painting": ("poster",),
-    "shelf": ("bookcase", "shoe rack"),
-    "table": ("countertop", "desk"),
-    "vase": ("flowerpot",),
+    "shelf": ("shoe rack",),
 }
-"""Canonical name → what people and detectors call such a thing as well, though it has a name of its
-own: that one is seen there is no evidence against the other."""
+"""Canonical name → other things that one view does not tell from it: many views may."""
 
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
 _NO_PLURAL = ("ss", "us", "is")
@@ -264,17 +265,22 @@ def is_kind_of(word: str, broader: str) -> bool:
 
 
 def akin(a: str, b: str) -> bool:
-    """Whether two words may be said of one thing: the same, a kind of the other, or near it.
+    """Whether two words may be said of one thing: they name the same, or a kind of the other.
 
-    >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("desk", "table")
-    (True, True, True)
-    >>> akin("sofa", "bed"), akin("desk", "dining table")
-    (False, False)
+    >>> akin("armchair", "chair"), akin("chair", "armchair"), akin("sofa", "armchair")
+    (True, True, False)
     """
-    if is_kind_of(a, b) or is_kind_of(b, a):
-        return True
-    a, b = canonical(a), canonical(b)
-    return b in NEAR.get(a, ()) or a in NEAR.get(b, ())
+    return is_kind_of(a, b) or is_kind_of(b, a)
+
+
+def near(a: str, b: str) -> bool:
+    """Whether one view hardly tells two words' things apart: `akin` ones, and those of `NEAR`.
+
+    >>> near("wardrobe", "cabinet"), near("cabinet", "wardrobe"), near("bed", "sofa")
+    (True, True, False)
+    """
+    x, y = canonical(a), canonical(b)
+    return akin(a, b) or y in NEAR.get(x, ()) or x in NEAR.get(y, ())
 
 
 def outside(words: Iterable[str], targets: Sequence[str]) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from edge.perception.cards import ModelError
 from edge.perception.factory import make_detector
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
 from edge.perception.text import PromptError
 from edge.perception.warmup import warmup
 from edge.types import Detections, Observation
@@ -48,13 +49,16 @@ def observe(seed=0, seq=0):
     )
 
 
-def boxes_in(observation, n, seed=1):
+WORDS = tuple(f"word{i}" for i in range(20))
+
+
+def boxes_in(observation, n, seed=1, prompts=("chair", "sofa", "bed", "desk")):
     random = np.random.default_rng(seed)
     corner = random.uniform(0, (480, 320), (n, 2))
     xyxy = np.hstack((corner, corner + random.uniform(40, 160, (n, 2)))).astype(np.float32)
     score = np.sort(random.uniform(0.05, 0.9, n).astype(np.float32))[::-1].copy()
-    prompts = ("chair", "sofa", "bed", "desk")
-    return Detections(observation, xyxy, score, random.integers(0, 4, n).astype(np.int32), prompts)
+    class_id = random.integers(0, len(prompts), n).astype(np.int32)
+    return Detections(observation, xyxy, score, class_id, prompts)
 
 
 @pytest.fixture
@@ -145,3 +149,19 @@ def test_track(benchmark):
 
     benchmark(step)
     assert len(tracker) > 10
+
+
+def test_sightings(benchmark):
+    """Eight boxes of targets and twenty of context among some two hundred things, and a look at
+    all of them."""
+    benchmark.extra_info["budget"] = "sightings_look_28"
+    perception = config.Perception(detector=config.DetectorSim())
+    sightings, lifter = SightingTracker(perception), Lifter(perception)
+    for seed in range(20):
+        lifted = lifter.lift(boxes_in(observe(seed), 20, seed))
+        sightings.look(lifted, lifter.lift(boxes_in(observe(seed), 20, seed + 100, WORDS)))
+    seen = observe()
+    targets = lifter.lift(boxes_in(seen, 8))
+    around = lifter.lift(boxes_in(seen, 20, 2, WORDS))
+    benchmark(sightings.look, targets, around)
+    assert sightings.shown.n > 50

@@ -44,23 +44,48 @@ def detections(stamp_ns: int) -> Detections:
     )
 
 
+def around(n: int) -> Frontiers:
+    """Frontiers on all sides, 1 to 8 m away."""
+    rng = np.random.default_rng(1)
+    radius_m, angle = rng.uniform(1.0, 8.0, n), rng.uniform(-math.pi, math.pi, n)
+    xy_m = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle)], axis=1)
+    return Frontiers(
+        n, xy_m.astype(np.float32), np.full(n, 10, np.int32), np.arange(n, dtype=np.int32)
+    )
+
+
+@pytest.mark.parametrize("kind", ["vlfm", "adaptive"])
+def test_score_by_values_30(benchmark, kind):
+    """Thirty frontiers, of which half are promising: the tour takes as many as it may."""
+    benchmark.extra_info["budget"] = f"score_{kind}_30"
+    m = explored_map(1000)
+    while m.reach.generation == 0:
+        m.reach.step(POSE)
+    m.values.begin(("chair",))
+    m.values.weight[:] = 1
+    high = np.random.default_rng(3).random(m.values.value.shape) < 0.03
+    m.values.value[:] = np.where(high, 40000, 4000)
+    pool = CandidatePool(30, 0.01)
+    pool.update(around(30), [], 1, 1)
+    pool.measure(m, POSE)
+    policy = make_policy({"vlfm": config.PolicyVlfm, "adaptive": config.PolicyAdaptive}[kind]())
+    context = Context(
+        detections(stamp_ns=1).observation, POSE, MapView(m), (0, 0, 0, 0), pool.shown, None,
+        Answers(), ("chair",), "chair", 2,
+    )  # fmt: skip
+    score = benchmark.pedantic(policy.score, args=(context,), rounds=500, warmup_rounds=20)
+    assert np.ptp(score[:30]) > 0
+    assert (score[:30] > 1.0).any() == (kind == "adaptive")
+
+
 def test_score_and_select_200(benchmark):
     """Every round looks with fresh candidates, so that eq. 3 is worked out for all in view."""
     benchmark.extra_info["budget"] = "score_and_select_200"
     m = explored_map(1000)
     while m.reach.generation == 0:
         m.reach.step(POSE)
-    rng = np.random.default_rng(1)
-    radius_m, angle = rng.uniform(1.0, 8.0, CANDIDATES), rng.uniform(-math.pi, math.pi, CANDIDATES)
-    xy_m = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle)], axis=1)
-    frontiers = Frontiers(
-        CANDIDATES,
-        xy_m.astype(np.float32),
-        np.full(CANDIDATES, 10, np.int32),
-        np.arange(CANDIDATES, dtype=np.int32),
-    )
     pool = CandidatePool(CANDIDATES, 0.01)
-    pool.update(frontiers, [], 1, 1)
+    pool.update(around(CANDIDATES), [], 1, 1)
     settings = config.Config(perception=config.Perception(detector=config.DetectorSim()))
     policy, seen = make_policy(settings.policy), detections(stamp_ns=1)
     goals = GoalTracker(

@@ -9,6 +9,7 @@ from edge import config
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
+from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.perception.instances import InstanceTracker
 from edge.types import Observation
@@ -46,5 +47,6 @@ def test_ask_choice_200(benchmark):
     )  # fmt: skip
     scorers = Scorers(None, Idle(), inline=True)
     tracker = InstanceTracker(config.Perception(detector=config.DetectorSim()))
-    benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker)
+    values = grid.RollingMap(config.Mapping()).values
+    benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker, values)
     assert scorers.status()["choice"]["failed"] == 0

@@ -79,11 +79,13 @@ FAULTS = [
     ),
     (
         {"policy": {"kind": "hvll"}},
-        "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, nearest_frontier, module:Class)",
+        "f.yaml: policy.kind: unknown 'hvll' (choices: hvl, vlfm, directional, adaptive, "
+        "nearest_frontier, search, module:Class)",
     ),
     (
         {"policy": {"w_dist": 1}},
-        "f.yaml: policy.kind: missing (choices: hvl, nearest_frontier, module:Class)",
+        "f.yaml: policy.kind: missing (choices: hvl, vlfm, directional, adaptive, "
+        "nearest_frontier, search, module:Class)",
     ),
     ({"policy": {"kind": "my:b c"}}, "f.yaml: policy.kind: expected module:Class, got 'my:b c'"),
     ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),
@@ -126,9 +128,57 @@ FAULTS = [
         {"sensors": {"camera": {"width_px": 16, "height_px": 4096}}},
         "f.yaml: sensors.camera: hfov_deg 75 at width_px 16, height_px 4096: not a camera: ",
     ),
+    (
+        {"policy": {"kind": "vlfm"}},
+        "f.yaml: policy.kind: vlfm goes by the similarity scorer, and none is configured: set "
+        "perception.similarity to a card, such as cooccurrence-similarity",
+    ),
+    (
+        {"policy": {"kind": "directional"}},
+        "f.yaml: policy.kind: directional goes by the choice scorer, and none is configured: set "
+        "perception.choice.kind to ",
+    ),
+    (
+        {"policy": {"kind": "adaptive", "by": "choice"}},
+        "f.yaml: policy.kind: adaptive goes by the choice scorer, and none is configured: set ",
+    ),
+    (
+        {"perception": {**SIM["perception"], "prior": "none", "choice": {"kind": "cooccurrence"}}},
+        "f.yaml: perception.choice.kind: cooccurrence: there is no prior: set perception.prior to "
+        "cooccurrence, rooms or both",
+    ),
+    (
+        {
+            "policy": {"kind": "adaptive", "by": "prior"},
+            "perception": {**SIM["perception"], "prior": "none"},
+        },
+        "f.yaml: policy.by: prior: there is no prior: set perception.prior to cooccurrence,",
+    ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
+
+
+SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
+
+
+@pytest.mark.parametrize(
+    ("policy", "perception", "source"),
+    [
+        ({"kind": "hvl"}, {"similarity": "x", "choice": SERVER}, None),
+        ({"kind": "vlfm"}, {"similarity": "x", "choice": SERVER}, "similarity"),
+        ({"kind": "directional"}, {"similarity": "x", "choice": SERVER}, "choice"),
+        ({"kind": "adaptive"}, {"similarity": "x", "choice": SERVER}, "similarity"),
+        ({"kind": "adaptive", "by": "choice"}, {"choice": SERVER}, "choice"),
+        ({"kind": "directional"}, {"choice": {"kind": "cooccurrence"}}, "choice"),
+        ({"kind": "adaptive", "by": "prior"}, {"choice": SERVER}, None),
+        ({"kind": "my:Own"}, {}, None),
+        ({"kind": "my:Own"}, {"similarity": "x"}, "similarity"),
+        ({"kind": "my:Own"}, {"similarity": "x", "choice": SERVER}, "choice"),
+    ],
+)
+def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, perception, source):
+    assert simulated({"policy": policy, "perception": perception}).value_source == source
 
 
 @pytest.mark.parametrize("mapping", [{"extent_m": 204}, {"extent_m": 500, "resolution_m": 0.123}])

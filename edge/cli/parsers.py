@@ -162,28 +162,77 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
 def _eval(commands) -> None:  # type: ignore[no-untyped-def]
     evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
-    episodes = kinds.add_parser("episodes", help="find-the-object episodes in simulated time")
-    episodes.add_argument("config", help=CONFIG)
-    episodes.add_argument(
-        "--targets",
-        default="trash can,sofa,chair,bed,desk",
-        help="comma-separated; default: %(default)s",
-    )
-    episodes.add_argument("--starts", type=count, default=4, help="starts a target (default: 4)")
-    episodes.add_argument("--seed", type=int, default=0, help="of the starts (default: 0)")
-    episodes.add_argument(
-        "--min-distance",
-        type=float,
-        default=3.0,
-        metavar="M",
-        help="of driving from a start to its target (default: %(default)g)",
-    )
-    episodes.add_argument("--jobs", type=count, default=1, help="episodes at a time (default: 1)")
-    episodes.add_argument("--report", metavar="DIR", help="a report for every episode, and results")
-    episodes.add_argument("--episode", help=argparse.SUPPRESS)
-    episodes.set_defaults(handler=lazy("edge.eval.episodes", "run"))
+    _eval_episodes(kinds)
     _eval_tasks(kinds)
     _eval_translate(kinds)
+    _eval_compare(kinds)
+    _eval_results(kinds)
+
+
+def _eval_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
+    episodes = kinds.add_parser(
+        "episodes", help="find-the-object episodes in simulated time: policies side by side"
+    )
+    episodes.add_argument("config", help=CONFIG)
+    option = episodes.add_argument_group("what to do").add_argument
+    option(
+        "--episodes", type=Path, metavar="FILE",
+        help="the episodes of a file that --plan wrote; the other options of this group then say "
+        "nothing, but for --limit",
+    )  # fmt: skip
+    option("--plan", type=Path, metavar="FILE", help="write the episodes there and stop")
+    option(
+        "--worlds", nargs="+", metavar="WORLDS",
+        help="FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME or MESH.glb,OBJECTS.json; "
+        "default: the configuration's own",
+    )  # fmt: skip
+    option(
+        "--targets", metavar="NAME,NAME,…",
+        help="or `common`, the default with --worlds: sixteen large things that most homes have; "
+        "a world that lacks one has no episodes with it",
+    )  # fmt: skip
+    option("--starts", type=count, default=4, help="a target and world (default: %(default)s)")
+    option("--per-world", type=count, metavar="N", help="at most N episodes a world, at random")
+    option(
+        "--missions", type=count, metavar="N",
+        help="instead, N missions a world with two to four of the targets: orders, choices",
+    )  # fmt: skip
+    option("--limit", type=count, metavar="N", help="the first N episodes only")
+    option("--seed", type=int, default=0, help="of starts and choices (default: %(default)s)")
+    option(
+        "--min-distance", type=float, default=4.0, metavar="M",
+        help="of driving from a start to its target (default: %(default)g)",
+    )  # fmt: skip
+    option = episodes.add_argument_group("what to compare").add_argument
+    option(
+        "--column", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
+        help="a name, and what to change in the configuration: "
+        "--column near policy.kind=nearest_frontier; may be repeated",
+    )  # fmt: skip
+    option(
+        "--columns", type=Path, metavar="FILE",
+        help="columns of a YAML file: name: {policy: {kind: …}}; a `config:` in one names another "
+        "configuration to change",
+    )  # fmt: skip
+    option = episodes.add_argument_group("how").add_argument
+    option(
+        "--out", type=Path, metavar="DIR",
+        help="keep outcomes.jsonl and episodes.jsonl there, and run only what it has not",
+    )  # fmt: skip
+    option(
+        "--report", type=Path, metavar="DIR",
+        help="--out, and a report of every episode that is run, with pictures",
+    )  # fmt: skip
+    option(
+        "--workers", "--jobs", type=count, default=1, metavar="N",
+        help="processes of one thread each (default: this one only)",
+    )  # fmt: skip
+    option("--ray", metavar="ADDRESS", help="a Ray cluster's; `local` starts one here")
+    option(
+        "--processes", action="store_true",
+        help="robot, controller and service as processes over Zenoh",
+    )  # fmt: skip
+    episodes.set_defaults(handler=lazy("edge.eval.runs", "run"))
 
 
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
@@ -236,6 +285,36 @@ def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+
+
+def _eval_compare(kinds) -> None:  # type: ignore[no-untyped-def]
+    compare = kinds.add_parser(
+        "compare", help="columns of episodes side by side: tables, plots, every trail on its map"
+    )
+    option = compare.add_argument
+    option("out", type=Path, metavar="DIR", help="what `edge eval episodes --out` filled")
+    option(
+        "--baseline", metavar="NAME",
+        help="the column that the others are held against (default: the first)",
+    )  # fmt: skip
+    compare.set_defaults(handler=lazy("edge.eval.comparison.run", "run"))
+
+
+def _eval_results(kinds) -> None:  # type: ignore[no-untyped-def]
+    results = kinds.add_parser(
+        "results", help="run what a document of measurements lacks, and write it"
+    )
+    option = results.add_argument
+    option("file", type=Path, metavar="FILE", help="YAML; the Markdown is written beside it")
+    option("--only", nargs="+", metavar="SECTION", help="run these sections only")
+    option("--episodes", type=count, metavar="N", help="run the first N episodes of each only")
+    option("--no-run", action="store_true", help="write what is there")
+    option(
+        "--out", type=Path, default=Path("results"), metavar="DIR",
+        help="for the outcomes, a folder a section (default: ./%(default)s)",
+    )  # fmt: skip
+    option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
+    results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

@@ -10,12 +10,14 @@ from edge.config.mapping import Mapping
 from edge.config.mission import (
     Mission,
     PlannerExpected,
+    PlannerInOrder,
     PlannerVitl,
     TranslatorGrammar,
     TranslatorLlm,
     TranslatorLtl,
 )
 from edge.config.perception import (
+    ChoiceCooccurrence,
     ChoiceNone,
     ChoiceOpenai,
     ChoiceText,
@@ -25,7 +27,15 @@ from edge.config.perception import (
     Perception,
     Swap,
 )
-from edge.config.policy import PolicyHvl, PolicyNearest, PolicyOwn, PolicySearch
+from edge.config.policy import (
+    PolicyAdaptive,
+    PolicyDirectional,
+    PolicyHvl,
+    PolicyNearest,
+    PolicyOwn,
+    PolicySearch,
+    PolicyVlfm,
+)
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.section import Section
@@ -34,6 +44,7 @@ from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
+    "ChoiceCooccurrence",
     "ChoiceNone",
     "ChoiceOpenai",
     "ChoiceText",
@@ -49,11 +60,15 @@ __all__ = [
     "Motion",
     "Perception",
     "PlannerExpected",
+    "PlannerInOrder",
     "PlannerVitl",
+    "PolicyAdaptive",
+    "PolicyDirectional",
     "PolicyHvl",
     "PolicyNearest",
     "PolicyOwn",
     "PolicySearch",
+    "PolicyVlfm",
     "Report",
     "Robot",
     "Section",

@@ -65,6 +65,12 @@ class PlannerExpected(Section):
     w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
 
 
+class PlannerInOrder(Section):
+    """Targets as the instruction names them, whatever was seen: a baseline for evaluations."""
+
+    kind: Literal["in_order"] = "in_order"
+
+
 class Mission(Section):
     """What to do, and when to give up. `instruction` takes the place of `target` (which means
     just "reach it") and is read by `translator`; see `edge mission explain`. A target that was
@@ -78,9 +84,9 @@ class Mission(Section):
     translator: Annotated[
         Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
     ] = TranslatorGrammar()
-    planner: Annotated[Union[PlannerVitl, PlannerExpected], Field(discriminator="kind")] = (
-        PlannerVitl()
-    )
+    planner: Annotated[
+        Union[PlannerVitl, PlannerExpected, PlannerInOrder], Field(discriminator="kind")
+    ] = PlannerVitl()
     compiler: Literal["own", "spot"] = "own"
     compile_limit_steps: Annotated[int, Field(ge=1)] = 30_000_000
     max_states: Annotated[int, Field(ge=2)] = 20000

@@ -111,21 +111,31 @@ class ChoiceText(Section):
     rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
 
 
+class ChoiceCooccurrence(Section):
+    """The same by the prior (`perception.prior`): what stands near a frontier makes it likely."""
+
+    kind: Literal["cooccurrence"] = "cooccurrence"
+
+
 class Perception(Section):
     """`similarity` names the card of an image-text scorer (VLFM's score), if one is to run.
 
     What the detector says counts within `confirm_range_m`: a thing found there in `confirm_hits`
     images can be confirmed, and a place that was there in so many was seen well, so that it need
     not be looked at again before a target is given up.
+
+    `prior` says by what that was seen places are judged where no target is in view: what stands
+    near (`cooccurrence`), which kind of room it is (`rooms`), or both. Policies weigh it.
     """
 
     isolation: Literal["thread", "process"] = "thread"
     process: ModelProcess = ModelProcess()
     swap: Swap = Swap()
     similarity: str | None = None
-    choice: Annotated[Union[ChoiceNone, ChoiceOpenai, ChoiceText], Field(discriminator="kind")] = (
-        ChoiceNone()
-    )
+    choice: Annotated[
+        Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceCooccurrence],
+        Field(discriminator="kind"),
+    ] = ChoiceNone()
     detector: Annotated[
         Union[DetectorOnnx, DetectorSim],
         Field(
@@ -133,6 +143,7 @@ class Perception(Section):
             description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
         ),
     ]
+    prior: Literal["none", "cooccurrence", "rooms", "both"] = "both"
     tau_det: Fraction = 0.3
     lift: Literal["depth", "cloud"] = "depth"
     lift_min_points: Annotated[int, Field(ge=1)] = 8

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from edge.config.section import NonNegative, Positive, Section
+from edge.config.section import Fraction, NonNegative, Positive, Section
 
 MODULE_CLASS = "module:Class"
 
@@ -62,12 +62,44 @@ class PolicyNearest(_Selection):
 
 
 class PolicySearch(_Selection):
-    """Ours: the area that a frontier would show, under a root, over the way there."""
+    """Ours: the area that a frontier would show, under a root, over the way there and `start_m`,
+    times the prior's lift to the power of `prior_weight`; 0: what was seen does not count."""
 
     kind: Literal["search"] = "search"
     look_round: bool = True
     start_m: Positive = 1.0
     look_weight: NonNegative = 1.0
+    prior_weight: NonNegative = 0.5
+
+
+class PolicyVlfm(_Selection):
+    """The frontier near which the whole-view scores are best (VLFM); needs a similarity scorer."""
+
+    kind: Literal["vlfm"] = "vlfm"
+    switch_margin: NonNegative = 0.05
+    radius_m: Positive = 0.5
+
+
+class PolicyDirectional(_Selection):
+    """The frontier near which the directional scores are best (ViTL eq. 9); needs a choice
+    scorer."""
+
+    kind: Literal["directional"] = "directional"
+    switch_margin: NonNegative = 0.05
+    radius_m: Positive = 0.5
+
+
+class PolicyAdaptive(_Selection):
+    """ApexNav's rule. Where the frontiers' values differ enough, their standard deviation by over
+    `least_spread` and the best from the mean by over `least_ratio`, a tour through those within
+    `keep` of the best is begun; else the robot goes to the nearest by path."""
+
+    kind: Literal["adaptive"] = "adaptive"
+    by: Literal["similarity", "choice", "prior"] = "similarity"
+    radius_m: Positive = 0.5
+    least_spread: NonNegative = 0.030
+    least_ratio: Annotated[float, Field(ge=1)] = 1.2
+    keep: Fraction = 0.9
 
 
 class PolicyOwn(_Selection):
@@ -87,6 +119,9 @@ def _kind_of(policy: Any) -> str | None:
 Policy = Annotated[
     Union[
         Annotated[PolicyHvl, Tag("hvl")],
+        Annotated[PolicyVlfm, Tag("vlfm")],
+        Annotated[PolicyDirectional, Tag("directional")],
+        Annotated[PolicyAdaptive, Tag("adaptive")],
         Annotated[PolicyNearest, Tag("nearest_frontier")],
         Annotated[PolicySearch, Tag("search")],
         Annotated[PolicyOwn, Tag(MODULE_CLASS)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
@@ -12,7 +12,7 @@ from edge.config.loop import Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
 from edge.config.perception import Perception
-from edge.config.policy import Policy, PolicyHvl
+from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import Section
 from edge.config.sim import Sim
@@ -23,6 +23,13 @@ from edge.host.files import read_regular
 from edge.text import without_secrets
 
 ENV_PREFIX = "EDGE__"
+
+ValueSource = Literal["similarity", "choice"]
+_GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
+_SCORER = {
+    "similarity": "perception.similarity to a card, such as cooccurrence-similarity",
+    "choice": "perception.choice.kind to openai, text or cooccurrence",
+}
 
 
 class Config(Section):
@@ -49,6 +56,46 @@ class Config(Section):
         camera, lidar = self.sensors.camera, self.sensors.lidar
         by_lidar = self.mapping.input == "cloud" and lidar is not None
         return lidar.rate_hz if by_lidar else camera.rate_hz
+
+    @property
+    def value_source(self) -> ValueSource | None:
+        """The scorer that the value maps are written from: the one that the policy goes by.
+
+        A policy of one's own gets those of the choice scorer, where there is one.
+        """
+        if isinstance(self.policy, PolicyOwn):
+            there = self._scorers_there()
+            return there[0] if there else None
+        if isinstance(self.policy, PolicyAdaptive):
+            return None if self.policy.by == "prior" else self.policy.by
+        return _GOES_BY.get(self.policy.kind)
+
+    def _scorers_there(self) -> list[ValueSource]:
+        similar: list[ValueSource] = [] if self.perception.similarity is None else ["similarity"]
+        return similar if self.perception.choice.kind == "none" else ["choice", *similar]
+
+    def check_policy(self) -> None:
+        """Refuse a policy that would go by what no scorer says, and a scorer without its prior.
+
+        Raises:
+            ConfigError: one line: the key, and what to set.
+        """
+        source, kind = self.value_source, self.policy.kind
+        if source is not None and source not in self._scorers_there():
+            raise ConfigError(
+                f"{self.path}: policy.kind: {kind} goes by the {source} scorer, and none is "
+                f"configured: set {_SCORER[source]}"
+            )
+        by_prior = {
+            "policy.by: prior": getattr(self.policy, "by", None) == "prior",
+            "perception.choice.kind: cooccurrence": self.perception.choice.kind == "cooccurrence",
+        }
+        for key, needed in by_prior.items():
+            if needed and self.perception.prior == "none":
+                raise ConfigError(
+                    f"{self.path}: {key}: there is no prior: set perception.prior to "
+                    "cooccurrence, rooms or both"
+                )
 
 
 def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
@@ -80,9 +127,11 @@ def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
     """Validate a mapping; see `load`."""
     try:
         # An empty section, so that its fault is the key that it lacks.
-        return Config.model_validate({"perception": {}, **data, "path": path})
+        config = Config.model_validate({"perception": {}, **data, "path": path})
     except ValidationError as error:
         raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
+    config.check_policy()
+    return config
 
 
 def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:

@@ -1,71 +1,99 @@
-"""Find-the-object episodes in simulated time: SR, SPL, and why each failure failed.
+"""Episodes: a thing to find or a mission, in a world, from a start; planned once, run by anyone.
 
-Every episode is the real thing: simulated robot, reference controller and service in processes
-of their own, over Zenoh, in lockstep.
+A file of them (JSON lines) holds all that a rerun needs: the world's section, the start, what to
+do, the shortest way, and with what sensors.
 """
 
 from __future__ import annotations
 
-import argparse
+import hashlib
 import json
 import math
-import subprocess
-import threading
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
-import zenoh
+import numpy as np
 
 from edge import names
-from edge.bus import topics
-from edge.bus.session import Ring
-from edge.config import Config, Zenoh, load
-from edge.errors import UserError
-from edge.eval.metrics import spl, success_rate
-from edge.host.children import python_module
-from edge.host.signals import stop_on_signals
-from edge.text import one_line
+from edge.config import Config, parse
+from edge.errors import FileError, UserError
+from edge.eval import geodesic, missions, world_list
+from edge.eval.columns import data_of, merged
+from edge.eval.metrics import REACHED_M
+from edge.host.bars import counted
+from edge.host.files import read_regular, save
+from edge.sim.base import World, WorldObject, free_poses
+from edge.sim.worlds import load_world
+from edge.text import one_line, read_json_object
 
-if TYPE_CHECKING:
-    from edge.sim.base import World, WorldObject
+MAX_BYTES = 1 << 28
 
-REACHED_M = 1.0
-_EPISODE_TIMEOUT_S = 1800.0
-_LOOK_S = 0.5
+COMMON = (
+    "bed", "chair", "house plant", "sofa", "television", "toilet",
+    "dining table", "chest of drawers", "refrigerator", "countertop", "trash can", "tv stand",
+    "floor lamp", "armchair", "shelf", "side table",
+)  # fmt: skip
+"""`--targets common`: the six of ObjectNav, and the ten large things (at least 0.5 m, 0.09 m³) that
+most houses of `procthor_train` have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """A target to find and where to start from."""
-
-    target: str
-    start: tuple[float, float, float]
-    shortest_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How an episode ended, judged by the simulator's ground truth.
+    """One thing to do; exactly one of `target` and `instruction` is not None.
 
     Attributes:
-        success: the service said `reached` and the robot stands within 1.0 m of the footprint
-            of an object of that label.
-        path_m: driven, by ground truth.
-        distance_m: to the nearest such footprint at the end.
+        id: unique, and another one when anything else here changes.
+        world: `sim.world` of the configuration.
+        start: x and y [m], yaw [rad], in `map`.
+        shortest_m: that a robot has to drive, by ground truth.
+        sensing: sections `robot`, `sensors` and `sim` that every column runs with, unless it is a
+            column's point to change them.
     """
 
-    target: str
+    id: str
+    world: dict[str, Any]
     start: tuple[float, float, float]
-    success: bool
-    reason: str
+    target: str | None
+    instruction: str | None
     shortest_m: float
-    path_m: float
-    elapsed_s: float
-    distance_m: float
-    bumps: int
+    sensing: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What it asks of a configuration, besides `sensing`."""
+        asked = {"target": self.target} if self.instruction is None else {}
+        mission = {**asked, "instruction": self.instruction, "checkpoint": None}
+        return {"mission": mission, "sim": {"start": list(self.start)}}
+
+
+def make_episode(
+    world: dict[str, Any],
+    name: str,
+    start: tuple[float, float, float],
+    shortest_m: float,
+    sensing: dict[str, Any],
+    target: str | None = None,
+    instruction: str | None = None,
+) -> Episode:
+    """An episode, with an id that people can read and that its content gives.
+
+    Args:
+        name: of the world.
+    """
+    content = [world, start, target, instruction, sensing]
+    code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
+    what = one_line(target if instruction is None else instruction, 40).replace(" ", "-")
+    return Episode(f"{name}/{what}/{code}", world, start, target, instruction, shortest_m, sensing)
+
+
+def sensing_of(config: Config) -> dict[str, Any]:
+    """What all columns of an evaluation have in common: robot, sensors, and their noise."""
+    sensing = config.model_dump(mode="json", include={"robot", "sensors", "sim"})
+    for key in ("world", "start", "lockstep"):
+        del sensing["sim"][key]
+    return sensing
 
 
 def objects_of(world: World, target: str) -> list[WorldObject]:
@@ -81,29 +109,124 @@ def objects_of(world: World, target: str) -> list[WorldObject]:
     return found
 
 
-def plan_episodes(
-    config: Config, targets: list[str], starts: int, seed: int, min_distance_m: float
+def plan(
+    config: Config,
+    worlds: Sequence[dict[str, Any]],
+    targets: Sequence[str],
+    starts: int,
+    seed: int,
+    min_distance_m: float,
+    per_world: int | None = None,
 ) -> list[Episode]:
-    """`starts` seeded starts a target, each at least `min_distance_m` of driving away from it."""
-    from edge.eval import geodesic
-    from edge.host.bars import counted
-    from edge.sim.base import free_poses
-    from edge.sim.worlds import load_world
+    """Seeded starts for targets in worlds.
 
-    world = load_world(config)
+    Args:
+        worlds: sections `sim.world`; empty: the configuration's own world, which must have every
+            target and as many starts. In several, what one lacks is left out there.
+        starts: of each target in each world, at least `min_distance_m` of driving from it.
+        per_world: at most so many episodes a world, of targets drawn at random.
+
+    Raises:
+        UserError: a world cannot be loaded, or there is nothing to do at all.
+    """
     episodes: list[Episode] = []
-    for k, target in enumerate(counted("targets", targets)):
+    for where in _places(config, worlds):
+        if not worlds:
+            return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
+        labels = [o.label for o in where.world.objects]
+        present = [t for t in targets if any(names.same(label, t) for label in labels)]
+        found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
+        episodes += _drawn(found, per_world, seed, where.world.name)
+    if targets and not episodes:
+        raise UserError(
+            f"none of the worlds has any of the targets {min_distance_m:g} m of driving away: "
+            "name others with --targets, or a smaller --min-distance"
+        )
+    return episodes
+
+
+def plan_missions(
+    config: Config,
+    worlds: Sequence[dict[str, Any]],
+    targets: Sequence[str],
+    count: int,
+    seed: int,
+    min_distance_m: float,
+) -> list[Episode]:
+    """Missions with several targets, seeded, each from a start of its own (ViTL V-D).
+
+    Args:
+        worlds: sections `sim.world`; empty: the configuration's own world.
+        targets: what missions may name, of what a world has.
+        count: at most so many missions a world.
+        min_distance_m: the least that a mission takes to drive.
+
+    Raises:
+        UserError: a world cannot be loaded, or there is no mission at all.
+    """
+    episodes: list[Episode] = []
+    for place, (world, section, sensing, radius_m) in enumerate(_places(config, worlds)):
+        own = seed + 1_000_000 * place  # no two worlds are asked for the same missions
+        found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
+        episodes += [
+            make_episode(
+                section, world.name, item.start, item.shortest_m, sensing,
+                instruction=item.mission.instruction,
+            )
+            for item in found
+        ]  # fmt: skip
+    if not episodes:
+        raise UserError(
+            f"none of the worlds has two of the targets and {min_distance_m:g} m to drive for "
+            "them: name others with --targets, or a smaller --min-distance"
+        )
+    return episodes
+
+
+class Where(NamedTuple):
+    """A world, its section of the configuration, and who is to drive there."""
+
+    world: World
+    section: dict[str, Any]
+    sensing: dict[str, Any]
+    radius_m: float
+
+
+def _places(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[Where]:
+    """The worlds of these sections; without any, the configuration's own."""
+    sensing, radius_m = sensing_of(config), config.robot.radius_m
+    if not worlds:
+        section = config.sim.world.model_dump(mode="json")
+        yield Where(load_world(config), section, sensing, radius_m)
+    for section in counted("worlds", worlds) if worlds else ():
+        data = merged(data_of(config), {"sim": {"world": section, "start": None}})
+        world = world_list.load(parse(data, f"{config.path} with --worlds"))
+        yield Where(world, section, sensing, radius_m)
+
+
+def _in_world(
+    where: Where,
+    targets: Sequence[str],
+    starts: int,
+    seed: int,
+    min_distance_m: float,
+    strict: bool,
+) -> list[Episode]:
+    """Episodes in one world; `strict`: every target has as many starts as asked for."""
+    world, section, sensing, radius_m = where
+    episodes: list[Episode] = []
+    for k, target in enumerate(counted("targets", targets) if strict else targets):
         wanted = objects_of(world, target)
-        radius_m = config.robot.radius_m
         field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []
         for pose in poses:
-            shortest = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
-            if min_distance_m <= shortest < math.inf and len(found) < starts:
+            shortest_m = geodesic.at(world.plan, field, pose.x_m, pose.y_m)
+            if min_distance_m <= shortest_m < math.inf and len(found) < starts:
                 start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
-                found.append(Episode(target, start, shortest))
-        if len(found) < starts:
+                shortest_m = round(shortest_m, 4)
+                found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
+        if strict and len(found) < starts:
             raise UserError(
                 f"{world.name}: only {len(found)} of {starts} starts lie {min_distance_m:g} m "
                 f"of driving from a {target}; ask for fewer or a smaller --min-distance"
@@ -112,180 +235,68 @@ def plan_episodes(
     return episodes
 
 
-def run_episode(
-    config: Config,
-    episode: Episode,
-    report: Path | None = None,
-    stop: threading.Event | None = None,
-) -> Outcome:
-    """One episode in this process and two children, until its end or until `stop` is set.
+def _drawn(episodes: list[Episode], count: int | None, seed: int, name: str) -> list[Episode]:
+    """At most `count` of a world's episodes, drawn at random, in their order."""
+    if count is None or len(episodes) <= count:
+        return episodes
+    rng = np.random.default_rng([seed, *name.encode()])
+    return [episodes[k] for k in sorted(rng.permutation(len(episodes))[:count])]
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def write(path: Path, episodes: Iterable[Episode]) -> None:
+    """One JSON line an episode.
 
     Raises:
-        Stopped: `stop` was set before the service was ready.
+        FileError: it cannot be written.
     """
-    from edge.launch import children, on_a_free_port, open_service
-    from edge.loop.runner import loop
-    from edge.report.recorder import Recorder
-    from edge.sim.worlds import load_world
+    save(path, "".join(f"{json.dumps(asdict(episode))}\n" for episode in episodes).encode())
 
-    config = on_a_free_port(config).model_copy(
-        update={
-            "loop": config.loop.model_copy(update={"lockstep": True}),
-            "mission": config.mission.model_copy(update={"target": episode.target}),
-            "sim": config.sim.model_copy(update={"lockstep": True, "start": episode.start}),
-        }
-    )
-    stop = stop or threading.Event()
-    recorder = Recorder(config)
-    with open_service(config, [recorder], stop=stop) as running:
-        motion = TrueMotion(running.session, config.zenoh)
-        with children(config, stop, ("sim", "--no-motion"), ("motion",)):
-            watchdog = threading.Timer(_EPISODE_TIMEOUT_S, stop.set)
-            watchdog.daemon = True
-            watchdog.start()
-            status = loop(running, stop, once=True, each=motion.update)
-            watchdog.cancel()
-            motion.settle()
-        record = recorder.record(running.service.result(), running.source.counters)
-    if report is not None:
-        from edge.report.page import write_report
 
-        write_report(record, report)
-    x, y = motion.xy_m
-    wanted = objects_of(load_world(config), episode.target)
-    away = min(o.distance_m(x, y) for o in wanted)
-    near = away <= REACHED_M
-    reason = status.reason
-    if status.phase == "reached" and not near:
-        reason = f"declared reached {away:.1f} m from the nearest {episode.target}"
-    elif not status.done:
-        reason = f"no end after {_EPISODE_TIMEOUT_S:g} s"
-    elif near:
-        reason = f"{reason} ({away:.1f} m from it)"
-    return Outcome(
-        episode.target, episode.start, status.phase == "reached" and near, reason,
-        episode.shortest_m, motion.path_m, status.elapsed_s, away, motion.bumps,
+def read(path: Path) -> list[Episode]:
+    """The episodes of a file that `write` wrote.
+
+    Raises:
+        FileError: it cannot be read.
+        UserError: a line is no episode, or two have one id.
+    """
+    try:
+        lines = read_regular(path, MAX_BYTES).splitlines()
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror or error}; --plan writes it") from None
+    episodes: dict[str, Episode] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            episode = parse_episode(read_json_object(line))
+        except (KeyError, TypeError, ValueError) as error:
+            why = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+            raise UserError(f"{path}: line {number}: not an episode: {why}") from None
+        if episode.id in episodes:
+            raise UserError(f"{path}: line {number}: a second {one_line(episode.id)}")
+        episodes[episode.id] = episode
+    return list(episodes.values())
+
+
+def parse_episode(data: dict[str, Any]) -> Episode:
+    """
+    Raises:
+        KeyError, TypeError, ValueError: what is missing or wrong.
+    """
+    x, y, yaw = (float(value) for value in data["start"])
+    target, instruction = data["target"], data.get("instruction")
+    if not isinstance(target if instruction is None else instruction, str):
+        raise ValueError("target or instruction: expected a text")
+    shortest_m = float(data["shortest_m"])
+    if not 0.0 <= shortest_m < math.inf:
+        raise ValueError("shortest_m: expected a length")
+    world, sensing = data["world"], data.get("sensing", {})
+    if not (isinstance(world, dict) and isinstance(sensing, dict)):
+        raise ValueError("world and sensing: expected sections")
+    return Episode(
+        str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
+        shortest_m, sensing,
     )  # fmt: skip
-
-
-class TrueMotion:
-    """The simulator's own account of where the robot is."""
-
-    def __init__(self, session: zenoh.Session, settings: Zenoh) -> None:
-        self.xy_m = (math.nan, math.nan)
-        self.path_m = 0.0
-        self.bumps = 0
-        self._ring = Ring(session, settings.key(topics.GROUND_TRUTH.key), 256)
-
-    def update(self) -> None:
-        """Take in what came since the last call."""
-        for sample in self._ring.take():
-            data = json.loads(sample.payload.to_bytes())
-            self.xy_m = (data["pose"][0], data["pose"][1])
-            self.path_m = data["path_m"]
-            self.bumps = data["collisions"]
-
-    def settle(self) -> None:
-        """The last word of the simulator may still be on its way."""
-        threading.Event().wait(0.3)
-        self.update()
-
-
-def run(args: argparse.Namespace) -> int:
-    """Handle `edge eval episodes`."""
-    from edge.report.page import prepare
-
-    config = load(args.config)
-    report = prepare(args.report) if args.report else None
-    stop = stop_on_signals()
-    if args.episode:
-        episode = json.loads(args.episode)
-        outcome = run_episode(
-            config, Episode(**{**episode, "start": tuple(episode["start"])}), report, stop
-        )
-        print(json.dumps(asdict(outcome)))
-        return 0
-    targets = [t.strip() for t in args.targets.split(",") if t.strip()]
-    if not targets:
-        raise UserError("--targets: name at least one, such as --targets sofa,bed")
-    episodes = plan_episodes(config, targets, args.starts, args.seed, args.min_distance)
-    outcomes = []
-    for i, outcome in enumerate(_run_all(args.config, episodes, args.jobs, report, stop), start=1):
-        outcomes.append(outcome)
-        print(_line(i, len(episodes), outcome), flush=True)
-        if report is not None:
-            text = json.dumps([asdict(o) for o in outcomes], indent=1)
-            (report / "results.json").write_text(text, encoding="utf-8")
-    print(_table(outcomes))
-    return 0
-
-
-def _run_all(
-    config: str, episodes: list[Episode], jobs: int, report: Path | None, stop: threading.Event
-) -> Iterator[Outcome]:
-    """Each episode in a process of its own: a crash fails that episode, not the evaluation.
-
-    When `stop` is set, the running ones are stopped and left out, and no others begin.
-    """
-
-    def run(numbered: tuple[int, Episode]) -> Outcome | None:
-        if stop.is_set():
-            return None
-        i, episode = numbered
-        command = [*python_module("edge.cli"), "--log-level", "warning", "eval", "episodes"]
-        command += [config, "--episode", json.dumps(asdict(episode))]
-        if report is not None:
-            command += ["--report", str(report / f"{i:02d}-{episode.target.replace(' ', '-')}")]
-        code, out, err = _finish(command, stop)
-        if stop.is_set():
-            return None
-        try:
-            data = json.loads(out.strip().rpartition("\n")[2])
-            return Outcome(**{**data, "start": tuple(data["start"])})
-        except (ValueError, TypeError):
-            last = (err.strip().splitlines() or ["no output"])[-1]
-            return Outcome(
-                episode.target, episode.start, False, f"crashed ({code}): {one_line(last)}",
-                episode.shortest_m, 0.0, 0.0, math.inf, 0,
-            )  # fmt: skip
-
-    with ThreadPoolExecutor(jobs) as pool:
-        for outcome in pool.map(run, enumerate(episodes, start=1)):
-            if outcome is not None:
-                yield outcome
-
-
-def _finish(command: list[str], stop: threading.Event) -> tuple[int, str, str]:
-    """Run a command to its end, or end it when `stop` is set: exit code, stdout, stderr."""
-    pipe = subprocess.PIPE
-    # A session of its own keeps the terminal's Ctrl-C for this process.
-    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
-    while True:
-        try:
-            out, err = process.communicate(timeout=_LOOK_S)
-            return process.returncode, out, err
-        except subprocess.TimeoutExpired:
-            if stop.is_set():
-                process.terminate()
-
-
-def _line(i: int, n: int, o: Outcome) -> str:
-    verdict = "ok  " if o.success else "FAIL"
-    return (
-        f"{i:3}/{n} {verdict} {o.target:12} {o.elapsed_s:6.1f} s  {o.path_m:5.1f} m driven, "
-        f"{o.shortest_m:4.1f} m shortest, {o.bumps} bumps: {o.reason}"
-    )
-
-
-def _table(outcomes: list[Outcome]) -> str:
-    """SR and SPL a target and over all."""
-    groups = {
-        t: [o for o in outcomes if o.target == t] for t in dict.fromkeys(o.target for o in outcomes)
-    }
-    groups["all"] = outcomes
-    lines = [f"{'target':14}{'episodes':>9}{'SR':>7}{'SPL':>7}"]
-    for name, group in groups.items():
-        successes = [o.success for o in group]
-        weighted = spl(successes, [o.shortest_m for o in group], [o.path_m for o in group])
-        lines.append(f"{name:14}{len(group):9}{success_rate(successes):7.2f}{weighted:7.2f}")
-    return "\n".join(lines)

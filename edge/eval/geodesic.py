@@ -22,7 +22,19 @@ def distance_field(
         (rows, columns) float64 on the plan's raster; inf where there is no way.
     """
     free = plan.clearance_m > robot_radius_m
-    distance, cell_m = np.full(free.shape, np.inf), plan.grid.resolution_m
+    distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
+    while sweep(free, distance):
+        pass
+    return distance * plan.grid.resolution_m
+
+
+def near(
+    plan: FloorPlan, objects: list[WorldObject], robot_radius_m: float, within_m: float
+) -> np.ndarray:
+    """(rows, columns) bool: where a robot fits and is within `within_m` of any of the objects'
+    footprints."""
+    free, cell_m = plan.clearance_m > robot_radius_m, plan.grid.resolution_m
+    found = np.zeros(free.shape, bool)
     for item in objects:
         reach_m = within_m + 0.5 * math.hypot(*item.size_m[:2]) + cell_m
         low = plan.grid.of_metres(np.array(item.center_m[:2]) - reach_m)
@@ -31,11 +43,9 @@ def distance_field(
         right, top = np.maximum(high.astype(int) + 1, 0)
         row, col = np.nonzero(free[bottom:top, left:right])
         row, col = row + bottom, col + left
-        near = _is_near(item, plan.grid.centres_m(row, col), within_m)
-        distance[row[near], col[near]] = 0.0
-    while sweep(free, distance):
-        pass
-    return distance * cell_m
+        close = _is_near(item, plan.grid.centres_m(row, col), within_m)
+        found[row[close], col[close]] = True
+    return found
 
 
 def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray:

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 Z = 1.959963984540054
+RESAMPLES = 10_000
+_CHUNK = 500  # resamples at a time: the memory that their weights take
 
 
 class Interval(NamedTuple):
@@ -48,3 +50,78 @@ def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     residuals = numerators - value * denominators
     half = Z * float(residuals.std(ddof=1)) / math.sqrt(n) / abs(float(denominators.mean()))
     return Interval(value, value - half, value + half)
+
+
+def bootstrap(
+    numerators: np.ndarray,
+    denominators: np.ndarray,
+    cluster: np.ndarray,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> list[Interval]:
+    """Ratios of sums over clustered data, their intervals by resampling whole clusters.
+
+    A mean is the ratio of the values' sum to their number; a paired difference has differences
+    above and numbers below. The quantiles are those of the expanded percentile interval (Hesterberg
+    2015, "What teachers should know about the bootstrap"), which a few clusters do not make too
+    narrow. Every row is resampled alike, so that rows can be told apart from chance.
+
+    Args:
+        numerators, denominators: (k, n) float64, a row a ratio; 0 in both where something does not
+            count.
+        cluster: (n,) int from 0: what is not independent has the same number.
+
+    Returns:
+        k intervals; NaN bounds with fewer than two clusters, NaN where the denominators sum to 0.
+    """
+    k, n = numerators.shape
+    clusters = int(cluster.max()) + 1 if n else 0
+    sums = np.zeros((clusters, 2 * k))
+    np.add.at(sums, cluster, np.concatenate([numerators, denominators]).T)
+    counted = np.zeros((clusters, k), bool)
+    np.logical_or.at(counted, cluster, ((numerators != 0) | (denominators != 0)).T)
+    totals = sums.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = totals[:k] / totals[k:]
+        draws = _draws(sums, k, resamples, seed)
+    return [_expanded(*row) for row in zip(values, draws.T, counted.sum(axis=0), strict=True)]
+
+
+def _draws(sums: np.ndarray, k: int, resamples: int, seed: int) -> np.ndarray:
+    """(resamples, k) ratios of the sums of as many clusters, drawn with replacement."""
+    rng, clusters = np.random.default_rng(seed), len(sums)
+    draws = np.empty((resamples, k))
+    for first in range(0, resamples if clusters else 0, _CHUNK):
+        m = min(_CHUNK, resamples - first)
+        picks = rng.integers(0, clusters, (m, clusters)) + clusters * np.arange(m)[:, None]
+        weights = np.bincount(picks.ravel(), minlength=m * clusters).reshape(m, clusters)
+        drawn = weights.astype(np.float64) @ sums
+        draws[first : first + m] = drawn[:, :k] / drawn[:, k:]
+    return draws
+
+
+def _expanded(value: float, draws: np.ndarray, clusters: int) -> Interval:
+    value = float(value)
+    draws = draws[np.isfinite(draws)] if clusters > 1 else draws[:0]
+    if not math.isfinite(value) or not len(draws):
+        return Interval(value if math.isfinite(value) else math.nan, math.nan, math.nan)
+    tail = 0.5 * math.erfc(_student(clusters - 1) * math.sqrt(clusters / (clusters - 1) / 2))
+    low, high = np.quantile(draws, (tail, 1.0 - tail))
+    return Interval(value, float(low), float(high))
+
+
+def _student(freedom: int) -> float:
+    """The 97.5 % point of Student's t: exact for one or two degrees of freedom, else by
+    Abramowitz and Stegun 26.7.5."""
+    if freedom == 1:
+        return math.tan(0.475 * math.pi)
+    if freedom == 2:
+        return 0.95 * math.sqrt(2 / (1 - 0.95**2))
+    z = Z
+    terms = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / freedom ** (i + 1) for i, term in enumerate(terms))

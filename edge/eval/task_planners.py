@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerVitl
+from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
 from edge.eval.executor import DONE, NOTHING, Choose, Problem, Situation
 from edge.eval.lifted import MAX_OBJECTS
 from edge.mission.planner import Knowledge, Planner, PlannerError, make_planner
@@ -70,9 +70,9 @@ def expected(problem: Problem, **config: float) -> Callable[[float], Choose]:
 
 
 def in_order(problem: Problem) -> Callable[[float], Choose]:
-    """The first object of the sentence that changes the state and keeps success possible."""
-    first = [valid[0] if valid else DONE for valid in valid_targets(problem)]
-    return lambda p_obs: lambda situation: first[situation.state]
+    """The service's `in_order` planner: the first object of the sentence that makes progress."""
+    choose = _asking(make_planner(PlannerInOrder(), problem.automaton), problem)
+    return lambda p_obs: choose
 
 
 def random_valid(problem: Problem) -> Callable[[float], Choose]:

@@ -34,6 +34,8 @@ SPOKEN = {"houseplant": "potted plant", "television": "tv", "sofa": "couch"}
 JOINTS = (", then {}", " and then {}", ", then reach {}")
 """How a sequence goes on: the paper's example, its case studies, its running example."""
 
+PLACEHOLDERS = len(HM3D_OBJECTS)
+
 Step = tuple[int, ...]
 """One placeholder, or several to choose from."""
 
@@ -109,16 +111,22 @@ class Template:
     avoided: tuple[int, ...] = ()
     joint: str = JOINTS[0]
 
+    @property
+    def placeholders(self) -> frozenset[int]:
+        """Those that it has."""
+        steps = {i for branch in self.branches for step in branch for i in step}
+        return frozenset(steps.union(self.avoided, *self.untils))
+
 
 def generate(n: int = 2000, seed: int = 0) -> list[Task]:
     """The benchmark: `n` satisfiable tasks with different formulas, the same for the same seed."""
     tasks: list[Task] = []
     seen: set[Formula] = set()
-    for family, template, objects in _draws(random.Random(seed)):
+    for family, template, objects in draws(random.Random(seed), FAMILIES, HM3D_OBJECTS):
         if len(tasks) == n:
             break
         formula = formula_of(template, objects)
-        if formula in seen or not _worth_doing(formula):
+        if formula in seen or not worth_doing(formula):
             continue
         seen.add(formula)
         sentence = sentence_of(template, objects)
@@ -155,7 +163,8 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
     joint = JOINTS[0] if choice_inside and template.joint == JOINTS[1] else template.joint
 
     def thing(i: int) -> str:
-        return f"a {SPOKEN.get(objects[i], objects[i])}"
+        word = SPOKEN.get(objects[i], objects[i])
+        return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
     def step(choices: Step) -> str:
         either = "either " if len(choices) > 1 else ""
@@ -178,20 +187,27 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
     return " ".join(f"{s[0].upper()}{s[1:]}." for s in sentences)
 
 
-def _draws(rng: random.Random) -> Iterator[tuple[Family, Template, list[str]]]:
-    """Templates and objects to ground them with, without end."""
+def draws(
+    rng: random.Random, families: Sequence[Family], objects: Sequence[str]
+) -> Iterator[tuple[Family, Template, list[str]]]:
+    """Templates and objects to ground them with, without end.
+
+    Args:
+        objects: what to draw from; where they are fewer than `PLACEHOLDERS`, some templates have
+            placeholders for which there is none.
+    """
     while True:
-        family = _family(rng.random())
-        yield family, _template(family, rng), _sample(HM3D_OBJECTS, len(HM3D_OBJECTS), rng)
+        family = _family(families, rng.random())
+        yield family, _template(family, rng), _sample(objects, PLACEHOLDERS, rng)
 
 
-def _family(u: float) -> Family:
-    total = sum(family.share for family in FAMILIES)
-    for family in FAMILIES:
+def _family(families: Sequence[Family], u: float) -> Family:
+    total = sum(family.share for family in families)
+    for family in families:
         u -= family.share / total
         if u < 0:
             return family
-    return FAMILIES[-1]
+    return families[-1]
 
 
 def _template(family: Family, rng: random.Random) -> Template:
@@ -203,7 +219,7 @@ def _template(family: Family, rng: random.Random) -> Template:
             branch = _branch(family, rng)
         branches.append(branch)
     targets = sorted({i for branch in branches for step in branch for i in step})
-    everything = range(len(HM3D_OBJECTS))
+    everything = range(PLACEHOLDERS)
     held_back = _sample(targets, _between(family.untils, rng), rng)
     untils = [(x, _sample([y for y in everything if y != x], 1, rng)[0]) for x in held_back]
     return Template(
@@ -218,7 +234,7 @@ def _template(family: Family, rng: random.Random) -> Template:
 def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
     """Steps with different placeholders."""
     length = _between(family.length, rng)
-    free = _sample(range(len(HM3D_OBJECTS)), len(HM3D_OBJECTS), rng)
+    free = _sample(range(PLACEHOLDERS), PLACEHOLDERS, rng)
     choices = [rng.random() < family.either for _ in range(length)]
     if family.must_choose and not any(choices):
         choices[int(rng.random() * length)] = True
@@ -229,7 +245,7 @@ def _branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
     return tuple(steps)
 
 
-def _worth_doing(formula: Formula) -> bool:
+def worth_doing(formula: Formula) -> bool:
     """Whether it can be satisfied, and is not yet before the first step."""
     return int(lift(formula).automaton.steps_left[0]) > 0
 

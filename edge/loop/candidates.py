@@ -106,7 +106,7 @@ class CandidatePool:
         )  # fmt: skip
         self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
 
-    def measure(self, grid: RollingMap, pose: SE2) -> None:
+    def measure(self, grid: RollingMap) -> None:
         """Fill in how far the candidates are, and what frontiers would show."""
         c = self.candidates
         grid.reach.paths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)

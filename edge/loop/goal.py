@@ -35,7 +35,6 @@ log = logging.getLogger("edge.loop.goal")
 MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
-_SAME_PLACE_M = 0.3
 SILENT_NS = 3_000_000_000
 
 Verdict = Literal["reached", "refuted", "out of reach"]
@@ -97,7 +96,6 @@ class GoalTracker:
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = Standstill(config, event)
         self._warned_of: set[int] = set()
-        self._missed: tuple[int, SE2] | None = None  # instance out of reach from a place
         self._turns = -1
         self._without_since_ns: int | None = None
         self._unanswered_since_ns: int | None = None
@@ -115,6 +113,11 @@ class GoalTracker:
     def answer(self) -> GoalStatus | None:
         """The controller's newest answer to the present goal; None before it came."""
         return None if self._present is None else self._present.answer
+
+    @property
+    def searched(self) -> bool:
+        """Whether nothing was left to go to: what was passed over as doubtful is what is left."""
+        return self._search.exhausted
 
     @property
     def exhausted(self) -> bool:
@@ -356,15 +359,9 @@ class GoalTracker:
             self._tracker.refute(instance.id)
             self.drop()
         else:
-            at, missed = self._present.goal.pose, self._missed
-            self._missed = instance.id, at
-            if (
-                missed is None
-                or missed[0] != instance.id
-                or (at.distance_to(missed[1].x_m, missed[1].y_m) > _SAME_PLACE_M)
-            ):
-                # What came to be known on the way here may lead nearer.
-                self.drop()
+            at = self._present.goal.pose
+            if not self._search.missed(instance.id, (at.x_m, at.y_m)):
+                self.drop()  # what came to be known on the way here may lead nearer
                 return
             self._discard(now_ns)
         x, y, _ = instance.center_m

@@ -1,20 +1,25 @@
-"""What slow models say about where to go: asked beside the loop, taken up when they answer.
+"""What scorers say about where to go: asked beside the loop, taken up when they answer.
 
-The status message tells it, and policies may go by it.
+The status message tells it, policies may go by it, and the value maps are written from one of
+them, with what the camera saw when it was asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from edge.config import ChoiceNone, Config
+from edge.config import ChoiceCooccurrence, ChoiceNone, Config
+from edge.config.root import ValueSource
+from edge.geometry import SE2
+from edge.loop.cooccurrence import PriorChoice, RelatedScores
+from edge.mapping.values import Sight, ValueMap
 from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import Sighting, View
-from edge.perception.choice.scorer import ChoiceScorer, make_choice
+from edge.perception.choice.question import Choice, Mark, Sighting, View
+from edge.perception.choice.scorer import make_choice
 from edge.perception.instances import InstanceTracker
 from edge.perception.similarity import (
     SimilarityScorer,
@@ -24,18 +29,46 @@ from edge.perception.similarity import (
     similarity_card,
 )
 from edge.perception.worker import ScorerWorker
-from edge.policies.base import FRONTIER, Answers, Candidates, Similarity
+from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
 from edge.types import Detections, Observation
 
 SIGHTED_NS = 2_000_000_000  # what was seen longer ago is not in view any more
 MAX_SIGHTINGS = 20
 
+ScoreOf = Callable[[Detections], np.ndarray]
+"""(n,) float32 in [0, 1], a score for each prompt."""
+
+
+class ViewScorer(Protocol):
+    """Chooses among the frontiers of a view; a `Scorer` of `edge.perception.worker`."""
+
+    name: str
+
+    def look(self, view: View) -> Any: ...
+
+    def answer(self, looked: Any) -> Choice | None: ...
+
+    def close(self) -> None: ...
+
 
 class _Question(NamedTuple):
-    """What a similarity scorer is asked."""
+    """What a similarity scorer is asked; `sight` is what the view saw, if values are written."""
 
     observation: Observation
     targets: tuple[str, ...]
+    sight: Sight | None
+
+
+class _Directions(NamedTuple):
+    """What a choice scorer is asked; `xy_m` is where the frontiers of the view's marks are."""
+
+    view: View
+    xy_m: np.ndarray
+    sight: Sight | None
+
+    @property
+    def observation(self) -> Observation:
+        return self.view.observation
 
 
 class _SimilarityAnswers:
@@ -50,11 +83,30 @@ class _SimilarityAnswers:
         assert question.observation.rgb is not None
         return question, question.observation.rgb.copy()
 
-    def answer(self, looked: tuple[_Question, np.ndarray]) -> Similarity:
+    def answer(self, looked: tuple[_Question, np.ndarray]) -> tuple[_Question, Similarity]:
         question, rgb = looked
         seen, targets = question.observation, question.targets
         score = self._scorer.score(rgb, targets)
-        return Similarity(seen.stamp_ns, seen.pose, targets, score)
+        return question, Similarity(seen.stamp_ns, seen.pose, targets, score)
+
+    def close(self) -> None:
+        self._scorer.close()
+
+
+class _ChoiceAnswers:
+    """A choice scorer that keeps the question beside its answer."""
+
+    def __init__(self, scorer: ViewScorer) -> None:
+        self.name = scorer.name
+        self._scorer = scorer
+
+    def look(self, question: _Directions) -> tuple[_Directions, Any]:
+        return question, self._scorer.look(question.view)
+
+    def answer(self, looked: tuple[_Directions, Any]) -> tuple[_Directions, Choice] | None:
+        question, shown = looked
+        choice = self._scorer.answer(shown)
+        return None if choice is None else (question, choice)
 
     def close(self) -> None:
         self._scorer.close()
@@ -70,23 +122,35 @@ class Scorers:
     def __init__(
         self,
         similarity: SimilarityScorer | None,
-        choice: ChoiceScorer | None,
+        choice: ViewScorer | None,
         from_detections: str | None = None,
+        score_of: ScoreOf = best_scores,
         inline: bool = False,
         rest_s: float = 0.0,
+        feeds: ValueSource | None = None,
     ) -> None:
         """
         Args:
             from_detections: card of a similarity scorer that takes the running detector's scores.
+            score_of: what it makes of them.
             rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
+            feeds: which of the two the value maps are written from.
         """
         self.answers = Answers()
-        self._from_detections = from_detections
+        self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
+        self._feeds = feeds
+        self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
-        self._choice = None if choice is None else ScorerWorker("choice", choice, rest_s, inline)
+        self._by_prior = isinstance(choice, PriorChoice)  # too quick to be worth a thread
+        to_choose = None if choice is None else _ChoiceAnswers(choice)
+        self._choice = (
+            None
+            if to_choose is None
+            else ScorerWorker("choice", to_choose, rest_s, inline or self._by_prior)
+        )
         self._workers = [w for w in (self._similarity, self._choice) if w is not None]
 
     def ask(
@@ -96,6 +160,8 @@ class Scorers:
         target: str,
         candidates: Candidates,
         tracker: InstanceTracker,
+        values: ValueMap,
+        prior: Prior | None = None,
     ) -> None:
         """Put this moment to the scorers that are idle. Never blocks, unless inline.
 
@@ -103,34 +169,69 @@ class Scorers:
             targets: of the mission; `target` is the active one.
             candidates: the frontiers among them are the directions to choose from.
             tracker: has what was detected.
+            values: tells what is in view; written to when the answers are taken up.
+            prior: for the choice that goes by it.
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            similarity.submit(_Question(observation, targets))
+            sight = values.sight(observation) if self._feeds == "similarity" else None
+            similarity.submit(_Question(observation, targets, sight))
         if choice is not None and choice.idle:
             c = candidates
             open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
             marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
-                choice.submit(View(observation, target, marks, sightings(tracker, observation)))
+                sight = values.sight(observation) if self._feeds == "choice" else None
+                about = self._asked_about(targets, target)
+                xy_m, lift = _places_m(observation.pose, marks), None
+                if self._by_prior and prior is not None:
+                    lift = np.ones(len(marks), np.float32)
+                    prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
+                seen = sightings(tracker, observation)
+                choice.submit(_Directions(View(observation, about, marks, seen, lift), xy_m, sight))
 
-    def saw(self, detections: Detections) -> None:
+    def saw(self, detections: Detections, values: ValueMap) -> None:
         """Take the running detector's scores, where they are the similarity that is wanted."""
         if self._from_detections is not None:
             seen = detections.observation
             self._detector = detections.model
-            score = best_scores(detections)
+            score = self._score_of(detections)
             said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            self.answers = replace(self.answers, similarity=said)
+            sight = values.sight(seen) if self._feeds == "similarity" else None
+            self._take_similarity(said, sight, values)
 
-    def take_up(self) -> None:
-        """Answers that came meanwhile are the newest."""
+    def take_up(self, values: ValueMap) -> None:
+        """Answers that came meanwhile are the newest; what they say is written where they were
+        asked, frontiers that are gone included."""
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
-            self.answers = replace(self.answers, similarity=similarity)
+            question, said = similarity
+            self._take_similarity(said, question.sight, values)
         choice = None if self._choice is None else self._choice.poll()
         if choice is not None:
-            self.answers = replace(self.answers, choice=choice)
+            asked, chosen = choice
+            self.answers = replace(self.answers, choice=chosen)
+            if asked.sight is not None:
+                place = {mark.id: i for i, mark in enumerate(asked.view.marks)}
+                xy_m = asked.xy_m[[place[i] for i in chosen.ids]]
+                values.write_directions(asked.sight, chosen.target, xy_m, chosen.p, chosen.scene)
+
+    def _take_similarity(self, said: Similarity, sight: Sight | None, values: ValueMap) -> None:
+        self.answers = replace(self.answers, similarity=said)
+        if sight is not None:
+            values.write_view(sight, said.targets, said.score)
+
+    def _asked_about(self, targets: tuple[str, ...], target: str) -> str:
+        """Which target the next question about directions is about.
+
+        Every other one is about the active target; where the value maps are written from the
+        answers, the rest go to the other targets in turn (ViTL keeps a channel for each).
+        """
+        others = [t for t in targets if t != target] if self._feeds == "choice" else []
+        self._turn += 1
+        if not others or self._turn % 2:
+            return target
+        return others[self._turn // 2 % len(others)]
 
     def forget(self) -> None:
         """Another map or mission: what was said, and what is being asked, is void."""
@@ -174,6 +275,15 @@ class Scorers:
             worker.close()
 
 
+def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
+    """(n, 2) float64 in `map`."""
+    bearing = pose.yaw_rad + np.array([mark.bearing_rad for mark in marks])
+    away_m = np.array([mark.distance_m for mark in marks])
+    return np.stack(
+        [pose.x_m + away_m * np.cos(bearing), pose.y_m + away_m * np.sin(bearing)], axis=1
+    )
+
+
 def sightings(tracker: InstanceTracker, observation: Observation) -> tuple[Sighting, ...]:
     """What was detected a moment ago and not refuted, the nearest first."""
     pose, least = observation.pose, tracker.config.min_hits
@@ -201,17 +311,23 @@ def make_scorers(config: Config, targets: Sequence[str]) -> Scorers | None:
     perception = config.perception
     card = similarity_card(perception)
     choice = perception.choice
-    asked = None if isinstance(choice, ChoiceNone) else make_choice(choice)
+    asked: ViewScorer | None = None
+    if isinstance(choice, ChoiceCooccurrence):
+        asked = PriorChoice()
+    elif not isinstance(choice, ChoiceNone):
+        asked = make_choice(choice)
     if card is None and asked is None:
         return None
     how = {
         "inline": config.loop.lockstep,
-        "rest_s": 0.0 if isinstance(choice, ChoiceNone) else choice.rest_s,
+        "rest_s": getattr(choice, "rest_s", 0.0),
+        "feeds": config.value_source,
     }
     if card is None:
         return Scorers(None, asked, **how)
     if is_running_detector(card, perception):
-        return Scorers(None, asked, from_detections=card.name, **how)
+        score_of = best_scores if card.related is None else RelatedScores()
+        return Scorers(None, asked, from_detections=card.name, score_of=score_of, **how)
     return Scorers(make_similarity(card, perception, targets), asked, **how)
 
 

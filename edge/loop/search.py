@@ -22,6 +22,7 @@ _RETRY_NS = LASTING_NS + 1_000_000_000
 # A frontier left so often for another, or because it vanished, before the robot came there, shows
 # from afar alone or is farther than it looks: then it is seen through, or left alone.
 _FICKLE, _SAME_M, _LEFT = 3, 0.6, 64
+_SAME_PLACE_M = 0.3  # goals this near to one another are for standing at one place
 
 
 @dataclass(slots=True, eq=False)
@@ -39,11 +40,21 @@ class Search:
     _turns: int = 0  # since there was something to go to
     _idle_since_ns: int | None = None
     _second_chance: bool = False
+    _missed: tuple[int, tuple[float, float]] | None = None
     _retry: tuple[int, int] | None = None  # reach generation and time that end it
 
     def fickle(self, xy_m: tuple[float, float]) -> bool:
         """Whether a frontier was left too often before the robot came there."""
         return sum(math.dist(xy_m, left) < _SAME_M for left in self.left) >= _FICKLE
+
+    def missed(self, instance_id: int, at_m: tuple[float, float]) -> bool:
+        """An instance turned out to be out of reach from a place; whether it was so before."""
+        before, self._missed = self._missed, (instance_id, at_m)
+        return (
+            before is not None
+            and before[0] == instance_id
+            and math.dist(before[1], at_m) <= _SAME_PLACE_M
+        )
 
     def found(self) -> None:
         """There is something to go to."""

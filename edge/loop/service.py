@@ -22,6 +22,7 @@ from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
+from edge.loop.prior import make_prior
 from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult, facts_of
 from edge.loop.scorers import Scorers
@@ -100,6 +101,7 @@ class Service:
         self.epoch = 0
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
+        self._prior = make_prior(config)
         self.faults = Faults(self.event)
         self.stage = INGEST
         self._worker = worker
@@ -119,6 +121,7 @@ class Service:
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
             keeper.resume(self.mission)
+        self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -146,6 +149,8 @@ class Service:
         self._map(observation, pose, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
+        if self._prior is not None:
+            self._prior.step(self._seen_map, self.sightings.shown, now_ns)
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
@@ -200,9 +205,11 @@ class Service:
         """Detections of what is looked for, in the map that there is."""
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
-            self._scorers.saw(detections)
-        lifted, around = self._lifter.lift(detections), detections.around()
-        self.sightings.look(lifted, None if around is None else self._lifter.lift(around))
+            self._scorers.saw(detections, self.grid.values)
+        others = detections.around()
+        around = None if others is None else self._lifter.lift(others)
+        lifted = self._lifter.lift(detections, around)
+        self.sightings.look(lifted, around)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation, detections.prompts)
         perception = self.config.perception
@@ -216,12 +223,13 @@ class Service:
         """What stage 5 takes as instance candidates."""
         if self.mission.done:
             return []
-        return self.tracker.of(self.mission.target, sure=not self.config.policy.instances)
+        sure = not self.config.policy.instances
+        return self.tracker.of(self.mission.target, sure, doubted=self.goals.searched)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
-        self.pool.measure(self.grid, observation.pose)
+        self.pool.measure(self.grid)
         policy, camera = self.config.policy, observation.camera
         if policy.look_round and camera is not None:
             self.pool.add_look(
@@ -233,8 +241,11 @@ class Service:
         mission = self.mission
         if not (mission.done or mission.paused):
             targets, candidates = mission.brief.targets, self.pool.candidates
-            scorers.ask(observation, targets, mission.target, candidates, self.tracker)
-        scorers.take_up()
+            scorers.ask(
+                observation, targets, mission.target, candidates, self.tracker, self.grid.values,
+                self._prior,
+            )  # fmt: skip
+        scorers.take_up(self.grid.values)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
 
@@ -252,6 +263,7 @@ class Service:
             self.mission.target,
             now_ns,
             self.sightings.shown,
+            self._prior,
         )
         self.scores = scores_of(self.policy, self._context)
 
@@ -333,7 +345,9 @@ class Service:
         mission = MissionRun(brief, self.config.mission, self._step_taken)
         self._worker.set_prompts(brief.targets)
         self.mission = mission
+        self._keep_values()
         self.tracker.forget_verdicts()
+        self.tracker.recall(brief.targets)
         self.grid.coverage.forget()
         self.policy.reset("mission")
         self._detections = None
@@ -386,6 +400,7 @@ class Service:
         self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
         self._seen_map = MapView(self.grid)
+        self._keep_values()
         self.tracker.clear()
         self.sightings.clear()
         self.pool.clear()
@@ -393,6 +408,8 @@ class Service:
         self.mission.forget_distances()
         if self._surveyor is not None:
             self._surveyor.forget()
+        if self._prior is not None:
+            self._prior.forget()
         if self._scorers is not None:
             self._scorers.forget()
         self.goals.forget_places()
@@ -408,6 +425,13 @@ class Service:
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
+        if self._prior is not None:
+            self._prior.close()
+
+    def _keep_values(self) -> None:
+        """A value map for each target, where a scorer is to write them."""
+        if self.config.value_source is not None:
+            self.grid.values.begin(self.mission.brief.targets)
 
     # -- what others may ask ------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from edge.bus.wire.kernels import warmup as warm_messages
 from edge.config import Config, PolicyOwn
 from edge.geometry import CameraModel
 from edge.loop.candidates import CandidatePool
+from edge.loop.prior import warm_up as warm_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.grid import warmup as warm_mapping
 from edge.mapping.view import MapView
@@ -39,6 +40,7 @@ def warm_up(config: Config) -> float:
     steps: list[tuple[str, Callable[[], object]]] = [
         ("mapping", lambda: warm_mapping(config.mapping)),
         ("perception", lambda: warm_perception()),
+        ("prior", lambda: warm_prior(config)),
         ("policy", lambda: _warm_policy(config)),
         ("planner", warm_planners),
         ("messages", warm_messages),
@@ -64,6 +66,7 @@ def _warm_policy(config: Config) -> None:
     grid = RollingMap(config.mapping)
     pool = CandidatePool(8, config.policy.r_assoc_m)
     grid.frontiers.n = 1
+    grid.values.begin(("x",))
     pool.update(grid.frontiers, [], 0, 0)
     observation = Observation(
         0, 0, np.eye(4), camera=CameraModel.from_hfov(320, 256, 1.2), rgb=None

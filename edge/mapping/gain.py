@@ -24,6 +24,8 @@ SURE = 0.85
 """Share of the field of view and of the range that is counted on."""
 HERE_M, PLACES = 0.8, 256
 """Within so much of a place a look shows the same; the latest places are remembered."""
+CROWDED = 5
+"""With so many occupied cells around, a free one is a pinhole in a wall that was seen from afar."""
 RAY_LEAST_M2 = 0.05
 """What a ray shows less is the rim of something."""
 
@@ -59,7 +61,7 @@ class Gain:
         """
         window = self._window
         gains(
-            self._layers.raw, *window.origin, 1.0 / window.resolution_m, xy_m, which, n,
+            self._layers, *window.origin, 1.0 / window.resolution_m, xy_m, which, n,
             self._direction, self._area_m2, self._decay, self._ray_m2, out_m2,
         )  # fmt: skip
 
@@ -85,7 +87,7 @@ class Gain:
             return pose.yaw_rad, 0.0, 0.0
         x, y = pose.x_m / window.resolution_m, pose.y_m / window.resolution_m
         cast(
-            self._layers.raw, *window.origin, x, y, self._direction, self._area_m2, self._decay,
+            self._layers, *window.origin, x, y, self._direction, self._area_m2, self._decay,
             self._ray_m2,
         )  # fmt: skip
         near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < HERE_M
@@ -110,7 +112,7 @@ class Gain:
 
 
 @njit(nogil=True, cache=True)
-def cast(raw, origin_x, origin_y, x, y, direction, area, decay, out):
+def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
     """Expected unknown area that each ray from a place shows.
 
     Args:
@@ -123,6 +125,7 @@ def cast(raw, origin_x, origin_y, x, y, direction, area, decay, out):
     Returns:
         The sum of `out`.
     """
+    raw, near = layers.raw, layers.near
     n = raw.shape[0]
     total = 0.0
     for k in range(len(direction)):
@@ -133,10 +136,10 @@ def cast(raw, origin_x, origin_y, x, y, direction, area, decay, out):
             cx, cy = math.floor(px), math.floor(py)
             if cx < origin_x or cy < origin_y or cx >= origin_x + n or cy >= origin_y + n:
                 break
-            state = raw[cy % n, cx % n]
-            if state >= OCCUPIED:
+            cx, cy = cx % n, cy % n
+            if raw[cy, cx] >= OCCUPIED or near[cy, cx] >= CROWDED:
                 break
-            if state == UNSEEN:
+            if raw[cy, cx] == UNSEEN:
                 open_ *= decay
                 seen += open_ * area[s]
         out[k] = seen
@@ -145,12 +148,12 @@ def cast(raw, origin_x, origin_y, x, y, direction, area, decay, out):
 
 
 @njit(nogil=True, cache=True)
-def gains(raw, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
+def gains(layers, origin_x, origin_y, inv_res, xy, which, n, direction, area, decay, ray, out):
     """See `Gain.around`; `ray` is scratch."""
     for j in range(n):
         i = which[j]
         out[i] = cast(
-            raw, origin_x, origin_y, xy[i, 0] * inv_res, xy[i, 1] * inv_res, direction, area,
+            layers, origin_x, origin_y, xy[i, 0] * inv_res, xy[i, 1] * inv_res, direction, area,
             decay, ray,
         )  # fmt: skip
 

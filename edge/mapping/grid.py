@@ -17,6 +17,7 @@ from edge.mapping.coverage import Coverage, Viewpoint
 from edge.mapping.gain import Gain
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
+from edge.mapping.values import ValueMap
 from edge.mapping.window import Window
 from edge.types import Observation
 
@@ -41,6 +42,7 @@ class RollingMap:
         bumps: where the robot was held up by what no sensor shows.
         coverage: where the detector looked; its `look` is called for each image that it searched.
         gain: what a look from somewhere would show.
+        values: what scorers say of places; whoever feeds it calls its `begin` first.
         window: what of the world is held; only the map moves it.
         layers: what updates write, read-only, by storage cell (see `edge.mapping.layers`).
     """
@@ -83,6 +85,7 @@ class RollingMap:
         )
         self.coverage = Coverage(self._layers, self.window)
         self.gain = Gain(self._layers, self.window, c.range_m)
+        self.values = ValueMap(self._layers, self.window, c.values.cell_m, c.range_m, c.values.beta)
         self.bumps = Bumps(self._layers, self.window, c, self._write)
 
     def update_depth(
@@ -108,7 +111,7 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_camera, pose)
         rolled = self._follow(*cell)
         n_points = points.from_depth(
-            _plain(depth_m), *self._strides, self._column, self._row, T,
+            ly.plain(depth_m), *self._strides, self._column, self._row, T,
             np.float32(self.config.min_range_m), self._scan.xyz,
         )  # fmt: skip
         return self._finish(n_points, T, cell, fraction, pose, rolled)
@@ -129,7 +132,7 @@ class RollingMap:
         T, cell, fraction = self._locate(T_map_lidar, pose)
         rolled = self._follow(*cell)
         n_points = points.from_cloud(
-            _plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
+            ly.plain(cloud_m), T, np.float32(self.config.min_range_m), self._scan.xyz
         )
         return self._finish(n_points, T, cell, fraction, pose, rolled)
 
@@ -370,6 +373,7 @@ class RollingMap:
         ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
         ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
         self.coverage.roll(axis, by)
+        self.values.roll(axis, by)
         origin = list(window.origin)
         origin[axis] += by
         window.origin = (origin[0], origin[1])
@@ -388,13 +392,6 @@ class RollingMap:
         self._retest(*_band(axis, (come[0] - 1, come[1] + 1), n))
         tail = (0, 1) if by > 0 else (n - 1, n)
         self._retest(*_band(axis, tail, n))
-
-
-def _plain(array: np.ndarray) -> np.ndarray:
-    """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
-    if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.float32, order="C")
 
 
 def _band(axis: int, along: tuple[int, int], n: int) -> tuple[int, int, int, int]:
@@ -421,6 +418,12 @@ def warmup(mapping: config.Mapping) -> None:
     points_m = ly.read_only(grid.frontiers.xy_m)
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
+    grid.values.begin(("x",))
+    for depth in (None, np.full((16, 16), 1.0, np.float32)):
+        sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))
+        grid.values.write_view(sight, ("x",), np.ones(1, np.float32))
+    grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
+    grid.values.best(0, points_m, 1, 0.5, np.zeros(8, np.float32))
     far = grid.window.n * grid.resolution_m
     T[0, 3] = far
     grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(far, 0.0, 0.0))

@@ -70,6 +70,13 @@ def disc_half_widths(radius_cells: float) -> np.ndarray:
     return np.floor(np.sqrt(np.maximum((radius_cells + 1e-6) ** 2 - dy**2, 0))).astype(np.int64)
 
 
+def plain(array: np.ndarray) -> np.ndarray:
+    """A writeable C-ordered float32 array: any other kind would compile the kernels again."""
+    if array.dtype == np.float32 and array.flags.c_contiguous and array.flags.writeable:
+        return array
+    return np.array(array, np.float32, order="C")
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     """The same memory, for those who may not write there."""
     view = array.view()

@@ -10,6 +10,7 @@ from numba import njit
 
 from edge.geometry import SE2
 from edge.mapping.layers import FREE, OCCUPIED, Layers, bit_get, on_trail
+from edge.mapping.points import HEIGHT_CODES, LOWEST_OBSTACLE
 from edge.mapping.window import Window
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
@@ -22,6 +23,8 @@ _UNREACHED = np.int32(0)
 # Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 _CLEAR_PER_CELL = 16
+TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
+"""`Layers.top` of what nobody sees over: a share of `mapping.obstacle_max_m`."""
 # What stands so near to a point of a thing's surface is the thing.
 _OWN_CELLS = 4
 
@@ -155,7 +158,7 @@ class ReachField:
         self, x_m: float, y_m: float, within_m: float
     ) -> tuple[float, float, float] | None:
         """Where to stop on the way to a thing: the free cell with the shortest way there from
-        which the point is near, with nothing in between.
+        which the point is near, with no wall in between.
 
         Args:
             within_m: how near; the centre of the cell to the point.
@@ -391,20 +394,20 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, px, py, radius):
             if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
                 continue
             dx, dy = px - x - 0.5, py - y - 0.5
-            if dx * dx + dy * dy > radius * radius or not _in_sight(layers.raw, x, y, dx, dy):
+            if dx * dx + dy * dy > radius * radius or not _in_sight(layers, x, y, dx, dy):
                 continue
             best_x, best_y, found = x, y, steps
     return best_x, best_y, found
 
 
 @njit(nogil=True, cache=True)
-def _in_sight(raw, x, y, dx, dy):
-    """Whether nothing stands between a cell's centre and a point, but near the point: itself."""
-    n = raw.shape[0]
+def _in_sight(layers, x, y, dx, dy):
+    """Whether no wall stands between a cell's centre and a point, but near the point: itself."""
+    n = layers.raw.shape[0]
     length = math.hypot(dx, dy)
     for k in range(int(length - _OWN_CELLS) + 1):
         f = k / max(length, 1.0)
         cx, cy = math.floor(x + 0.5 + f * dx), math.floor(y + 0.5 + f * dy)
-        if raw[cy % n, cx % n] >= OCCUPIED:
+        if layers.raw[cy % n, cx % n] >= OCCUPIED and layers.top[cy % n, cx % n] >= TALL:
             return False
     return True

@@ -5,6 +5,18 @@ from __future__ import annotations
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import read_only
 from edge.mapping.results import Frontiers
+from edge.mapping.values import ValueMap
+
+
+class ValuesView:
+    """The value maps, to be read.
+
+    Attributes:
+        best: see `edge.mapping.values.ValueMap`.
+    """
+
+    def __init__(self, values: ValueMap) -> None:
+        self.best = values.best
 
 
 class MapView:
@@ -17,6 +29,7 @@ class MapView:
         state_at, unknown_ratio, snapshot: see `edge.mapping.grid.RollingMap`.
         distance_m, nearest, approach: see `edge.mapping.reach.ReachField`.
         worth: see `edge.mapping.coverage.Coverage`.
+        values: a channel for each target of the mission, where the policy's scorer feeds them.
     """
 
     def __init__(self, grid: RollingMap) -> None:
@@ -27,6 +40,7 @@ class MapView:
         self.distance_m, self.nearest = grid.reach.distance_m, grid.reach.nearest
         self.approach = grid.reach.approach
         self.worth = grid.coverage.worth
+        self.values = ValuesView(grid.values)
         self._grid = grid
         shown = grid.frontiers
         self._frontiers = Frontiers(0, *map(read_only, (shown.xy_m, shown.cells, shown.cluster)))

@@ -10,21 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerVitl
+from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
 from edge.mission.automaton import Automaton
 from edge.mission.ltl import Formula
 from edge.mission.planning import distances
 from edge.mission.planning.expected import ExpectedPlanner, PlannerError
+from edge.mission.planning.in_order import InOrderPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.mission.planning.vitl import VitlPlanner
 
 __all__ = ["Knowledge", "Plan", "Planner", "PlannerError", "make_planner", "warm_up"]
 
-REGISTRY: dict[str, Any] = {"vitl": VitlPlanner, "expected": ExpectedPlanner}
+REGISTRY: dict[str, Any] = {
+    "vitl": VitlPlanner,
+    "expected": ExpectedPlanner,
+    "in_order": InOrderPlanner,
+}
 
 
 def make_planner(
-    config: PlannerVitl | PlannerExpected, automaton: Automaton, **keywords: Any
+    config: PlannerVitl | PlannerExpected | PlannerInOrder, automaton: Automaton, **keywords: Any
 ) -> Planner:
     """The planner that a configuration's `mission.planner` section names.
 

@@ -76,6 +76,8 @@ class Bus:
         settings, lockstep = config.zenoh, config.sim.lockstep
         self.malformed: dict[str, int] = {}
         self.map_heard_s: float | None = None
+        self._lockstep = lockstep
+        self._map_ns: int | None = None
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._rings = {
             topic: Ring(session, settings.key(topic.key), kept) for topic, kept in _RINGS.items()
@@ -116,9 +118,14 @@ class Bus:
 
     def feed(self, controller: Controller) -> None:
         """Give the controller the newest map and all goals, and send its answers."""
-        for _, grid in self.read(topics.MAP, messages.decode_occupancy_grid):
+        for stamp_ns, grid in self.read(topics.MAP, messages.decode_occupancy_grid):
+            # In lockstep one is sent again while nobody answers, which is no newer map: taking it
+            # in would plan anew, and the run depend on how slow the computer is.
+            if self._lockstep and stamp_ns == self._map_ns:
+                continue
             try:
                 controller.on_map(grid)
+                self._map_ns = stamp_ns
                 self.map_heard_s = time.monotonic()
             except ValueError as error:
                 self._count(topics.MAP, error)

@@ -203,10 +203,15 @@ class ImageCard(_FileCard):
     dim: Positive
 
 
+RUNNING = "running detector"
+"""What a similarity card names in the place of one detector: whichever runs."""
+
+
 class SimilarityCard(BaseCard):
     """An image-text scorer: two encoders of one embedding, or a detector. It has no file.
 
-    `detector` names a card, or is `running detector`.
+    `detector` names a card, or is `running detector`. With `related: cooccurrence` boxes of other
+    things count too, by how often the target stands in one room with them.
     """
 
     task: Literal["similarity"]
@@ -216,12 +221,15 @@ class SimilarityCard(BaseCard):
     image_encoder: str | None = None
     text_encoder: str | None = None
     detector: str | None = None
+    related: Literal["cooccurrence"] | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> SimilarityCard:
         named = tuple(bool(n) for n in (self.image_encoder, self.text_encoder, self.detector))
         if named not in ((True, True, False), (False, False, True)):
             raise ValueError("name image_encoder and text_encoder, or detector alone")
+        if self.related is not None and self.detector != RUNNING:
+            raise ValueError(f"related: only with detector: {RUNNING}")
         return self
 
 

@@ -70,8 +70,9 @@ def columns_for(prompts: Sequence[str], background: Sequence[str], text: TextEnc
 def competitors(prompts: Sequence[str], things: Sequence[str], text: TextEncoder) -> np.ndarray:
     """(2, prompts, things) bool, see `Columns.competes`; the prompts come first among the things.
 
-    What may be said of the prompt's thing as well (`names.akin`) never is another, unless it is
-    what the prompt is not (another colour, another size as far as that can be seen).
+    What one view does not tell from the prompt's thing (`names.near`) never competes in one image,
+    unless it is what the prompt is not (another colour, another size as far as that can be seen);
+    who weighs many images may tell them apart.
     """
     known = words_for(things, text.resolve)
     words = [(thing, known.get(thing, thing)) for thing in things]
@@ -82,7 +83,7 @@ def competitors(prompts: Sequence[str], things: Sequence[str], text: TextEncoder
         for column, said in enumerate(words):
             contrast = not contrasts.isdisjoint(said)
             unseen = contrast and seen_in_part.isdisjoint(said)
-            akin = any(names.akin(a, b) for a in words[row] for b in said)
-            competes[0, row, column] = contrast or not akin
+            near = any(names.near(a, b) for a in words[row] for b in said)
+            competes[0, row, column] = contrast or not near
             competes[1, row, column] = competes[0, row, column] and not unseen
     return competes

@@ -279,6 +279,26 @@ class InstanceTracker:
         self._next_id = max(self._next_id, instance.id + 1)
         self._place(track, instance.points_m)
 
+    def recall(self, labels: Sequence[str]) -> None:
+        """What was seen as context becomes an instance of the label that it answers to, with all
+        that was counted for it, so that it need not be found again."""
+        if self._sightings is None:
+            return
+        for label in labels:
+            name = names.canonical(label)
+            for seen in self._sightings.answering(label):
+                known = self._match(name, *seen.center_m[:2].tolist())
+                if known is not None or seen.hits < self.config.min_hits:
+                    continue
+                track = self._found(label, seen.points_m, seen.confidence, seen.last_seen_ns)
+                track.instance.hits = seen.hits
+                track.good_hits, track.views, track.target_sum = (
+                    seen.near_hits, seen.weight, seen.total,
+                )  # fmt: skip
+                self._doubt(track)
+                self._judge(track)
+        self._limit()
+
     def clear(self) -> None:
         """Forget every instance; ids go on, so that what comes is newer than all that was."""
         self._tracks.clear()

@@ -22,6 +22,9 @@ FARTHER = 1.2
 """What a surface behind another must have more of, to be the thing's."""
 LEAST_SHARE = 0.15
 """The thing fills at least this share of its box."""
+APART, LEFT, OTHER_M = 0.5, 0.25, 0.1
+"""A box of another word with less overlap (IoU) is of another thing: what lies in it at that one's
+depths, give or take `OTHER_M`, is not this one's, where so much of the box is left without it."""
 FLOOR_M = 0.06
 """Points lower than this over the ground count only when the box shows nothing else."""
 
@@ -125,6 +128,45 @@ def drop_floor(samples, n, T, floor_z):
             samples[k, 0], samples[k, 1], samples[k, 2] = x, y, d
             k += 1
     return k
+
+
+@njit(nogil=True, cache=True)
+def drop_others(samples, n, view, box, others, depths):
+    """Move the samples that no box of another thing explains to the front.
+
+    Args:
+        view: as in `lift_boxes`.
+        box: (4,) float32; others: (m, 4) float32, boxes of other things.
+        depths: (m, 2) float32, nearest and farthest of each of these; NaN: not known.
+
+    Returns:
+        How many count: all, where hardly any would be left.
+    """
+    _, _, _, _, fx, fy, cx, cy = view
+    area = (box[2] - box[0]) * (box[3] - box[1])
+    left = n
+    for j in range(len(others)):
+        u0, v0, u1, v1 = others[j]
+        wide, high = min(u1, box[2]) - max(u0, box[0]), min(v1, box[3]) - max(v0, box[1])
+        other = (u1 - u0) * (v1 - v0)
+        if not (wide > 0.0 and high > 0.0) or np.isnan(depths[j, 0]):
+            continue
+        if wide * high > APART * (area + other - wide * high):
+            continue
+        k = 0
+        for i in range(left):
+            u = fx * samples[i, 0] / samples[i, 2] + cx
+            v = fy * samples[i, 1] / samples[i, 2] + cy
+            here = u0 <= u <= u1 and v0 <= v <= v1
+            if not (here and depths[j, 0] - OTHER_M <= samples[i, 2] <= depths[j, 1] + OTHER_M):
+                # Swapped, not dropped: all are kept where too few would be left.
+                for axis in range(3):
+                    kept = samples[k, axis]
+                    samples[k, axis] = samples[i, axis]
+                    samples[i, axis] = kept
+                k += 1
+        left = k
+    return left if left >= LEFT * n else n
 
 
 @njit(nogil=True, cache=True)
@@ -248,7 +290,9 @@ def going_on(beside, n, low, high, T, floor_z):
 
 
 @njit(nogil=True, cache=True)
-def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratch, out):
+def lift_boxes(
+    view, boxes, others, depths, T_map_camera, floor_z, max_range, min_points, scratch, out
+):
     """Lift every box; see `lift.Lifter`.
 
     Of several surfaces in a box, the thing's is the one that fills much of it, goes on little
@@ -259,24 +303,26 @@ def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratc
 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
-        boxes: (n, 4) float32.
+        boxes: (n, 4) float32; others, depths: see `drop_others`.
         scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 where not said.
-        out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
-            valid (n,) bool.
+        out: center (n, 3), points (n, k, 3) float32 in `map`; depth (n, 2) float32; n_points,
+            n_samples (n,) int32, valid (n,) bool.
     """
     samples, beside, n_beside, histogram, found, in_map = scratch
-    center, points, n_points, n_samples, valid = out
+    center, points, depth_m, n_points, n_samples, valid = out
     shrink = 0.5 * (1.0 - INNER)
     T = T_map_camera
     for i in range(len(boxes)):
         x0, y0, x1, y1 = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
         valid[i] = False
         n_points[i] = n_samples[i] = 0
+        depth_m[i] = np.nan
         if not np.isfinite(x0 + y0 + x1 + y1):
             continue
         dx, dy = shrink * (x1 - x0), shrink * (y1 - y0)
         n = sample(view, x0 + dx, y0 + dy, x1 - dx, y1 - dy, max_range, samples)
+        n = drop_others(samples, n, view, boxes[i], others, depths)
         n = drop_floor(samples, n, T, floor_z)
         low, high = 0.0, max_range  # every depth of its own: all of it is one surface
         k = surfaces(samples, n, max_range, histogram, found)
@@ -296,5 +342,6 @@ def lift_boxes(view, boxes, T_map_camera, floor_z, max_range, min_points, scratc
             low, high = found[chosen, 0], found[chosen, 1]
         x, y, z, m, used = place(samples, n, low, high, T, points[i], in_map)
         center[i, 0], center[i, 1], center[i, 2] = x, y, z
+        depth_m[i, 0], depth_m[i, 1] = low, high
         n_samples[i], n_points[i] = m, used
         valid[i] = m >= min_points

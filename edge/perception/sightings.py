@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,6 +72,19 @@ class Sightings:
         return np.flatnonzero(self.word[: self.n] == self.words.index(name))
 
 
+class Sighting(NamedTuple):
+    """One of them, with what its confidence rests on: `total` of scores over `weight` of looks."""
+
+    center_m: np.ndarray
+    points_m: np.ndarray
+    confidence: float
+    weight: float
+    total: float
+    hits: int
+    near_hits: int
+    last_seen_ns: int
+
+
 class SightingTracker:
     """Merges the lifted boxes of targets and context by word and place, and fuses them over time.
 
@@ -114,6 +128,18 @@ class SightingTracker:
             self._fuse(observation)
         self._forget()
         self._count()
+
+    def answering(self, label: str) -> Iterator[Sighting]:
+        """All that a label names, kinds of it too, the surest first; arrays of their own."""
+        s = self._all
+        kinds = [names.is_kind_of(word, label) for word in s.words]
+        mine = [at for at in range(s.n) if kinds[s.word[at]] and s.n_points[at] > 0]
+        for at in sorted(mine, key=lambda at: -s.confidence[at]):
+            yield Sighting(
+                s.xyz_m[at].copy(), s.points_m[at, : s.n_points[at]].copy(),
+                float(s.confidence[at]), float(self._weight[at]), float(self._total[at]),
+                int(s.hits[at]), int(s.near_hits[at]), int(s.last_seen_ns[at]),
+            )  # fmt: skip
 
     def doubts(self, name: str, surface_m: np.ndarray, radius_m: float) -> bool:
         """Whether something else is surer to stand where a thing was seen.

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from edge.config import DetectorOnnx, Perception
-from edge.perception.card_types import ImageCard, SimilarityCard, TextCard
+from edge.perception.card_types import RUNNING, ImageCard, SimilarityCard, TextCard
 from edge.perception.cards import ModelError, load_card_of
 from edge.perception.clip import CPU, ClipImageEncoder, ClipTextEncoder
 from edge.perception.encoders import open_text_encoder
@@ -17,8 +17,6 @@ from edge.perception.text import TextEncoder
 from edge.types import Detections
 
 THREADS = 2
-RUNNING = "running detector"
-"""What a card names in the place of one detector: whichever runs."""
 SENTENCE = "Seems like there is a {} ahead."  # VLFM's, word for word
 
 

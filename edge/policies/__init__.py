@@ -17,6 +17,9 @@ from edge.policies.base import Policy
 
 REGISTRY = {
     "hvl": "edge.policies.hvl:Hvl",
+    "vlfm": "edge.policies.by_value:ByValue",
+    "directional": "edge.policies.by_value:ByValue",
+    "adaptive": "edge.policies.adaptive:Adaptive",
     "nearest_frontier": "edge.policies.nearest_frontier:NearestFrontier",
     "search": "edge.policies.search:Search",
 }

@@ -106,6 +106,19 @@ class Answers:
     choice: Choice | None = None
 
 
+class Prior(Protocol):
+    """Where a target may be, by what was seen."""
+
+    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+        """P(target near a place | what was seen) / P(target near an average place), into out[:n].
+
+        Args:
+            xy_m: (n or more, 2) float32 in `map`.
+            out: (n or more,) float32; 1: no opinion.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
     """All that a policy may go by at one moment, to be read: what lasts is read-only.
@@ -126,6 +139,7 @@ class Context:
         targets: all of the mission's; `target` is the active one.
         now_ns: the loop's time.
         sightings: what was seen where so far, targets and all else; None: nobody keeps it.
+        prior: tells where a target may be; None: none is configured.
     """
 
     observation: Observation
@@ -139,6 +153,7 @@ class Context:
     target: str
     now_ns: int
     sightings: Sightings | None = None
+    prior: Prior | None = None
 
     @property
     def active(self) -> int:

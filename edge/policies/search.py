@@ -1,18 +1,24 @@
-"""Our search: what a place would show, over the way there."""
+"""Our search: what a place would show, over the way there, times where the target is likely."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from edge.config import PolicySearch
-from edge.policies.base import INSTANCE, LOOK, Context, Why
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context, Why
 
 
 class Search:
-    """Scores frontiers and looks by the root of the area that they show, over their way."""
+    """Scores frontiers and looks by the root of the area that they show, over their way.
+
+    An area under a root, since the more a place shows, the less each part of it is worth the way:
+    sqrt(gain) / (way + start). A frontier's is times the prior's lift, a mild factor, and without
+    an opinion the best explorer by geometry remains.
+    """
 
     def __init__(self, config: PolicySearch) -> None:
         self.config = config
+        self._lift = np.ones(0, np.float32)
 
     def score(self, context: Context) -> np.ndarray:
         """See `Policy.score`."""
@@ -21,6 +27,12 @@ class Search:
         kind, path_m = candidates.kind[:n], candidates.path_m[:n]
         score = np.sqrt(np.maximum(candidates.gain_m2[:n], 0.0)) / (c.start_m + path_m)
         score[kind == LOOK] *= c.look_weight
+        frontiers = int(np.count_nonzero(kind == FRONTIER))
+        if context.prior is not None and c.prior_weight > 0.0:
+            if len(self._lift) < len(candidates.id):
+                self._lift = np.ones(len(candidates.id), np.float32)
+            context.prior.lift(context.target, candidates.xy_m, frontiers, self._lift)
+            score[:frontiers] *= self._lift[:frontiers] ** c.prior_weight
         return np.where(kind == INSTANCE, candidates.confidence[:n], score)
 
     def reset(self, why: Why) -> None:

@@ -18,8 +18,9 @@ from edge.types import Goal, Instance
 
 # A frontier that vanished while another stands this near was merely redrawn.
 _HEIR_M = 1.0
-STOP_M = 0.7
-"""The robot stops as soon as it is so near to an instance."""
+STOP_M = (0.7, 0.85)
+"""The robot stops as soon as it is so near to an instance; what stands far back on a table it may
+not get nearer to."""
 # A goal's cell may move so far, or by this share of the way there, before it is chosen anew.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
 
@@ -160,9 +161,10 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
         points = instance.points_m[:, :2]
         away = np.hypot(points[:, 0] - pose.x_m, points[:, 1] - pose.y_m)
         xy_m = points[int(np.argmin(away))]
-        found = context.map.approach(float(xy_m[0]), float(xy_m[1]), STOP_M)
-        if found is not None:
-            return found[0], found[1]
+        for within_m in STOP_M:
+            found = context.map.approach(float(xy_m[0]), float(xy_m[1]), within_m)
+            if found is not None:
+                return found[0], found[1]
         through = _way_through(candidates, xy_m)
         if through >= 0:
             xy_m, kind = candidates.xy_m[through], FRONTIER

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -12,21 +11,19 @@ from typing import NamedTuple
 import cv2
 import yaml
 
-import edge
 from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
 from edge.report import palette, picture, raster, story
+from edge.report.document import data_url, document
 from edge.report.record import Keyframe, RunRecord
-from edge.report.style import CSS
 
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"
 JPEG_QUALITY = 85
 LOUD = ("target", "reached", "failed")  # steps of a mission
 MAX_SEEN = 4  # targets named under a frame
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 class ReportError(FileError):
@@ -84,26 +81,15 @@ def html(record: RunRecord, png: bytes) -> str:
         f'<header><span class="badge" style="background:{colour}">{escape(mission.phase)}</span>'
         f"<h1>{escape(record.title)}</h1>{reason}</header>",
         _tiles(record),
-        f'<section class="picture"><img alt="map of the run" src="{_data_url("png", png)}">'
+        f'<section class="picture"><img alt="map of the run" src="{data_url("png", png)}">'
         "</section>",
         story.section(record),
         _latency(record.latency),
         _frames(record),
         f'<div class="columns">{_timeline(record)}<div>{_facts(record)}</div></div>',
         _configuration(record),
-        f"<footer>edge {edge.__version__} · {escape(record.machine)}</footer>",
     )
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(mission.phase)}: {escape(record.title)}</title><style>{CSS}</style></head>"
-        f"<body><main>{''.join(body)}</main></body></html>\n"
-    )
-
-
-def _data_url(kind: str, content: bytes) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    return document(f"{mission.phase}: {record.title}", "".join(body), record.machine)
 
 
 def _tiles(record: RunRecord) -> str:
@@ -205,7 +191,7 @@ def _figure(frame: Keyframe, record: RunRecord) -> str:
     caption += "" if seen else ", target not seen"
     return (
         f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
-        f'<image width="{w}" height="{h}" href="{_data_url("jpeg", jpeg)}"/>{boxes}</svg>'
+        f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/>{boxes}</svg>'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 

@@ -119,9 +119,14 @@ class FloorPlan:
 
 
 class World(Protocol):
-    """A place for the simulated robot; see `edge.sim.worlds.load_world`."""
+    """A place for the simulated robot; see `edge.sim.worlds.load_world`.
+
+    Attributes:
+        rooms: how many it has; None where nobody knows.
+    """
 
     name: str
+    rooms: int | None
     objects: list[WorldObject]
     start: SE2
     plan: FloorPlan

@@ -53,8 +53,10 @@ class BoxWorld:
         start: SE2,
         robot_height_m: float,
         depth_range_m: tuple[float, float],
+        rooms: int | None = None,
     ) -> None:
         self.name = name
+        self.rooms = rooms
         self.objects = [item for item, _ in furniture]
         self.start = start
         self._robot_height_m = robot_height_m

@@ -208,6 +208,7 @@ class MeshWorld:
         from embreex.rtcore_scene import EmbreeScene
 
         self.name = name
+        self.rooms: int | None = None
         self._faces = faces
         self._depth_range_m = (
             config.sensors.camera.depth_min_m,

@@ -75,7 +75,8 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
     camera = config.sensors.camera
     depths = (camera.depth_min_m, camera.depth_max_m)
     start = SE2(*(float(v) for v in house["start"]))
-    return BoxWorld(house["name"], structure, furniture, start, config.robot.height_m, depths)
+    height_m, rooms = config.robot.height_m, len(house["rooms"])
+    return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms)
 
 
 def _room_parts(room: dict[str, Any], height_m: float) -> list[Part]:

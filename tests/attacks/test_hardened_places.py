@@ -87,7 +87,7 @@ def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, co
     service.until(lambda: list(temporary.rglob("*.nbc")), "it never compiled")
     assert service.stop(signal.SIGTERM) == 0, service.output
     assert "stopped before it was ready" in service.output
-    assert "preparing kernels 5/5" not in service.output
+    assert "preparing kernels 6/6" not in service.output
     assert "ready:" not in service.output
 
 

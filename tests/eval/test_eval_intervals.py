@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.eval.intervals import ratio, wilson
+from edge.eval.intervals import _student, bootstrap, ratio, wilson
 
 
 @pytest.mark.parametrize(
@@ -69,3 +69,69 @@ def test_ratio_covers_the_truth_19_times_in_20():
         _, low, high = ratio(x, y)
         inside += low <= 1.5 <= high
     assert 925 <= inside <= 970
+
+
+# -- bootstrap over clusters --------------------------------------------------------------------
+
+
+def means(values: np.ndarray, cluster: np.ndarray, **options):
+    """The intervals of the means of (k, n) values, of which none is missing."""
+    return bootstrap(values, np.ones_like(values), cluster, **options)
+
+
+def test_bootstrap_of_nothing():
+    assert bootstrap(np.zeros((0, 3)), np.zeros((0, 3)), np.arange(3)) == []
+    (nothing,) = bootstrap(np.zeros((1, 0)), np.zeros((1, 0)), np.zeros(0, int))
+    (not_counted,) = bootstrap(np.zeros((1, 4)), np.zeros((1, 4)), np.arange(4))
+    assert all(math.isnan(x) for x in (*nothing, *not_counted))
+
+
+def test_one_cluster_has_no_interval():
+    (found,) = means(np.array([[1.0, 3.0]]), np.zeros(2, int))
+    assert found.value == 2.0
+    assert math.isnan(found.low)
+    assert math.isnan(found.high)
+
+
+def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
+    rng = np.random.default_rng(0)
+    x, y = rng.exponential(2.0, (2, 400))
+    one, other = (bootstrap(x[None], y[None], np.arange(400), seed=3) for _ in range(2))
+    assert one == other
+    assert one[0] == pytest.approx(ratio(x, y), rel=0.02)
+
+
+def test_what_differs_between_clusters_alone_counts_as_one_a_cluster():
+    each = np.random.default_rng(1).normal(0.0, 1.0, 40)
+    (alone,) = means(each[None], np.arange(40))
+    (repeated,) = means(np.repeat(each, 25)[None], np.repeat(np.arange(40), 25))
+    assert repeated == pytest.approx(alone)
+    (as_if_independent,) = means(np.repeat(each, 25)[None], np.arange(1000))
+    assert (as_if_independent.high - as_if_independent.low) < 0.3 * (alone.high - alone.low)
+
+
+@pytest.mark.parametrize(("clusters", "least"), [(10, 0.91), (60, 0.925)])
+def test_clustered_intervals_cover_the_truth_19_times_in_20(clusters, least):
+    rng, inside, cluster = np.random.default_rng(2), 0, np.repeat(np.arange(clusters), 4)
+    for k in range(300):
+        values = rng.normal(0.0, 1.0, clusters)[cluster] + rng.normal(0.0, 1.0, 4 * clusters)
+        (found,) = means(values[None], cluster, resamples=600, seed=k)
+        inside += found.low <= 0.0 <= found.high
+    assert least <= inside / 300 <= 0.985
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 30))
+def test_turned_round_a_difference_is_its_negative(seed, n):
+    rng = np.random.default_rng(seed)
+    values, cluster = rng.normal(size=(1, n)), rng.integers(0, 5, n)
+    there, back = (means(sign * values, cluster, resamples=200)[0] for sign in (1.0, -1.0))
+    assert (back.value, back.low, back.high) == pytest.approx(
+        (-there.value, -there.high, -there.low), nan_ok=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("freedom", "t"), [(1, 12.706), (2, 4.303), (3, 3.182), (9, 2.262), (60, 2.0)]
+)
+def test_students_t(freedom, t):
+    assert _student(freedom) == pytest.approx(t, abs=5e-3)

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mapping.mapping_twins import SMALL, complete, look, room
 
+from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
-from edge.policies.base import FRONTIER, INSTANCE
+from edge.mapping.grid import RollingMap
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates
 from edge.types import Instance
 
 
@@ -169,3 +172,59 @@ def test_ids_never_repeat_and_anchors_stay_near(frames):
             *(pool.candidates.xy_m[: pool.candidates.n] - pool.anchor_m[: pool.candidates.n]).T
         )
         assert (away < 0.5).all()
+
+
+def looking(pose: SE2, *boxes) -> RollingMap:
+    """A map that one look showed, with its reach field."""
+    grid = RollingMap(SMALL)
+    look(grid, pose, [*boxes])
+    complete(grid, pose)
+    return grid
+
+
+def test_candidates_are_told_how_far_they_are_and_what_they_would_show():
+    pose = SE2(0.0, 0.0, 0.0)
+    grid, pool = looking(pose, *room(1.5)), CandidatePool(16, 0.5)
+    pool.update(frontiers((1.0, 0.0), (0.0, 9.0)), [instance(7, 0.5, 0.0)], 0, 0)
+    pool.measure(grid)
+    c = pool.candidates
+    assert c.path_m[:3] == pytest.approx([1.0, np.inf, 0.5], abs=0.08)
+    assert c.gain_m2[0] > 0.5
+    assert c.gain_m2[2] == 0.0
+
+
+def test_what_a_frontier_would_show_is_measured_when_it_is_new_and_then_in_turn():
+    pose = SE2(0.0, 0.0, 0.0)
+    grid, pool = looking(pose, *room(1.5)), CandidatePool(64, 0.05)
+    points = [(0.1 * k, 0.0) for k in range(40)]
+    pool.update(frontiers(*points), [], 0, 0)
+    pool.measure(grid)
+    c = pool.candidates
+    assert (c.gain_m2[:40] >= 0.0).all()
+    c.gain_m2[:40] = 99.0
+    for tick in range(1, 6):
+        pool.update(frontiers(*points), [], tick, tick)
+        pool.measure(grid)
+    assert (c.gain_m2[:40] < 99.0).all()
+
+
+def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
+    pose = SE2(0.0, 0.0, 0.0)
+    grid, pool = looking(pose, *room(1.5)), CandidatePool(2, 0.5)
+
+    def turn(now_ns: int) -> Candidates:
+        pool.update(frontiers(), [], now_ns, now_ns)
+        pool.add_look(grid, pose, 1.3, 0.2, now_ns)
+        return pool.candidates
+
+    c = turn(0)
+    assert (c.n, c.kind[0], pool.shown.n) == (1, LOOK, 1)
+    assert c.gain_m2[0] > 1.5
+    assert 0.2 < c.path_m[0] < 0.2 * 6.3
+    first = int(c.id[0])
+    assert turn(1).id[0] == first
+    pool.discard(LOOK, first, tuple(c.xy_m[0].tolist()), until_ns=100)
+    assert turn(2).blocked[0]
+    pool.update(frontiers((1, 0), (2, 0)), [], 3, 3)
+    pool.add_look(grid, pose, 1.3, 0.2, 3)
+    assert pool.candidates.n == 2, "no room for it"

@@ -226,3 +226,35 @@ def classify_twin(cell, z_m, ground, polar, low_m, high_m):
     code = 2 + (height[obstacle] * np.float32(250 / high_m)).astype(np.int64)
     np.maximum.at(codes, cell[obstacle], code.astype(np.uint8))
     return codes.reshape(polar.bin_of.shape)
+
+
+def basins(cells, apart, order, door_half_m, narrower, least_cells):
+    """Regions numbered in reading order; see `edge.mapping.regions.cut`."""
+    of: dict[tuple[int, int], int] = {}
+    peak: dict[int, float] = {}
+    for y, x in zip(*np.unravel_index(order, cells.shape), strict=True):
+        if cells[y, x] != 1:
+            continue
+        here = apart[y, x]
+        around = [(y + dy, x + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+        around = [cell for cell in around if cell in of]
+        if not around:
+            of[(y, x)] = len(peak) + 1
+            peak[of[(y, x)]] = here
+            continue
+        home = max(around, key=lambda cell: apart[cell])
+        for cell in around:
+            pair = of[home], of[cell]
+            if pair[0] == pair[1]:
+                continue
+            size = [sum(b == basin for b in of.values()) for basin in pair]
+            lower, higher = sorted(pair, key=lambda basin: peak[basin])
+            passage = here <= door_half_m and here < np.float64(narrower) * peak[lower]
+            if not passage or min(size) < least_cells:
+                of = {c: higher if b == lower else b for c, b in of.items()}
+        of[(y, x)] = of[home]
+    number: dict[int, int] = {}
+    label = np.zeros(cells.shape, np.int64)
+    for y, x in sorted(of):
+        label[y, x] = number.setdefault(of[(y, x)], len(number) + 1)
+    return label

@@ -14,8 +14,9 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 
 from edge import config
 from edge.geometry import SE2, CameraModel
-from edge.mapping import clusters, layers, points, reach, unknown, update
+from edge.mapping import clusters, layers, points, reach, unknown, update, values
 from edge.mapping.grid import RollingMap, warmup
+from edge.types import Observation
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
 
@@ -255,7 +256,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
 
 def signatures() -> dict[str, int]:
     """Compiled variants of every kernel of the package."""
-    modules = (clusters, layers, points, reach, unknown, update)
+    modules = (clusters, layers, points, reach, unknown, update, values)
     return {
         f"{module.__name__}.{name}": len(kernel.signatures)
         for module in modules
@@ -269,6 +270,7 @@ def test_nothing_is_compiled_after_warmup(kind):
     warmup(SMALL)
     before = signatures()
     grid = RollingMap(SMALL)
+    grid.values.begin(("bed", "sofa"))
     depth = np.full((120, 320), 2.0, np.float32)[:, ::2].copy()
     if kind == "read-only":
         depth.flags.writeable = False
@@ -284,6 +286,15 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.reach.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
         grid.unknown_ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
+        for seen in (depth, None):
+            observation = Observation(
+                0, 0, pose.matrix(), depth_m=seen, camera=CAMERA, T_base_camera=T_BASE_CAMERA
+            )
+            sight = grid.values.sight(observation)
+            grid.values.write_view(sight, ("sofa", "bed"), np.ones(2, np.float32))
+        p = np.ones(2, np.float32)
+        grid.values.write_directions(sight, "bed", shown_m[:2].astype(np.float64), p, 0.5)
+        grid.values.best(1, shown_m, grid.frontiers.n, 0.5, np.zeros(999, np.float32))
     grid.bumps.close(SE2(23.8, 0.0, 0.0), (24.0, 0.0), 0.2, 0)
     grid.bumps.open_all()
     grid.snapshot()

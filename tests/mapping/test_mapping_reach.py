@@ -126,3 +126,36 @@ def test_what_was_reached_is_still_known_after_the_window_rolled():
     assert grid.reach.distance_m(2.0 + grid.window.n * grid.resolution_m, 0.0) == math.inf
     complete(grid, SE2(x, 0, 0))
     assert grid.reach.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)
+
+
+def test_lengths_of_many_ways_are_those_of_each():
+    grid, pose = explored(3)
+    out = np.zeros(4, np.float32)
+    grid.reach.paths_m(np.zeros((4, 2), np.float32), np.zeros(4, np.int8), np.ones(1), 4, out)
+    assert np.isinf(out).all(), "no field yet"
+    complete(grid, pose)
+    rng = np.random.default_rng(0)
+    xy_m = (rng.uniform(-3, 3, (40, 2)) + np.array([pose.x_m, pose.y_m])).astype(np.float32)
+    kind, radius_m = rng.integers(0, 2, 40).astype(np.int8), np.array([0.2, 0.8])
+    out = np.zeros(40, np.float32)
+    grid.reach.paths_m(xy_m, kind, radius_m, 40, out)
+    found = [
+        grid.reach.nearest(x, y, r) for (x, y), r in zip(xy_m.tolist(), radius_m[kind], strict=True)
+    ]
+    np.testing.assert_allclose(out, [math.inf if f is None else f[2] for f in found], rtol=1e-6)
+    assert 5 < np.isfinite(out).sum() < 40
+
+
+def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
+    grid = RollingMap(SMALL)
+    wall, thing = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0), (1.5, 0.3, 0.0, 1.9, 0.7, 0.5)
+    assert grid.reach.approach(1.5, 0.5, 0.7) is None
+    for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
+        for yaw in np.arange(0, 6.4, 0.3):
+            look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
+    complete(grid, SE2(0.0, 0.5, 0.0))
+    x, y, way_m = grid.reach.approach(1.5, 0.5, 0.7)
+    assert math.hypot(x - 1.5, y - 0.5) <= 0.7
+    assert x > 1.1, "not from behind the wall, though that is nearer"
+    assert way_m == pytest.approx(grid.reach.distance_m(x, y))
+    assert grid.reach.approach(1.5, 0.5, 0.1) is None

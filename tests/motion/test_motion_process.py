@@ -268,3 +268,13 @@ def test_a_look_takes_no_more_than_the_ring_holds():
     for look in range(3):
         read = bus.read(topics.ODOMETRY, messages.decode_odometry)
         assert [o.stamp_ns for o in read] == list(range(64 * look + 1, 64 * look + 65))
+
+
+@pytest.mark.parametrize(("lockstep", "taken"), [(True, 2), (False, 3)])
+def test_a_map_that_is_sent_again_is_no_newer_one_in_lockstep(lockstep, taken):
+    grid, heard = Grid(CELLS, (0.0, 0.0), 0.05), []
+    maps = [messages.encode_occupancy_grid(stamp_ns, grid) for stamp_ns in (1, 1, 2)]
+    bus = process.Bus(Flooded("edge/map", maps), simulated({"sim": {"lockstep": lockstep}}))
+    for _ in maps:  # its ring holds but one
+        bus.feed(SimpleNamespace(on_map=heard.append))
+    assert len(heard) == taken

@@ -37,7 +37,15 @@ class Scene:
         )
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        lifted = Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+        lifted = Lifted(
+            detections,
+            places,
+            points,
+            np.zeros((n, 2), np.float32),
+            full,
+            full,
+            np.ones(n, np.bool_),
+        )
         self.tracker.update(lifted, seen.stamp_ns)
         self.last = seen
         return self.tracker.all

@@ -6,11 +6,17 @@ import json
 import cv2
 import numpy as np
 import pytest
+import twins
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from edge import config
 from edge.geometry import CameraModel, invert
+from edge.perception import lift_kernels as kernels
 from edge.perception.lift import POINTS, Lifter
 from edge.types import Detections, Observation
+
+SIMULATED = config.Perception(detector=config.DetectorSim())
 
 
 def detect(observation, *boxes, score=0.9):
@@ -269,3 +275,56 @@ def test_a_thing_on_a_table_before_a_wall_is_still_the_nearest_surface(make_obse
     depth[44:64, :] = 2.0
     out = lift(make_observation(depth_m=depth), (32, 18, 48, 46))
     assert out.center_m[0, 0] == pytest.approx(2.0, abs=0.1)
+
+
+def shelf_behind_a_cabinet():
+    """A shelf of 20 × 50 px at 3 m whose lower two thirds a cabinet hides that goes on to the left,
+    before a wall."""
+    depth = np.full((64, 80), 5.0, np.float32)
+    depth[6:56, 40:60] = 3.0
+    depth[22:56, 10:60] = 1.5
+    return depth
+
+
+SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
+
+
+@pytest.mark.parametrize(
+    ("around", "x_m"),
+    [
+        (None, 1.5),
+        ((), 1.5),
+        ((CABINET,), 3.0),
+        # A rival for the same box does not stand before it, nor does what was not lifted.
+        ((SHELF,), 1.5),
+        (((200, 200, 210, 210),), 1.5),
+        # Were nothing left, all of it counts.
+        ((CABINET, (30, 0, 70, 30)), 1.5),
+    ],
+)
+def test_what_another_box_shows_is_not_the_things(make_observation, around, x_m):
+    seen, lifter = make_observation(depth_m=shelf_behind_a_cabinet()), Lifter(SIMULATED)
+    others = None if around is None else lifter.lift(detect(seen, *around))
+    out = lifter.lift(detect(seen, SHELF), others)
+    assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
+    assert out.depth_m[0, 0] <= x_m <= out.depth_m[0, 1]
+
+
+@settings(max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_samples_of_other_things_are_dropped_one_by_one(seed):
+    rng = np.random.default_rng(seed)
+    n, view = 60, (None, None, None, 0, 40.0, 40.0, 20.0, 20.0)
+    z = rng.uniform(1, 4, n)
+    u, v = rng.uniform(5, 35, (2, n))
+    samples = np.stack([(u - 20) / 40 * z, (v - 20) / 40 * z, z], axis=1).astype(np.float32)
+    box = np.array([5, 5, 35, 35], np.float32)
+    corner = rng.uniform(0, 35, (3, 2))
+    others = np.hstack([corner, corner + rng.uniform(2, 20, (3, 2))]).astype(np.float32)
+    depths = np.sort(rng.uniform(0.5, 4, (3, 2)), axis=1).astype(np.float32)
+    kept = twins.without_others(samples, view, box, others, depths)
+    left = samples.copy()
+    whole = (np.zeros((1, 1), np.float32),) * 3 + view[3:]
+    k = kernels.drop_others(left, n, whole, box, others, depths)
+    assert {*map(tuple, left[:k])} == {*map(tuple, kept)}
+    assert {*map(tuple, left)} == {*map(tuple, samples)}

@@ -2,8 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import fuse, match, strongest_rival
 
 from edge import config
+from edge.geometry import invert, optical, se3
+from edge.perception import sighting_kernels as kernels
 from edge.perception.lift import POINTS, Lifted
 from edge.perception.sightings import SightingTracker
 from edge.types import Detections
@@ -39,7 +44,15 @@ class Scene:
         )  # fmt: skip
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        return Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
+        return Lifted(
+            detections,
+            places,
+            points,
+            np.zeros((n, 2), np.float32),
+            full,
+            full,
+            np.ones(n, np.bool_),
+        )
 
     def table(self):
         s = self.seen
@@ -168,3 +181,86 @@ def test_who_reads_cannot_write(scene):
     seen = scene().see(("chair", NEAR, 0, 0.6)).seen
     with pytest.raises(ValueError, match="read-only"):
         seen.confidence[0] = 1.0
+
+
+def surface(x_m, y_m=0.0, z_m=0.6, half_m=0.15, seed=7):
+    random = np.random.default_rng(seed)
+    middle = np.array((x_m, y_m, z_m))
+    return (middle + random.uniform(-half_m, half_m, (40, 3))).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("seen", "doubtful"),
+    [
+        ((), False),
+        ((("bed", NEAR, 0, 0.5),), False),
+        ((("sofa", NEAR, 0, 0.5),), True),
+        ((("bed", NEAR, 0, 0.6), ("sofa", NEAR, 0, 0.4)), False),
+        ((("bed", NEAR, 0, 0.4), ("sofa", NEAR, 0, 0.6)), True),
+        ((("bed", NEAR, 0, 0.4), ("sofa", NEAR, 0.8, 0.6)), False),
+        ((("bed", NEAR, 0, 0.4), ("double bed", NEAR, 0, 0.6)), False),
+    ],
+    ids=[
+        "nothing", "itself", "another", "less sure", "surer", "surer beside it", "the same thing",
+    ],
+)  # fmt: skip
+def test_what_is_surer_to_be_something_else_is_doubted(scene, seen, doubtful):
+    s = scene()
+    for _ in range(5):
+        s.see(*seen, words=("chair", "sofa", "double bed"))
+    assert s.tracker.doubts("bed", surface(NEAR), 0.2) == doubtful
+
+
+def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
+    row = [("chair", NEAR, y, 0.6) for y in (-0.7, 0.0, 0.7)]
+    s = scene(merge_m=0.4)
+    for _ in range(5):
+        s.see(*row, ("sofa", NEAR, 0.0, 0.45), targets=("sofa",), words=("chair",))
+    assert s.tracker.doubts("sofa", np.concatenate([surface(NEAR, y) for *_, y, _ in row]), 0.9)
+    large = scene()
+    for _ in range(5):
+        large.see(("sofa", NEAR, 0, 0.8), ("sofa", NEAR, 0.5, 0.8), ("sofa", NEAR, -0.5, 0.8))
+    vase = surface(NEAR, 0.5, z_m=0.9, half_m=0.06)
+    assert not large.tracker.doubts("vase", vase, 0.1)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
+@settings(max_examples=40, deadline=None)
+def test_the_strongest_rival_agrees_with_its_twin(seed, n):
+    random = np.random.default_rng(seed)
+    centers = random.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
+    points = np.zeros((n, kernels.POINTS, 3), np.float32)
+    points[:] = centers[:, None] + random.uniform(-0.3, 0.3, points.shape)
+    n_points = random.integers(0, kernels.POINTS + 1, n).astype(np.int32)
+    word = random.integers(0, 3, n).astype(np.int16)
+    confidence = random.random(n, np.float32)
+    competes = random.random(3) < 0.7
+    thing = random.uniform(-0.4, 0.4, (random.integers(1, 30), 3)).astype(np.float32)
+    given = (thing, centers, points, n_points, word, confidence)
+    assert kernels.strongest_rival(*given, n, competes, 0.6) == pytest.approx(
+        strongest_rival(*given, competes, 0.6), abs=1e-5
+    )
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
+@settings(max_examples=40, deadline=None)
+def test_match_and_fuse_agree_with_their_twins(seed, n):
+    random = np.random.default_rng(seed)
+    centers = random.uniform(-4, 4, (n, 3)).astype(np.float32)
+    points = (centers[:, None] + random.uniform(-0.3, 0.3, (n, kernels.POINTS, 3))).astype("f4")
+    n_points = random.integers(0, kernels.POINTS + 1, n).astype(np.int32)
+    word = random.integers(0, 2, n).astype(np.int16)
+    x, y = random.uniform(-4, 4, 2)
+    assert kernels.match(centers, points, n_points, word, n, 1, x, y, 2.0) == match(
+        centers, points, n_points, word, 1, x, y, 2.0
+    )
+    depth = random.uniform(0.5, 6, (24, 32)).astype(np.float32)
+    T = optical(se3(0.0, 0.0, 0.6))
+    view = np.array((20.0, 20.0, 16.0, 12.0, 32, 24, 3.0, 6.0))
+    asked = random.random(2) < 0.7
+    ours = [a.astype(np.float32) for a in random.random((4, n)) * ((1,), (30,), (20,), (1,))]
+    ours[0][random.random(n) < 0.5] = 0.0
+    twin = [a.copy() for a in ours]
+    kernels.fuse(centers, word, n, ours[0], asked, invert(T), view, depth, *ours[1:])
+    fuse(centers, word, twin[0], asked, invert(T), view, depth, *twin[1:])
+    np.testing.assert_allclose(ours, twin, atol=1e-5)

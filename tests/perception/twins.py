@@ -4,6 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.perception.lift_kernels import APART, LEFT, OTHER_M
+from edge.perception.sighting_kernels import (
+    FORGET,
+    LOOK_MIN_M,
+    LOOK_RIM,
+    OCCLUDED_M,
+    PARTIAL,
+    PRIOR,
+    SAME_M,
+    WITHIN,
+)  # fmt: skip
+
 
 def to_planes(rgb, scale, top, left, out):
     h, w = rgb.shape[:2]
@@ -106,6 +118,22 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
     return np.array(points, np.float32).reshape(-1, 3)
 
 
+def without_others(samples, view, box, others, depths):
+    """Samples in no other box at that one's depths; all where under `LEFT` of them remain."""
+    fx, fy, cx, cy = view[4:]
+    u = fx * samples[:, 0] / samples[:, 2] + cx
+    v = fy * samples[:, 1] / samples[:, 2] + cy
+    keep = np.ones(len(samples), bool)
+    for other, (near, far) in zip(others, depths, strict=True):
+        apart = np.minimum(other[2:], box[2:]) <= np.maximum(other[:2], box[:2])
+        if apart.any() or iou(other, box) > APART:
+            continue
+        inside = (other[0] <= u) & (u <= other[2]) & (other[1] <= v) & (v <= other[3])
+        z = samples[:, 2]
+        keep &= ~(inside & (near - OTHER_M <= z) & (z <= far + OTHER_M))
+    return samples[keep] if keep.mean() >= LEFT else samples
+
+
 def surfaces(z, max_range, bins, gap_m, sparse):
     """(k, 3): (low, high, how many) of the surfaces among depths, nearest first."""
     width = max_range / bins
@@ -142,3 +170,74 @@ def merge_points(old, support, new, voxel_m, cap, near_m):
     kept = min(len(first), cap)
     chosen = first[np.arange(kept) * len(first) // kept]
     return joined[chosen], counts[chosen]
+
+
+def nearby(wall, x0, y0, cell, xy, things, row, weight, radius, kinds):
+    """See `edge.perception.prior.nearby.nearby`."""
+    out = np.zeros((len(xy), kinds), np.float32)
+    for i, place in enumerate(xy):
+        for (x, y), k, w in zip(things[:, :2], row, weight, strict=True):
+            d = np.array([x - place[0], y - place[1]], np.float32)
+            if k < 0 or d @ d > radius**2:
+                continue
+            length = np.sqrt(d[0] * d[0] + d[1] * d[1])
+            steps = np.arange(1, int((length - 0.25) / cell) + 1) / max(length, 1e-9)
+            c = np.floor((place[0] - x0) / cell + steps * d[0]).astype(int)
+            r = np.floor((place[1] - y0) / cell + steps * d[1]).astype(int)
+            inside = (r >= 0) & (r < wall.shape[0]) & (c >= 0) & (c < wall.shape[1])
+            if not wall[r[inside], c[inside]].any():
+                out[i, k] = max(out[i, k], w)
+    return out
+
+
+def match(centers, points, n_points, word, of_word, x, y, merge_m):
+    """Index of the nearest record of a word, or -1."""
+    best, least = -1, merge_m
+    for i in np.flatnonzero(word == of_word):
+        places = np.vstack((centers[i], points[i, : n_points[i]]))[:, :2]
+        apart = np.hypot(*(places - np.array((x, y), np.float64)).T).min()
+        if apart < least:
+            best, least = int(i), apart
+    return best
+
+
+def strongest_rival(surface, centers, points, n_points, word, confidence, competes, reach_m):
+    """The highest mean confidence of another word over the surface."""
+    middle = surface[:, :2].mean(axis=0)
+    cover = np.zeros((len(competes), len(surface)))
+    for i in range(len(word)):
+        mine = points[i, : n_points[i]]
+        if not competes[word[i]] or not len(mine):
+            continue
+        near = np.abs(mine[:, None] - surface[None]).max(axis=2) < SAME_M
+        if np.hypot(*(centers[i, :2] - middle)) > reach_m or near.any(axis=1).mean() < WITHIN:
+            continue
+        cover[word[i]] = np.maximum(cover[word[i]], near.any(axis=0) * confidence[i])
+    return cover.mean(axis=1).max()
+
+
+def look_weight(xyz, T, view, depth):
+    """What a look counts for a place."""
+    fx, fy, cx, cy, width, height, near_m, far_m = view
+    x, y, z = T[:3, :3] @ xyz + T[:3, 3]
+    if not 0.1 < z < far_m:
+        return 0.0
+    u, v = fx * x / z + cx, fy * y / z + cy
+    if not (0 <= u < width and 0 <= v < height) or 0 < depth[int(v), int(u)] < z - OCCLUDED_M:
+        return 0.0
+    across, down = u / width, v / height
+    whole = LOOK_RIM < across < 1 - LOOK_RIM and LOOK_RIM < down < 1 - LOOK_RIM and z > LOOK_MIN_M
+    return min(1.0, (near_m / z) ** 2) * (1.0 if whole else PARTIAL)
+
+
+def fuse(centers, word, now, asked, T, view, depth, weight, total, confidence):
+    """One look at every record."""
+    for i in range(len(word)):
+        w = look_weight(centers[i].astype(np.float64), T, view, depth)
+        w = max(w, PARTIAL**2) if now[i] > 0 else w
+        if asked[word[i]] and w > 0:
+            half = 0.5 if weight[i] + w > FORGET else 1.0
+            weight[i] = half * (weight[i] + w)
+            total[i] = half * (total[i] + w * now[i])
+            confidence[i] = total[i] / (weight[i] + PRIOR)
+    now[:] = 0.0

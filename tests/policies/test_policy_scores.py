@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.config import PolicyHvl, PolicyNearest
+from edge.config import PolicyHvl, PolicyNearest, PolicySearch
 from edge.geometry import SE2, CameraModel, wrap_angle
 from edge.policies import make_policy
-from edge.policies.base import FRONTIER, INSTANCE, Answers, Candidates, Context, scores_of
+from edge.policies.base import FRONTIER, INSTANCE, LOOK, Answers, Candidates, Context, scores_of
 from edge.policies.hvl import hvl_scores, relatedness, vl_scores
 from edge.policies.select import ranked
 from edge.types import ContextBoxes, Detections, Observation
@@ -137,6 +137,8 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
         # Too close to be a goal; an instance there is for the mission to verify.
         ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
         ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
+        # A turn on the spot is one more way to see what is not known yet.
+        ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (LOOK, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
         # Ties go to the older identity.
         ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
     ],
@@ -193,10 +195,25 @@ def context(
     )  # fmt: skip
 
 
-def test_nearest_frontier_scores_by_nearness():
-    candidates = candidates_of((FRONTIER, 4, 0), (FRONTIER, 2, 0), (INSTANCE, 9, 0))
-    got = scores_of(make_policy(PolicyNearest(distance="straight")), context(candidates))
-    assert got == pytest.approx([0.2, 1 / 3, 0.6])
+# Frontiers, one of them out of reach, an instance and a look; what each policy makes of them.
+@pytest.mark.parametrize(
+    ("policy", "expected"),
+    [
+        (PolicyNearest(), [0.2, 1 / 3, 0.0, 0.6, 0.5]),
+        (PolicyNearest(distance="straight"), [0.2, 1 / 3, 0.5, 0.6, 0.5]),
+        (PolicySearch(), [0.4, 1.0, 0.0, 0.6, 1.0]),
+        (PolicySearch(start_m=2.0, look_weight=0.5), [1 / 3, 0.75, 0.0, 0.6, 1 / 3]),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)
+def test_what_a_policy_makes_of_way_and_gain(policy, expected):
+    candidates = candidates_of(
+        (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (LOOK, 1, 0)
+    )
+    candidates.path_m[:5] = 4.0, 2.0, math.inf, 9.0, 1.0
+    candidates.gain_m2[:5] = 4.0, 9.0, 25.0, 0.0, 4.0
+    got = scores_of(make_policy(policy), context(candidates))
+    assert got == pytest.approx(expected)
     assert got.dtype == np.float32
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerVitl
+from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.mission.planning.distances import distances
@@ -80,7 +80,9 @@ class Surveyor:
         self._worker.close()
 
 
-def make_surveyor(planner: PlannerVitl | PlannerExpected, inline: bool) -> Surveyor | None:
+def make_surveyor(
+    planner: PlannerVitl | PlannerExpected | PlannerInOrder, inline: bool
+) -> Surveyor | None:
     """A surveyor, where driving distances are what the planner weighs by; else None."""
     by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"
     return Surveyor(inline) if by_distance else None

@@ -60,12 +60,15 @@ class View:
         observation: its image is read while whoever asks holds it.
         target: what is looked for.
         marks: at most `MAX_MARKS`, from left to right.
+        lift: (n,) float32, how much likelier the target is near each mark than near an average
+            place, by what was seen so far; None: no prior was asked.
     """
 
     observation: Observation
     target: str
     marks: tuple[Mark, ...]
     sightings: tuple[Sighting, ...] = ()
+    lift: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from edge.perception import prior
-from exporters import cooccurrence
+from edge.perception.prior import table
+from edge.sim.procthor import read_houses
+from exporters.prior.__main__ import main
+from exporters.prior.counts import count, inside
 
-FILE = Path(prior.__file__).with_name("table.json")
 HOUSES = Path(__file__).parents[3] / "shared/worlds/procthor_train.jsonl.gz"
 SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
 L_SHAPE = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 4], [0, 4]]
@@ -45,11 +46,11 @@ def house(things: list[tuple[str, float, float]], rooms=(SQUARE,)) -> dict:
     ],
 )
 def test_count(houses, expected):
-    assert cooccurrence.count(houses) == expected
+    assert count(houses) == expected
 
 
 @pytest.mark.parametrize(
-    ("polygon", "x", "y", "inside"),
+    ("polygon", "x", "y", "within"),
     [
         ([], 0.0, 0.0, False),
         (SQUARE, 1, 1, True),
@@ -59,28 +60,16 @@ def test_count(houses, expected):
         (L_SHAPE, 3, 3, False),
     ],
 )
-def test_inside(polygon, x, y, inside):
-    assert cooccurrence.inside(polygon, x, y) == inside
+def test_inside(polygon, x, y, within):
+    assert inside(polygon, x, y) == within
 
 
 def test_the_table_is_the_count_of_the_training_houses():
     if not HOUSES.exists():
         pytest.skip("needs the ProcTHOR houses of the shared folder")
-    data = json.loads(FILE.read_text())
-    assert FILE.stat().st_size < 60_000
-    assert "Apache-2.0" in data.pop("licence")
-    data.pop("about")
-    assert cooccurrence.count(cooccurrence.read_houses(HOUSES)) == data
-
-
-def test_main_prints_a_table(tmp_path, capsys):
-    file = tmp_path / "houses.jsonl.gz"
-    with gzip.open(file, "wt") as out:
-        out.writelines(json.dumps(house([("bed", 1, 1)])) + "\n" for _ in range(5))
-    assert cooccurrence.main([str(file)]) == 0
-    table = json.loads(capsys.readouterr().out)
-    assert table["things"] == ["bed"]
-    assert "Apache-2.0" in table["licence"]
+    data = json.loads(table.FILE.read_text())
+    counted = count(read_houses(HOUSES))
+    assert counted == {key: data[key] for key in counted}
 
 
 @pytest.mark.parametrize(
@@ -97,7 +86,7 @@ def test_main_names_what_is_wrong(tmp_path, capsys, content, words):
     file = tmp_path / "houses.jsonl.gz"
     if content is not None:
         file.write_bytes(content)
-    assert cooccurrence.main([str(file)]) == 1
+    assert main([str(file), "--out", str(tmp_path / "table.json")]) == 1
     error = capsys.readouterr().err
     assert str(file) in error
     assert words in error

@@ -1,29 +1,24 @@
-"""Which things stand in the same room of furnished houses: the table of the planner's prior.
-
-python -m exporters.cooccurrence HOUSES.jsonl.gz > edge/perception/prior/table.json
-"""
+"""Which things stand in the same room of furnished houses, in which kind of room, and which kinds
+of room share a door."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from edge import names
-from edge.sim.procthor import read_houses
-from exporters.files import ExportError, tells_errors
+from exporters.prior.house import Plan
 
 _RARE = 5
 """Things in fewer rooms than this are left out: their counts say nothing."""
 
 
 def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """The table of some houses, as it stands in the file.
+    """What stands in the same room.
 
     Args:
         houses: dicts with `rooms` (`polygon`: corners x, y) and `objects` (`category`,
@@ -54,6 +49,35 @@ def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
     return {"rooms": n_rooms, "things": things, "rooms_with_both": both}
 
 
+def count_kinds(plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[str]) -> dict:
+    """What the kinds of room hold in view, and which of them share a door.
+
+    Returns:
+        `names`; `rooms` of each kind; `rooms_with` each thing, by kind; `doors` between two kinds
+        and `pairs` of two kinds in a house, symmetric.
+    """
+    k, m = len(kinds), len(things)
+    rooms, held = np.zeros(k, int), np.zeros((k, m), int)
+    doors, pairs = np.zeros((k, k), int), np.zeros((k, k), int)
+    for plan in plans:
+        kind = [kinds.index(name) for name in plan.kinds]
+        for i, of in enumerate(kind):
+            rooms[of] += 1
+            names_here = {plan.words[w] for w in plan.word[plan.thing_room == i]}
+            held[of, [things.index(name) for name in names_here if name in things]] += 1
+        for a, b in combinations(range(len(kind)), 2):
+            for i, j in ((kind[a], kind[b]), (kind[b], kind[a])):
+                pairs[i, j] += 1
+                doors[i, j] += (a, b) in plan.doors
+    return {
+        "names": list(kinds),
+        "rooms": rooms.tolist(),
+        "rooms_with": held.tolist(),
+        "doors": doors.tolist(),
+        "pairs": pairs.tolist(),
+    }
+
+
 def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
     """Whether a point lies in a polygon, by the even-odd rule.
 
@@ -65,25 +89,3 @@ def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
         if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
             odd = not odd
     return odd
-
-
-@tells_errors
-def main(argv: list[str] | None) -> None:
-    """Print the table of a file of houses as JSON."""
-    parser = argparse.ArgumentParser(description="Count which things stand in the same room.")
-    parser.add_argument("file", type=Path, help="houses, .jsonl.gz")
-    path = parser.parse_args(argv).file
-    try:
-        table = count(read_houses(path))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ExportError(f"{path}: not houses with rooms and objects: {error!r}") from None
-    about = {
-        "about": "Rooms that hold two things; row i has entries for things 0 ... i. Made by "
-        "python -m exporters.cooccurrence.",
-        "licence": "Counts over houses of ProcTHOR (Allen Institute for AI), Apache-2.0.",
-    }
-    print(json.dumps({**about, **table}, separators=(",", ":")))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,273 @@
+"""`edge eval results`: a document of measurements, made whole by one command.
+
+A YAML file says what belongs into it, section by section; what has not been run is run, and the
+Markdown is written beside the YAML. It names no date, so it changes only when a result does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError, field_validator
+
+import edge
+from edge.config import ConfigError, Section
+from edge.config.explain import explain
+from edge.config.yaml_text import parse_yaml
+from edge.errors import FileError, UserError
+from edge.eval.comparison import plots, tables
+from edge.eval.comparison.run import compare_folders
+from edge.eval.comparison.statistics import Comparison
+from edge.eval.comparison.tables import TABLES
+from edge.eval.outcome import NAME as OUTCOMES_NAME
+from edge.host.children import python_module
+from edge.host.files import read_regular, write_atomically
+from edge.report.recorder import machine
+
+
+class Chapter(Section):
+    """A section of the document.
+
+    Attributes:
+        name: of its folder of outcomes, and of its images.
+        text: Markdown that stands above its tables.
+        episodes: words after `edge eval episodes`, a run each: configuration, worlds, targets.
+        columns: by name, what is changed in the configuration, as `--column` has it.
+        of: other sections, whose outcomes it is made of; then it runs nothing itself.
+        show: the only columns of these to show; none: all.
+        baseline: the column that the others are held against; None: the first.
+        tables, plots: which, in their order.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+    title: str
+    text: str = ""
+    episodes: tuple[str, ...] = ()
+    columns: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    of: tuple[str, ...] = ()
+    show: tuple[str, ...] = ()
+    baseline: str | None = None
+    tables: tuple[str, ...] = ("summary", "paired", "failures")
+    plots: tuple[str, ...] = ()
+
+    @field_validator("tables")
+    @classmethod
+    def _known_tables(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _known(names, TABLES)
+
+    @field_validator("plots")
+    @classmethod
+    def _known_plots(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _known(names, tuple(plots.PLOTS))
+
+
+class Book(Section):
+    """A document: what stands at its head, and its sections in their order."""
+
+    title: str = "Results"
+    text: str = ""
+    sections: tuple[Chapter, ...]
+
+    @field_validator("sections")
+    @classmethod
+    def _whole(cls, sections: tuple[Chapter, ...]) -> tuple[Chapter, ...]:
+        running = [chapter.name for chapter in sections if chapter.episodes]
+        for k, chapter in enumerate(sections):
+            if chapter.name in [other.name for other in sections[:k]]:
+                raise ValueError(f"{chapter.name}: there are two of that name")
+            if bool(chapter.episodes) == bool(chapter.of):
+                raise ValueError(f"{chapter.name}: give it either `episodes` or `of`")
+            for other in chapter.of:
+                if other not in running:
+                    raise ValueError(f"{chapter.name}: of: no section {other!r} runs episodes")
+        return sections
+
+
+def _known(names: tuple[str, ...], choices: Sequence[str]) -> tuple[str, ...]:
+    for name in names:
+        if name not in choices:
+            raise ValueError(f"unknown {name!r} (choices: {', '.join(choices)})")
+    return names
+
+
+def read(path: Path) -> Book:
+    """
+    Raises:
+        ConfigError: it cannot be read, or is no such file; one line a fault.
+    """
+    try:
+        data = parse_yaml(read_regular(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not YAML: {error}") from None
+    try:
+        return Book.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError("\n".join(explain(f, str(path), Book) for f in error.errors())) from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge eval results`.
+
+    Raises:
+        UserError: the file is not right; a run failed; something cannot be read or written.
+    """
+    book = read(args.file)
+    for chapter in chosen(book, args.only):
+        if not args.no_run:
+            _run_episodes(chapter, args)
+    found = {
+        chapter.name: compare_folders(folders, chapter.baseline, chapter.show)[0]
+        for chapter in book.sections
+        if (folders := _folders(chapter, args.out))
+    }
+    path = args.file.with_suffix(".md")
+    try:
+        images = _write_plots(book, found, args.file.with_suffix(""))
+        text = document(book, found, args.file, args.out, machine())
+        write_atomically(path, text.encode())
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror or error}") from None
+    print("\n".join(map(str, [path, *images])))
+    return 0
+
+
+def chosen(book: Book, only: Sequence[str] | None) -> list[Chapter]:
+    """The sections to run: all, or those named and what they are made of.
+
+    Raises:
+        UserError: there is no such section.
+    """
+    there = {chapter.name: chapter for chapter in book.sections}
+    if only is None:
+        return list(book.sections)
+    for name in only:
+        if name not in there:
+            raise UserError(f"--only: no section {name!r}; there are: {', '.join(there)}")
+    wanted = {part for name in only for part in (name, *there[name].of)}
+    return [chapter for chapter in book.sections if chapter.name in wanted]
+
+
+def _run_episodes(chapter: Chapter, args: argparse.Namespace) -> None:
+    """What has an outcome already is not run again: `edge eval episodes` sees to that."""
+    options = ["--workers", str(args.workers)]
+    if args.episodes is not None:
+        options += ["--limit", str(args.episodes)]
+    for words in commands(chapter, args.out):
+        print(f"edge {shlex.join([*words, *options])}", flush=True)
+        code = subprocess.run(
+            [*python_module("edge.cli"), *words, *options], check=False
+        ).returncode
+        if code:
+            raise UserError(
+                f"{chapter.name}: `edge eval episodes` ended with {code}; it says why above"
+            )
+
+
+def commands(chapter: Chapter, out: Path) -> list[list[str]]:
+    """The words after `edge`, a list a run, that make a section's outcomes."""
+    columns: list[str] = []
+    for column, settings in chapter.columns.items():
+        columns += ["--column", column, *_settings(settings)]
+    return [
+        ["eval", "episodes", *shlex.split(episodes), *columns, "--out", str(out / chapter.name)]
+        for episodes in chapter.episodes
+    ]
+
+
+def _settings(settings: Mapping[str, Any], above: str = "") -> list[str]:
+    """`policy.kind=search` for each leaf of nested settings."""
+    found: list[str] = []
+    for key, value in settings.items():
+        if isinstance(value, Mapping) and value:
+            found += _settings(value, f"{above}{key}.")
+        else:
+            text = value if isinstance(value, str) else json.dumps(value)
+            found.append(f"{above}{key}={text}")
+    return found
+
+
+def _folders(chapter: Chapter, out: Path) -> list[Path]:
+    """Where a section's outcomes are; none unless all of them have been run."""
+    folders = [out / name for name in chapter.of or (chapter.name,)]
+    return folders if all((f / OUTCOMES_NAME).exists() for f in folders) else []
+
+
+def _write_plots(book: Book, found: Mapping[str, Comparison], folder: Path) -> list[Path]:
+    paths = []
+    for chapter in book.sections:
+        if chapter.name not in found:
+            continue
+        images = plots.images(found[chapter.name], "png", chapter.plots)
+        for plot, content in images.items():
+            paths.append(folder / _image(chapter, plot))
+            write_atomically(paths[-1], content)
+    return paths
+
+
+def _image(chapter: Chapter, plot: str) -> str:
+    return f"{chapter.name}-{plot}.png"
+
+
+# -- the document -------------------------------------------------------------------------------
+
+
+def document(
+    book: Book, found: Mapping[str, Comparison], path: Path, out: Path, computer: str
+) -> str:
+    """The Markdown.
+
+    Args:
+        found: by section; one that is not there has not been run, which is told.
+        path: of the YAML.
+        out: where outcomes are.
+        computer: in words.
+    """
+    parts = [
+        f"# {book.title}",
+        book.text.strip(),
+        f"Made by `edge eval results {path}` with edge {edge.__version__} on {computer}. "
+        "SR: success rate; SPL: success weighted by path length (Anderson et al. 2018); soft SPL: "
+        "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
+        "episodes.",
+    ]
+    for chapter in book.sections:
+        parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _chapter(chapter: Chapter, comparison: Comparison | None, folder: str, out: Path) -> list[str]:
+    parts = [f"## {chapter.title}", chapter.text.strip()]
+    lines = [f"edge {shlex.join(words)}" for words in commands(chapter, out)]
+    if lines:
+        parts.append("\n".join(["```sh", *lines, "```"]))
+    if comparison is None:
+        return [*parts, "Not run yet."]
+    parts.append(_counted(comparison))
+    there = {table.name: table for table in tables.tables(comparison)}
+    for wanted in chapter.tables:
+        if wanted in there:
+            parts += [f"**{there[wanted].title}**", tables.markdown(there[wanted])]
+    drawn = plots.names(comparison, chapter.plots)
+    parts += [f"![{plots.PLOTS[plot][1]}]({folder}/{_image(chapter, plot)})" for plot in drawn]
+    return parts
+
+
+def _counted(comparison: Comparison) -> str:
+    """How many episodes; and of which columns fewer."""
+    outcomes = comparison.outcomes
+    n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
+    text = f"{n} episode{'s' * (n != 1)} in {worlds} world{'s' * (worlds != 1)}."
+    short = [
+        f"{name} {ran}"
+        for name, ran in zip(outcomes.columns, outcomes.ran.sum(axis=1).tolist(), strict=True)
+        if ran < n
+    ]
+    return f"{text} Of these ran fewer: {', '.join(short)}." if short else text

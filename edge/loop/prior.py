@@ -1,0 +1,207 @@
+"""The prior: how much likelier than elsewhere the target is near a place, by what was seen.
+
+What stands near the place in sight (`cooccurrence`), and which kind of room it is in or leads to
+(`rooms`). The map is cut into rooms beside the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import SE2, Grid
+from edge.host.worker import Worker
+from edge.mapping import regions
+from edge.mapping.grid import RollingMap
+from edge.mapping.points import HEIGHT_CODES, LOWEST_OBSTACLE
+from edge.mapping.view import MapView
+from edge.perception.prior import cooccurrence, rooms
+from edge.perception.prior.cooccurrence import NEAR_M
+from edge.perception.prior.nearby import nearby
+from edge.perception.prior.table import Table, load
+from edge.perception.prior.words import Words, make_words
+from edge.perception.sightings import Sightings
+
+PERIOD_NS = 1_000_000_000
+CELL_M = 0.1
+TALL = 0.85
+"""What is so much of `mapping.obstacle_max_m` high is wall."""
+REGION_M = 0.7
+"""How far from a region's cells a thing may be that is in it: it may be part of a wall."""
+SURE = 0.15
+"""A sighting of this confidence counts in full: its mean includes looks from afar."""
+LEAST, MOST = 0.25, 4.0
+
+
+class Rooms(NamedTuple):
+    """The map cut into regions.
+
+    Attributes:
+        grid: see `regions.survey`; `wall` is where it is wall, (h, w) bool.
+        label: (h, w) int16 region of each cell, 1 … n.
+        border: see `regions.borders`.
+    """
+
+    grid: Grid
+    wall: np.ndarray
+    label: np.ndarray
+    n: int
+    border: np.ndarray
+
+
+class Prior:
+    """What all that was seen says about places; see `lift`.
+
+    Args:
+        by: `cooccurrence`, `rooms`, or `both`.
+        tall_code: obstacles from this `Layers.top` on are walls.
+        inline: cut the map inside `step`, so that a run replays the same.
+    """
+
+    def __init__(self, by: str, table: Table, words: Words, tall_code: int, inline: bool) -> None:
+        self._by, self._table, self._words, self._tall_code = by, table, words, tall_code
+        self._chance, self._average = rooms.chances(table), rooms.average(table)
+        self._worker: Worker[Callable[[], Rooms], Rooms] = Worker(
+            "prior", lambda survey: survey(), inline=inline
+        )
+        self._sightings: Sightings | None = None
+        self._row = np.zeros(0, np.int32)  # of the sightings' words
+        self._seen = -1
+        self._version = 0
+        self._asked_ns: int | None = None
+        self._rooms = _NOWHERE
+        self._places: tuple = ()
+        self._xy_m = np.zeros((0, 2), np.float32)
+        self._near = np.zeros((0, len(table.things)), np.float32)
+        self._kind = np.zeros((0, len(table.kinds)))
+        self._lifts: dict[str, np.ndarray] = {}
+
+    def step(self, seen: MapView, sightings: Sightings, now_ns: int) -> None:
+        """Take up what there is, once a tick, and have the map cut anew where that is due."""
+        self._sightings = sightings
+        rested = self._asked_ns is None or now_ns - self._asked_ns >= PERIOD_NS
+        if rested and sightings.n and self._worker.idle:
+            self._asked_ns = now_ns
+            layers, window, tall_code = seen.layers, seen.window, self._tall_code
+
+            def survey() -> Rooms:
+                grid = regions.survey(layers, window, tall_code, CELL_M)
+                label, n = regions.cut(grid.cells, CELL_M)
+                wall, border = grid.cells == regions.WALL, regions.borders(label, n)
+                return Rooms(grid, wall, label, n, border)
+
+            self._worker.submit(survey)
+        if (found := self._worker.poll()) is not None:
+            self._rooms, self._version = found, self._version + 1
+
+    def lift(self, target: str, xy_m: np.ndarray, n: int, out: np.ndarray) -> None:
+        """P(target near a place | what was seen) / P(target near an average place).
+
+        Args:
+            target: a prompt, or any word.
+            xy_m: (n or more, 2) float32 in `map`; frontiers.
+            out: (n or more,) float32, written for the first n: 1 where there is no opinion, never
+                outside `LEAST` … `MOST`.
+        """
+        row = self._words.row(target)
+        if row < 0 or n == 0 or self._sightings is None or self._sightings.n == 0:
+            out[:n] = 1.0
+            return
+        self._look_at(self._sightings, xy_m[:n])
+        if target not in self._lifts:
+            self._lifts[target] = self._lift(row)
+        out[:n] = self._lifts[target]
+
+    def forget(self) -> None:
+        """The map begins anew."""
+        self._worker.forget()
+        self._rooms, self._version, self._asked_ns = _NOWHERE, self._version + 1, None
+
+    def close(self) -> None:
+        """Begin nothing more."""
+        self._worker.close()
+
+    def _lift(self, row: int) -> np.ndarray:
+        """Of the places looked at, (n,) float32."""
+        lift = np.ones(len(self._xy_m), np.float32)
+        if self._by != "rooms":
+            cooccurrence.lift(self._table, row, self._near, lift)
+        if self._by != "cooccurrence":
+            power = self._table.room_power[self._by == "both"]
+            lift *= rooms.lift(self._chance, self._average, row, self._kind) ** power
+        return np.clip(lift, LEAST, MOST, out=lift)
+
+    def _look_at(self, s: Sightings, xy_m: np.ndarray) -> None:
+        """Work out what is near these places and which rooms they are in, where that changed."""
+        same = s.generation == self._seen and self._places == (self._version, len(xy_m))
+        if same and np.array_equal(xy_m, self._xy_m):
+            return
+        self._seen, self._places = s.generation, (self._version, len(xy_m))
+        self._xy_m = np.array(xy_m, np.float32)
+        self._lifts.clear()
+        if len(s.words) != len(self._row):
+            self._row = np.array([self._words.row(word) for word in s.words], np.int32)
+        row = self._row[s.word[: s.n]]
+        weight = np.minimum(s.confidence[: s.n] / np.float32(SURE), np.float32(1.0))
+        n, m = len(xy_m), len(self._table.things)
+        grid, (x0_m, y0_m) = self._rooms.grid, self._rooms.grid.origin_xy_m
+        if self._by != "rooms":
+            self._near = np.empty((n, m), np.float32)
+            nearby(
+                self._rooms.wall, x0_m, y0_m, grid.resolution_m, self._xy_m, n,
+                s.xyz_m, row, weight, s.n, NEAR_M, self._near,
+            )  # fmt: skip
+        if self._by != "cooccurrence":
+            self._kind = self._kinds(s, row, weight)
+
+    def _kinds(self, s: Sightings, row: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """What the places would show: P(kind), (n, kinds) float64."""
+        held = np.zeros((self._rooms.n + 1, len(self._table.things)), np.float32)
+        at = self._regions(s.xyz_m, s.n)
+        counts = (at > 0) & (row >= 0)
+        np.maximum.at(held, (at[counts], row[counts]), weight[counts])
+        next_to = rooms.neighbours(self._rooms.border, held)
+        here = self._regions(self._xy_m, len(self._xy_m))
+        return rooms.at_places(self._table, self._chance, held[here], held[next_to[here]])
+
+    def _regions(self, xy_m: np.ndarray, n: int) -> np.ndarray:
+        grid, out = self._rooms.grid, np.empty(n, np.int16)
+        regions.regions_at(
+            self._rooms.label, *grid.origin_xy_m, grid.resolution_m, xy_m, n, REGION_M, out
+        )
+        return out
+
+
+_NOWHERE = Rooms(
+    Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), CELL_M),
+    np.zeros((0, 0), np.bool_),
+    np.zeros((0, 0), np.int16),
+    0,
+    np.zeros((1, 1), np.int64),
+)
+
+
+def make_prior(config: Config) -> Prior | None:
+    """The prior that is configured; None for none."""
+    perception = config.perception
+    if perception.prior == "none":
+        return None
+    table = load()
+    words = make_words(table, perception.detector)
+    tall_code = LOWEST_OBSTACLE + int(TALL * HEIGHT_CODES)
+    return Prior(perception.prior, table, words, tall_code, config.loop.lockstep)
+
+
+def warm_up(config: Config) -> None:
+    """Compile the kernels, or read them from the cache."""
+    grid, sightings = RollingMap(config.mapping), Sightings(1)
+    grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
+    table = load()
+    prior = Prior("both", table, Words(table), LOWEST_OBSTACLE, inline=True)
+    sightings.words.append(table.things[0])
+    sightings.n = 1
+    prior.step(MapView(grid), sightings.read_only(), 0)
+    prior.lift(table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32))

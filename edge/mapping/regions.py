@@ -1,0 +1,213 @@
+"""The known map cut at its narrow places into regions, on a coarse grid; knows arrays only.
+
+Walls cut, furniture does not: what is tall is taken for wall. Rooms are the basins of the distance
+to the nearest wall. Two that meet are one room unless the place where they meet is a passage: as
+narrow as a door, and clearly narrower than the smaller of both. What is not known yet is no wall,
+so an opening towards it cuts nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numba import njit
+
+from edge.geometry import Grid
+from edge.mapping.layers import OCCUPIED, Layers
+from edge.mapping.window import Window
+
+UNKNOWN, OPEN, WALL = 0, 1, 2
+DOOR_M = 2.2
+"""No door is wider, double ones included."""
+_NARROWER = 0.8
+_LEAST_M2 = 1.0
+"""Smaller basins are corners, and part of what they lie in."""
+
+
+def survey(layers: Layers, window: Window, tall_code: int, cell_m: float) -> Grid:
+    """The explored part on coarse cells.
+
+    Another thread may call it while the map is updated: cells are then from before or after, and
+    a window that moved meanwhile is read again.
+
+    Args:
+        tall_code: obstacles from this `Layers.top` on are walls.
+        cell_m: about the side of a cell; never smaller than the map's.
+
+    Returns:
+        `Grid` of uint8 `UNKNOWN`, `OPEN` (furniture too) or `WALL`, in `map`.
+    """
+    factor = max(1, round(cell_m / window.resolution_m))
+    side_m = factor * window.resolution_m
+    while True:
+        origin = window.origin
+        rows, words = np.flatnonzero(layers.known.any(1)), np.flatnonzero(layers.known.any(0))
+        if not window.placed or not len(rows):
+            return Grid(np.zeros((0, 0), np.uint8), (0.0, 0.0), side_m)
+        y0, y1 = _span(rows, origin[1], window.n, 1)
+        x0, x1 = _span(words, origin[0], window.n, 64)
+        x0, y0 = x0 // factor, y0 // factor
+        cells = np.empty((-(-y1 // factor) - y0, -(-x1 // factor) - x0), np.uint8)
+        _coarsen(layers, tall_code, x0 * factor, y0 * factor, factor, cells)
+        if window.origin == origin:
+            return Grid(cells, (x0 * side_m, y0 * side_m), side_m)
+
+
+def _span(stored: np.ndarray, origin: int, n: int, unit: int) -> tuple[int, int]:
+    """Half-open span of world cells that storage rows, or words of a row, stand for."""
+    world = (stored * unit - origin) % n + origin
+    return int(world.min()), int(world.max()) + unit
+
+
+def cut(cells: np.ndarray, cell_m: float) -> tuple[np.ndarray, int]:
+    """Which region each cell belongs to.
+
+    Args:
+        cells: (h, w) uint8, see `survey`.
+
+    Returns:
+        (h, w) int16: 1 … n; 0 where nothing is known, and at walls. And n.
+    """
+    label = np.zeros(cells.shape, np.int16)
+    if not cells.size:
+        return label, 0
+    apart = _to_wall(cells) * cell_m
+    order = np.argsort(-apart, axis=None, kind="stable")
+    n = _basins(cells, apart, order, 0.5 * DOOR_M, _NARROWER, _LEAST_M2 / cell_m**2, label)
+    return label, n
+
+
+def borders(label: np.ndarray, n: int) -> np.ndarray:
+    """How long a border each two regions share, in cells: (n + 1, n + 1) int64, symmetric; 0 for
+    region 0, and on the diagonal.
+
+    Args:
+        label: see `cut`.
+    """
+    out = np.zeros((n + 1, n + 1), np.int64)
+    for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
+        both = (a > 0) & (b > 0) & (a != b)
+        np.add.at(out, (a[both], b[both]), 1)
+    return out + out.T
+
+
+def _to_wall(cells: np.ndarray) -> np.ndarray:
+    """Distance to the nearest wall, in cells: (h, w) float32."""
+    wall = cells == WALL
+    if not wall.any():
+        return np.full(cells.shape, float(max(cells.shape)), np.float32)
+    return cv2.distanceTransform((~wall).astype(np.uint8), cv2.DIST_L2, 5)
+
+
+@njit(nogil=True, cache=True)
+def _coarsen(layers, tall_code, x0, y0, factor, cells):
+    """A coarse cell is wall where one of its cells is, else open where one is known."""
+    raw, top = layers.raw, layers.top
+    n = raw.shape[0]
+    for row in range(cells.shape[0]):
+        for col in range(cells.shape[1]):
+            state = UNKNOWN
+            for y in range(y0 + row * factor, y0 + (row + 1) * factor):
+                for x in range(x0 + col * factor, x0 + (col + 1) * factor):
+                    sy, sx = y % n, x % n
+                    if raw[sy, sx] >= OCCUPIED and top[sy, sx] >= tall_code:
+                        state = WALL
+                    elif raw[sy, sx] and state == UNKNOWN:
+                        state = OPEN
+            cells[row, col] = state
+
+
+@njit(nogil=True, cache=True)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(nogil=True, cache=True)
+def _basins(cells, apart, order, door_half_m, narrower, least_cells, label):
+    """Flood from the places farthest from walls; returns the number of regions.
+
+    A cell belongs with its neighbour that is farthest from walls; where it joins two basins, they
+    are one unless it is a passage.
+
+    Args:
+        apart: (h, w) float32, metres to the nearest wall.
+        order: flat indices, farthest first.
+    """
+    h, w = cells.shape
+    parent = np.zeros(order.size + 1, np.int32)
+    peak = np.zeros(order.size + 1, np.float32)
+    area = np.zeros(order.size + 1, np.int32)
+    basin = np.zeros((h, w), np.int32)
+    made = 0
+    for flat in order:
+        y, x = flat // w, flat % w
+        if cells[y, x] != OPEN:
+            continue
+        here, mine, height = apart[y, x], 0, np.float32(-1.0)
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                r, c = y + dy, x + dx
+                if 0 <= r < h and 0 <= c < w and basin[r, c] and apart[r, c] > height:
+                    mine, height = basin[r, c], apart[r, c]
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                r, c = y + dy, x + dx
+                if not (0 <= r < h and 0 <= c < w) or basin[r, c] == 0:
+                    continue
+                one, other = _root(parent, mine), _root(parent, basin[r, c])
+                if one == other:
+                    continue
+                small = min(peak[one], peak[other])
+                passage = here <= door_half_m and here < narrower * small
+                if not passage or min(area[one], area[other]) < least_cells:
+                    if peak[other] > peak[one]:
+                        one, other = other, one
+                    parent[other] = one
+                    area[one] += area[other]
+        if mine == 0:
+            made += 1
+            mine = made
+            parent[mine], peak[mine] = mine, here
+        mine = _root(parent, mine)
+        area[mine] += 1
+        basin[y, x] = mine
+    number = np.zeros(made + 1, np.int16)
+    n = 0
+    for y in range(h):
+        for x in range(w):
+            if basin[y, x]:
+                root = _root(parent, basin[y, x])
+                if number[root] == 0:
+                    n += 1
+                    number[root] = n
+                label[y, x] = number[root]
+    return n
+
+
+@njit(nogil=True, cache=True)
+def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
+    """The region of the labelled cell nearest to each place, into out[:n]; 0 where none is near.
+
+    Args:
+        label: (h, w) int16, see `cut`; (x0_m, y0_m) is its lower-left corner.
+        xy_m: (n or more, 2 or more) float32 in `map`.
+        out: (n or more,) int16.
+    """
+    h, w = label.shape
+    reach = int(radius_m / cell_m)
+    for i in range(n):
+        row = math.floor((xy_m[i, 1] - y0_m) / cell_m)
+        col = math.floor((xy_m[i, 0] - x0_m) / cell_m)
+        best = reach * reach + 1
+        out[i] = 0
+        for r in range(max(row - reach, 0), min(row + reach + 1, h)):
+            for c in range(max(col - reach, 0), min(col + reach + 1, w)):
+                d = (r - row) ** 2 + (c - col) ** 2
+                if label[r, c] and d < best:
+                    best = d
+                    out[i] = label[r, c]

@@ -1,0 +1,391 @@
+"""Value maps: what was seen from where says about each target (ViTL IV-B2; VLFM's is one writer).
+
+A cell is some 0.2 m wide and has, for each target, a value and the weight that it rests on, 16 bits
+each: the scene score under ViTL's writer, the confidence under VLFM's. Weight 0: nothing was said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from edge.geometry import optical_yaw_rad
+from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, plain
+from edge.mapping.window import Window
+from edge.types import Observation
+
+RAYS = 128
+ROWS = 120
+"""A depth image is read in about so many rows: more show nothing else of a cell's width."""
+UNIT = 65535
+"""What 1.0 is stored as."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """How far one observation saw in each direction: all that is kept of it for a late answer.
+
+    Attributes:
+        x_m, y_m: the camera's place in `map`.
+        yaw_rad: where it looked.
+        fov_rad: its horizontal field of view, half to each side.
+        range_m: (RAYS,) float32, from the right rim to the left: how far the floor was in view.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    fov_rad: float
+    range_m: np.ndarray
+
+    def bearing_rad(self, xy_m: np.ndarray) -> np.ndarray:
+        """(n,) float64: left of where the camera looked, of (n, 2) places in `map`."""
+        x, y = xy_m[:, 0] - self.x_m, xy_m[:, 1] - self.y_m
+        return np.remainder(np.arctan2(y, x) - self.yaw_rad + math.pi, 2.0 * math.pi) - math.pi
+
+
+class ValueMap:
+    """A channel for each target, on the map's torus.
+
+    Memory is fixed by `begin`: 4 bytes a cell and channel, 1 MB for four targets in a window of
+    50 m (1000 x 1000 map cells of 0.05 m). A write costs with the cells in view, whatever the size.
+
+    Attributes:
+        cell_m: a cell's side, a power of two of the map's cells.
+        value, weight: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
+    """
+
+    def __init__(
+        self, layers: Layers, window: Window, cell_m: float, range_m: float, beta: float
+    ) -> None:
+        """
+        Args:
+            cell_m: is rounded so that a roll of the window moves whole cells.
+            range_m: what lies farther is not in view.
+            beta: of ViTL's virtual edge frontiers, in [0, 1].
+        """
+        # The window's rolls are multiples of 64 map cells.
+        self._bits = min(6, max(0, round(math.log2(cell_m / window.resolution_m))))
+        self.cell_m = window.resolution_m * 2**self._bits
+        self._layers, self._window = layers, window
+        self._range_m, self._beta = range_m, beta
+        self._targets: tuple[str, ...] = ()
+        m = self._cells = window.n >> self._bits
+        self.value = np.zeros((m, m, 0), np.uint16)
+        self.weight = np.zeros((m, m, 0), np.uint16)
+        side = 2 * math.ceil(range_m / self.cell_m) + 4
+        self._cell = np.zeros((side * side, 2), np.int32)
+        self._bearing = np.zeros(side * side, np.float32)
+
+    def begin(self, targets: Sequence[str]) -> None:
+        """One channel for each target, in this order; what is known of those that stay is kept."""
+        if tuple(targets) == self._targets:
+            return
+        m = self._cells
+        value, weight = (np.zeros((m, m, len(targets)), np.uint16) for _ in range(2))
+        for channel, target in enumerate(targets):
+            if target in self._targets:
+                old = self._targets.index(target)
+                value[..., channel] = self.value[..., old]
+                weight[..., channel] = self.weight[..., old]
+        self._targets, self.value, self.weight = tuple(targets), value, weight
+
+    def roll(self, axis: int, by: int) -> None:
+        """Forget what the window is about to leave, moving by so many map cells along x or y."""
+        start, n = self._window.origin[axis], self._window.n
+        gone = min(abs(by), n)
+        start += 0 if by > 0 else n - gone
+        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % self._cells
+        where = (slice(None), strip) if axis == 0 else strip
+        self.value[where] = 0
+        self.weight[where] = 0
+
+    def sight(self, observation: Observation) -> Sight | None:
+        """How far an observation sees: by its depth image, else to the map's obstacles.
+
+        A direction in which no pixel of the depth image has a return shows nothing.
+
+        Returns:
+            None where the observation has no camera, or its pose is not finite.
+        """
+        camera, depth = observation.camera, observation.depth_m
+        T = observation.T_map_base @ observation.T_base_camera
+        if camera is None or not np.isfinite(T).all():
+            return None
+        x_m, y_m, yaw_rad = float(T[0, 3]), float(T[1, 3]), optical_yaw_rad(T)
+        range_m = np.zeros(RAYS, np.float32)
+        if depth is not None and depth.shape == (camera.height_px, camera.width_px):
+            depth_profile(
+                plain(depth), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+                np.ascontiguousarray(T[:2, :3]), camera.hfov_rad, self._range_m, range_m,
+            )  # fmt: skip
+        elif self._window.placed:
+            res, (ox, oy) = self._window.resolution_m, self._window.origin
+            map_profile(
+                self._layers.raw, *self._window.shift, x_m / res - ox, y_m / res - oy,
+                yaw_rad, camera.hfov_rad, self._range_m / res, res, range_m,
+            )  # fmt: skip
+        return Sight(x_m, y_m, yaw_rad, camera.hfov_rad, range_m)
+
+    def write_view(self, sight: Sight, targets: Sequence[str], score: np.ndarray) -> None:
+        """VLFM: one score for all that was in view, weighted towards its middle.
+
+        v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'), where c' falls as cos^2 from 1
+        in the middle of the field of view to 0 at its rims. Both stay between what they were made
+        of.
+
+        Args:
+            score: (n,) one for each of `targets`; scores below 0 or above 1 are taken as these.
+                The targets that have no channel are passed over.
+        """
+        channel = [self._targets.index(t) for t in targets if t in self._targets]
+        told = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
+        n = self._look(sight)
+        if n and channel:
+            blend(
+                self.value, self.weight, self._cell, self._bearing, n, sight.fov_rad,
+                np.array(channel, np.int64), np.clip(told, 0.0, 1.0).astype(np.float64),
+            )  # fmt: skip
+
+    def write_directions(
+        self, sight: Sight, target: str, xy_m: np.ndarray, p: np.ndarray, scene: float
+    ) -> None:
+        """ViTL: the score of each direction, fused with what stood there, spread over the view.
+
+        Frontiers outside the field of view, or all of them, may be missing: what then remains are
+        the edges' scores.
+
+        Args:
+            xy_m: (n, 2) places of frontiers in `map`.
+            p: (n,) of eq. 4; scene: S_curr of eq. 5, in [0, 1].
+        """
+        n = self._look(sight)
+        if n == 0 or target not in self._targets:
+            return
+        channel, half = self._targets.index(target), 0.5 * sight.fov_rad
+        bearing = sight.bearing_rad(xy_m)
+        inside = np.flatnonzero(np.abs(bearing) <= half)
+        points = sorted(
+            (float(bearing[i]), fuse(*self._at(channel, xy_m[i]), scene * float(p[i]), scene))
+            for i in inside
+        )
+        edge = self._beta * scene
+        angle, value = zip((-half, edge), *points, (half, edge), strict=True)
+        spread(
+            self.value, self.weight, self._cell, self._bearing, n, channel,
+            np.array(angle), np.array(value), scene,
+        )  # fmt: skip
+
+    def best(
+        self, channel: int, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray
+    ) -> None:
+        """The highest value within a radius of each place (ViTL eq. 9), into out[:n].
+
+        Args:
+            channel: index of a target, as in `begin`.
+            xy_m: (n or more, 2) float32 in `map`.
+            out: (n or more,) float32; NaN where nothing was said of any cell so near.
+
+        Raises:
+            IndexError: there is no such channel.
+        """
+        if not 0 <= channel < len(self._targets):
+            raise IndexError(f"value channel {channel}: there are {len(self._targets)}")
+        ox, oy = self._window.origin
+        best_near(
+            self.value, self.weight, channel, ox >> self._bits, oy >> self._bits, self.cell_m,
+            xy_m, n, radius_m, out,
+        )  # fmt: skip
+
+    def _at(self, channel: int, xy_m: np.ndarray) -> tuple[float, float]:
+        """(value, weight) of a place's cell; nothing was said of what lies outside the window."""
+        window, m = self._window, self._cells
+        x, y = window.cell_of(float(xy_m[0]), float(xy_m[1]))
+        if not window.holds(x, y):
+            return 0.0, 0.0
+        at = (y >> self._bits) % m, (x >> self._bits) % m, channel
+        return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
+
+    def _look(self, sight: Sight) -> int:
+        """List the window's cells that a sight showed, into scratch; how many."""
+        if not self._window.placed:
+            return 0
+        ox, oy = self._window.origin
+        return seen_cells(
+            sight.x_m, sight.y_m, sight.yaw_rad, sight.fov_rad, sight.range_m,
+            ox >> self._bits, oy >> self._bits, self._cells, self.cell_m,
+            self._cell, self._bearing,
+        )  # fmt: skip
+
+
+def fuse(v_old: float, s_old: float, v_curr: float, s_curr: float) -> float:
+    """ViTL eq. 7: what a frontier is worth, by what stood at its place and by this view.
+
+    V is S times a probability, so V <= S in every cell, and the quotient is the mean probability
+    weighted by scene scores: the result is at most `s_curr`. Rounding to 16 bits can break
+    V <= S by half a step, which is cut off.
+    """
+    if s_old == 0.0 or s_curr == 0.0:
+        return min(v_curr, s_curr)
+    return min((v_old + v_curr) / (s_old + s_curr) * s_curr, s_curr)
+
+
+@njit(nogil=True, cache=True)
+def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
+    """How far the floor is in view in each direction: the farthest return of a column (VLFM).
+
+    Args:
+        depth: (h, w) float32; what is not finite, 0 or less, or over 1e6 is no return.
+        fx, fy, cx, cy: intrinsics in pixels.
+        R: (2, 3) float64, x and y in `map` of a direction in the optical frame.
+        limit: metres at most.
+        range_m: (RAYS,) float32 output, 0 where nothing returned.
+    """
+    h, w = depth.shape
+    k = len(range_m)
+    level = math.hypot(R[0, 2], R[1, 2])  # cosine of the camera's pitch
+    column = np.empty(k, np.int64)
+    a0, a1, best = np.empty(k), np.empty(k), np.zeros(k)
+    for i in range(k):
+        bearing = ((i + 0.5) / k - 0.5) * fov
+        u = cx - fx * math.tan(bearing) / max(level, 1e-3)
+        column[i] = min(max(math.floor(u + 0.5), 0), w - 1)
+        x = (column[i] - cx) / fx
+        a0[i], a1[i] = R[0, 0] * x + R[0, 2], R[1, 0] * x + R[1, 2]
+    for v in range(0, h, max(1, h // ROWS)):
+        y = (v - cy) / fy
+        b0, b1 = R[0, 1] * y, R[1, 1] * y
+        for i in range(k):
+            z = depth[v, column[i]]
+            if z > 0.0 and z < 1e6:
+                p, q = z * (a0[i] + b0), z * (a1[i] + b1)
+                best[i] = max(best[i], p * p + q * q)
+    for i in range(k):
+        range_m[i] = min(math.sqrt(best[i]), limit)
+
+
+@njit(nogil=True, cache=True)
+def map_profile(raw, shift_x, shift_y, x, y, yaw, fov, far, res, range_m):
+    """The same by the map: up to the first cell that is occupied or was never seen.
+
+    Args:
+        raw: (N, N) uint8 by storage cell.
+        x, y: window coordinates in map cells, fractions too; far: cells.
+        res: metres a cell.
+    """
+    n, k = raw.shape[0], len(range_m)
+    for i in range(k):
+        angle = yaw + ((i + 0.5) / k - 0.5) * fov
+        dx, dy, along = math.cos(angle), math.sin(angle), 0.0
+        while along < far:
+            wx, wy = math.floor(x + along * dx), math.floor(y + along * dy)
+            if wx < 0 or wy < 0 or wx >= n or wy >= n:
+                break
+            state = raw[(wy + shift_y) % n, (wx + shift_x) % n]
+            if state == UNSEEN or state >= OCCUPIED:
+                break
+            along += 1.0
+        range_m[i] = min(along, far) * res
+
+
+@njit(nogil=True, cache=True)
+def seen_cells(x, y, yaw, fov, range_m, origin_x, origin_y, m, cell, cells, bearings):
+    """The cells of the window whose centres a sight showed; what is cut by its end counts too.
+
+    Args:
+        x, y, cell: metres; origin_x, origin_y: the window's first cell, of `m` on a side.
+        cells: (cap, 2) int32 output, storage row and column; bearings: (cap,) float32 output.
+
+    Returns:
+        How many there are.
+    """
+    k, n = len(range_m), 0
+    far = 0.0
+    for i in range(k):
+        far = max(far, range_m[i])
+    if far == 0.0:
+        return 0
+    far += 0.5 * cell
+    c, s = math.cos(yaw), math.sin(yaw)
+    x0 = max(math.floor((x - far) / cell), origin_x)
+    x1 = min(math.floor((x + far) / cell) + 1, origin_x + m)
+    y0 = max(math.floor((y - far) / cell), origin_y)
+    y1 = min(math.floor((y + far) / cell) + 1, origin_y + m)
+    for cy in range(y0, y1):
+        dy = (cy + 0.5) * cell - y
+        for cx in range(x0, x1):
+            dx = (cx + 0.5) * cell - x
+            d2 = dx * dx + dy * dy
+            if d2 > far * far:
+                continue
+            bearing = math.atan2(dy * c - dx * s, dx * c + dy * s)
+            i = math.floor((bearing / fov + 0.5) * k)
+            if i < 0 or i >= k or range_m[i] == 0.0:
+                continue
+            reach = range_m[i] + 0.5 * cell
+            if d2 <= reach * reach:
+                cells[n, 0], cells[n, 1], bearings[n] = cy % m, cx % m, bearing
+                n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def blend(value, weight, cells, bearings, n, fov, channels, score):
+    """VLFM's update of `n` listed cells; see `ValueMap.write_view`."""
+    for i in range(n):
+        confidence = math.cos(bearings[i] / fov * math.pi) ** 2
+        if confidence * UNIT < 0.5:
+            continue
+        sy, sx = cells[i, 0], cells[i, 1]
+        for j in range(len(channels)):
+            at = channels[j]
+            c_old, v_old = weight[sy, sx, at] / UNIT, value[sy, sx, at] / UNIT
+            total = c_old + confidence
+            v = (c_old * v_old + confidence * score[j]) / total
+            c = (c_old * c_old + confidence * confidence) / total
+            value[sy, sx, at] = np.uint16(v * UNIT + 0.5)
+            weight[sy, sx, at] = np.uint16(c * UNIT + 0.5)
+
+
+@njit(nogil=True, cache=True)
+def spread(value, weight, cells, bearings, n, channel, angle, v, scene):
+    """ViTL eq. 8 for `n` listed cells: linear in the bearing between neighbours.
+
+    Args:
+        angle: (k,) float64 ascending, from one rim of the field of view to the other.
+        v: (k,) float64 in [0, scene].
+    """
+    last = len(angle) - 2
+    stored = np.uint16(max(1.0, scene * UNIT + 0.5))  # said, even where it promises nothing
+    for i in range(n):
+        j = 0
+        while j < last and bearings[i] > angle[j + 1]:
+            j += 1
+        width = angle[j + 1] - angle[j]
+        along = (bearings[i] - angle[j]) / width if width > 0.0 else 1.0
+        smooth = v[j] + min(max(along, 0.0), 1.0) * (v[j + 1] - v[j])
+        value[cells[i, 0], cells[i, 1], channel] = np.uint16(smooth * UNIT + 0.5)
+        weight[cells[i, 0], cells[i, 1], channel] = stored
+
+
+@njit(nogil=True, cache=True)
+def best_near(value, weight, channel, origin_x, origin_y, cell, xy, n, radius, out):
+    """See `ValueMap.best`: over cells of the window whose centres lie within the radius, and the
+    one that holds the place."""
+    m = value.shape[0]
+    reach = int(radius / cell) + 1
+    for i in range(n):
+        x, y = xy[i, 0] / cell, xy[i, 1] / cell
+        mx, my = math.floor(x), math.floor(y)
+        best = -1
+        for cy in range(max(my - reach, origin_y), min(my + reach + 1, origin_y + m)):
+            for cx in range(max(mx - reach, origin_x), min(mx + reach + 1, origin_x + m)):
+                if math.hypot(cx + 0.5 - x, cy + 0.5 - y) * cell > radius and (cx, cy) != (mx, my):
+                    continue
+                if weight[cy % m, cx % m, channel] > 0:
+                    best = max(best, np.int64(value[cy % m, cx % m, channel]))
+        out[i] = best / UNIT if best >= 0 else np.nan

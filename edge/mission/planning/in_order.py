@@ -1,0 +1,62 @@
+"""The baseline that plans nothing: targets in the order in which the instruction names them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.config import PlannerInOrder, PlannerVitl
+from edge.mission.automaton import NOTHING, Automaton
+from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, named
+from edge.mission.planning.vitl import VitlPlanner
+
+
+class InOrderPlanner:
+    """The first letter of the formula that changes the state and leaves success possible.
+
+    It heeds the mission's constraints and what failed, and neither what was seen nor how far it
+    is: what planning by those is worth is measured against this. A mission whose automaton leads
+    back to where it was may go round.
+    """
+
+    def __init__(self, config: PlannerInOrder, automaton: Automaton) -> None:
+        self.config = config
+        self.automaton = automaton
+
+    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+        """See `Planner.plan`; costs are steps."""
+        a = self.automaton
+        if a.accepting[state]:
+            return ACCEPTED
+        if a.steps_left[state] < 0:
+            return DEAD
+        hopeful = self._hopeful(knowledge.failed)
+        if not hopeful[state]:
+            return VitlPlanner(PlannerVitl(), a).plan(state, knowledge, current)
+        steps: list[str] = []
+        seen: set[int] = set()
+        while not a.accepting[state] and state not in seen:
+            seen.add(state)
+            letter = self._first(state, hopeful, knowledge.failed)
+            steps.append(letter)
+            state = a.step(state, letter)
+        cost, first = float(len(steps)), steps[0]
+        reason = f"{named(first)} is the first in the sentence that can come next"
+        return Plan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
+
+    def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
+        for letter in (*self.automaton.letters, NOTHING):
+            after = self.automaton.step(state, letter)
+            if letter not in failed and after != state and hopeful[after]:
+                return letter
+        raise AssertionError("a hopeful state has a step to a hopeful one")
+
+    def _hopeful(self, failed: frozenset[str]) -> np.ndarray:
+        """(n,) bool: states from which acceptance can be reached without a failed object."""
+        a = self.automaton
+        usable = [i for i, letter in enumerate((*a.letters, NOTHING)) if letter not in failed]
+        hopeful = a.accepting.copy()
+        while True:
+            more = hopeful | hopeful[a.delta[:, usable]].any(axis=1)
+            if (more == hopeful).all():
+                return hopeful
+            hopeful = more

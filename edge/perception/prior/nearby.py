@@ -1,0 +1,49 @@
+"""What stands near a place and in sight of it; kernels, arrays only."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+_SHORT_M = 0.25
+"""The last stretch of a line of sight may be in what is seen itself."""
+
+
+@njit(nogil=True, cache=True)
+def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, thing_m, row, weight, n_things, radius_m, out):
+    """How surely each kind of thing is near each place: the surest thing of a kind counts.
+
+    Args:
+        wall: (h, w) bool, what nobody sees through; (x0_m, y0_m) is its lower-left corner.
+        xy_m: (n or more, 2) float32, places in `map`.
+        thing_m: (n_things or more, 2 or more) float32, x and y in `map`.
+        row: (n_things or more,) int32, kind of each; -1: of none that counts.
+        weight: (n_things or more,) float32 in [0, 1].
+        out: (n or more, kinds) float32, written for the first n.
+    """
+    out[:n] = 0.0
+    for i in range(n):
+        for j in range(n_things):
+            k = row[j]
+            if k < 0 or weight[j] <= out[i, k]:
+                continue
+            dx, dy = thing_m[j, 0] - xy_m[i, 0], thing_m[j, 1] - xy_m[i, 1]
+            if dx * dx + dy * dy <= radius_m * radius_m and in_sight(
+                wall, x0_m, y0_m, cell_m, xy_m[i, 0], xy_m[i, 1], dx, dy
+            ):
+                out[i, k] = weight[j]
+
+
+@njit(nogil=True, cache=True)
+def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
+    """Whether no wall stands on the way (dx_m, dy_m) from a place, but for its end."""
+    h, w = wall.shape
+    length = math.sqrt(dx_m * dx_m + dy_m * dy_m)
+    y, x = (y_m - y0_m) / cell_m, (x_m - x0_m) / cell_m
+    step_y, step_x = dy_m / length if length > 0.0 else 0.0, dx_m / length if length > 0.0 else 0.0
+    for k in range(1, int((length - _SHORT_M) / cell_m) + 1):
+        r, c = y + k * step_y, x + k * step_x
+        if 0.0 <= r < h and 0.0 <= c < w and wall[int(r), int(c)]:
+            return False
+    return True

@@ -1,0 +1,132 @@
+"""ApexNav's rule: follow the values where they tell frontiers apart, else geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from edge.config import PolicyAdaptive
+from edge.policies.base import Context, Why
+from edge.policies.by_value import count_frontiers, values_near
+
+MAX_STOPS = 8
+"""The shortest tour through more is not sought: the nearest of them are taken."""
+_FIRST, _STEP = 2.0, 0.05
+"""Score of a tour's first stop, and how much less each later one has; all else is below 1."""
+
+
+class Adaptive:
+    """Scores frontiers by nearness, or by their place in a tour through the promising ones.
+
+    With fewer than two frontiers that can be gone to and near which something was said, there is
+    nothing to tell apart: then, and where values differ too little, it is the nearest by path.
+    """
+
+    def __init__(self, config: PolicyAdaptive) -> None:
+        self.config = config
+        self._make_room(0)
+        shortest_tour(np.ones(2), np.ones((2, 2), np.float32))  # compile it
+
+    def score(self, context: Context) -> np.ndarray:
+        """See `Policy.score`."""
+        candidates = context.candidates
+        n = count_frontiers(candidates)
+        if len(self._score) < len(candidates.kind):
+            self._make_room(len(candidates.kind))
+        score, value, path_m = self._score, self._value, candidates.path_m[:n]
+        score[:n] = 1.0 / (1.0 + path_m)
+        score[n : candidates.n] = candidates.confidence[n : candidates.n]
+        self._judge(context, n)
+        pose, xy_m = context.pose, candidates.xy_m
+        away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
+        open_ = np.isfinite(path_m) & ~candidates.blocked[:n]
+        open_ &= away_m > self.config.delta_reached_m
+        stops = self._promising(np.flatnonzero(open_ & ~np.isnan(value[:n])))
+        if len(stops) > 0:
+            stops = stops[np.argsort(path_m[stops], kind="stable")][:MAX_STOPS]
+            order = shortest_tour(path_m[stops].astype(np.float64), xy_m[stops])
+            score[stops[order]] = _FIRST - _STEP * np.arange(len(stops))
+        return score
+
+    def reset(self, why: Why) -> None:
+        """It remembers nothing: the value maps are the map's."""
+
+    def _judge(self, context: Context, n: int) -> None:
+        """The values of the first n candidates; NaN where nothing was said.
+
+        A lift L counts as L / (1 + L), the probability that it gives to even odds: as the values
+        of the maps it lies between 0 and 1.
+        """
+        value = self._value
+        if self.config.by != "prior":
+            values_near(context, n, self.config.radius_m, value)
+        elif context.prior is None:
+            value[:n] = np.nan
+        else:
+            context.prior.lift(context.target, context.candidates.xy_m, n, value)
+            value[:n] /= 1.0 + value[:n]
+
+    def _promising(self, scored: np.ndarray) -> np.ndarray:
+        """Which of the scored frontiers a tour is to go through; none where geometry decides."""
+        c, value = self.config, self._value[scored]
+        if len(scored) < 2 or value.std() <= c.least_spread:
+            return scored[:0]
+        if value.max() <= c.least_ratio * value.mean():
+            return scored[:0]
+        return scored[value >= c.keep * value.max()]
+
+    def _make_room(self, capacity: int) -> None:
+        self._score, self._value = (np.zeros(capacity, np.float32) for _ in range(2))
+
+
+@njit(nogil=True, cache=True)
+def shortest_tour(path_m, xy_m):
+    """The order of the shortest open tour from the robot through all stops, exactly.
+
+    Between two stops the way is taken to be as long as the straight line, or as the difference of
+    the ways to them, whichever is longer: it is at least that.
+
+    Args:
+        path_m: (k,) float64, the robot's way to each stop; at most `MAX_STOPS`.
+        xy_m: (k, 2) their places.
+
+    Returns:
+        (k,) int64 indices; of equally short tours one that begins with the lower index.
+    """
+    k = len(path_m)
+    full = 1 << k
+    between = np.zeros((k, k))
+    for i in range(k):
+        for j in range(k):
+            straight = math.hypot(xy_m[i, 0] - xy_m[j, 0], xy_m[i, 1] - xy_m[j, 1])
+            between[i, j] = max(straight, abs(path_m[i] - path_m[j]))
+    # cost[set, last]: the shortest way through the set's stops that begins with `last` and goes
+    # on through the others; built from the end of the tour.
+    cost, after = np.full((full, k), np.inf), np.zeros((full, k), np.int64)
+    for i in range(k):
+        cost[1 << i, i] = 0.0
+    for stops in range(1, full):
+        for i in range(k):
+            if not stops >> i & 1:
+                continue
+            rest = stops & ~(1 << i)
+            for j in range(k):
+                if not rest >> j & 1:
+                    continue
+                total = between[i, j] + cost[rest, j]
+                if total < cost[stops, i]:
+                    cost[stops, i], after[stops, i] = total, j
+    order = np.zeros(k, np.int64)
+    at = 0
+    for i in range(k):
+        if path_m[i] + cost[full - 1, i] < path_m[at] + cost[full - 1, at]:
+            at = i
+    stops = full - 1
+    for place in range(k):
+        order[place] = at
+        following = after[stops, at]
+        stops &= ~(1 << at)
+        at = following
+    return order

@@ -1,0 +1,174 @@
+"""`edge eval results`: what it runs, and the document that it writes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+from made_outcomes import many, record
+
+from edge.cli.main import main
+from edge.cli.parsers import make_parser
+from edge.errors import ConfigError, UserError
+from edge.eval import episodes as eps
+from edge.eval.comparison import results
+from edge.eval.comparison.outcomes import gather
+from edge.eval.comparison.statistics import compare
+
+SHIPPED = Path(__file__).parents[3] / "docs" / "results.yaml"
+DEMO = {"kind": "house", "house": "demo"}
+BOOK = """
+title: Results of a test
+text: Tuned on nothing.
+sections:
+  - name: first
+    title: The first
+    text: "*How* it was done."
+    episodes: ["demo --targets 'trash can,bed' --starts 1"]
+    columns: {slow: {}, fast: {policy: {kind: nearest_frontier}, loop: {priority: null}}}
+    baseline: slow
+    tables: [summary, paired, losses]
+    plots: [differences, rates]
+  - name: alone
+    title: Not there
+    episodes: [demo]
+  - name: both
+    title: What it costs
+    of: [first]
+    tables: [cost]
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "results.yaml"
+    path.write_text(BOOK)
+    return path
+
+
+def outcomes_in(folder: Path) -> None:
+    planned = eps.make_episode(DEMO, "demo", (1.5, 1.5, 0.0), 5.0, {}, "bed")
+    folder.mkdir(parents=True)
+    eps.write(folder / "episodes.jsonl", [planned])
+    lines = [record(planned.id, c, world="demo", path_m=p) for c, p in (("slow", 9), ("fast", 6))]
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    (folder / "outcomes.jsonl").write_text(text)
+
+
+def made(tmp_path, *options) -> list[str]:
+    file, out = str(tmp_path / "results.yaml"), str(tmp_path / "out")
+    return ["eval", "results", file, "--out", out, *options]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("baseline: slow", "base: slow"), "sections.0.base: unknown key (did you mean"),
+        (("tables: [cost]", "tables: [costs]"), "unknown 'costs' (choices: summary, paired"),
+        (("plots: [differences, rates]", "plots: [rate]"), "unknown 'rate' (choices: rates"),
+        (("of: [first]", "of: [second]"), "both: of: no section 'second'"),
+        (("of: [first]", "of: [both]"), "both: of: no section 'both' runs"),
+        (("name: alone", "name: first"), "first: there are two of that name"),
+        (("name: alone", "name: ../up"), "should match pattern"),
+        (("    of: [first]\n", ""), "both: give it either `episodes` or `of`"),
+        (("sections:", "sections: {"), "not YAML"),
+        ((BOOK, ""), "expected a section"),
+    ],
+)
+def test_a_file_that_is_not_right_is_told_in_a_line(file, change, words):
+    file.write_text(BOOK.replace(*change))
+    with pytest.raises(ConfigError) as told:
+        results.read(file)
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(ConfigError, match="No such file"):
+        results.read(tmp_path / "none.yaml")
+
+
+def test_commands(file):
+    book = results.read(file)
+    (words,) = results.commands(book.sections[0], Path("out"))
+    assert shlex.join(words) == (
+        "eval episodes demo --targets 'trash can,bed' --starts 1 --column slow --column fast "
+        "policy.kind=nearest_frontier loop.priority=null --out out/first"
+    )
+    assert results.commands(book.sections[2], Path("out")) == []
+
+
+def test_which_sections_are_run(file):
+    book = results.read(file)
+    assert results.chosen(book, None) == list(book.sections)
+    assert [chapter.name for chapter in results.chosen(book, ["both"])] == ["first", "both"]
+    with pytest.raises(UserError, match="no section 'x'; there are: first, alone, both"):
+        results.chosen(book, ["x"])
+
+
+def test_only_what_is_asked_for_is_run_and_all_that_is_there_is_written(
+    file, tmp_path, monkeypatch, capsys
+):
+    asked = []
+
+    def instead(words, check):
+        asked.append(words)
+        outcomes_in(tmp_path / "out" / "first")
+        return argparse.Namespace(returncode=0)
+
+    monkeypatch.setattr(subprocess, "run", instead)
+    assert main(made(tmp_path, "--only", "both", "--episodes", "7", "--workers", "2")) == 0
+    (words,) = asked
+    assert words[-4:] == ["--workers", "2", "--limit", "7"]
+    printed = capsys.readouterr().out
+    assert "edge eval episodes demo" in printed
+    assert str(tmp_path / "results" / "first-rates.png") in printed
+    text = (tmp_path / "results.md").read_text()
+    assert text.startswith("# Results of a test\n\nTuned on nothing.\n\nMade by `edge eval results")
+    assert "1 episode in 1 world." in text
+    assert "--column fast policy.kind=nearest_frontier" in text
+    assert "![SPL and success rate of each column, with 95 % intervals](results/first-" in text
+    assert "| slow | 1 | 100.0 [20.7, 100.0] | 0.556 |" in text
+    assert "## Not there\n\n```sh\nedge eval episodes demo --out" in text
+    assert text.count("Not run yet.") == 1
+    assert text.index("Cost in the tick") > text.index("## What it costs")
+    files = {path.name for path in (tmp_path / "results").iterdir()}
+    assert files == {"first-differences.png", "first-rates.png"}
+
+
+def test_what_is_there_is_written_the_same_again(file, tmp_path):
+    outcomes_in(tmp_path / "out" / "first")
+    written = []
+    for _ in range(2):
+        assert main(made(tmp_path, "--no-run")) == 0
+        written.append((tmp_path / "results.md").read_bytes())
+    assert written[0] == written[1]
+
+
+def test_a_run_that_fails_ends_it(file, tmp_path, monkeypatch, capsys):
+    failed = argparse.Namespace(returncode=78)
+    monkeypatch.setattr(subprocess, "run", lambda words, check: failed)
+    assert main(made(tmp_path)) == 65
+    assert "first: `edge eval episodes` ended with 78" in capsys.readouterr().err
+    assert not (tmp_path / "results.md").exists()
+
+
+def test_columns_that_ran_fewer_episodes_are_named(file):
+    records = many({"slow": 2.0, "fast": 1.5}, 2)[:-1]
+    text = results.document(
+        results.read(file), {"first": compare(gather(records), "slow", None, 50)}, file,
+        Path("out"), "a machine",
+    )  # fmt: skip
+    assert "8 episodes in 2 worlds. Of these ran fewer: fast 7." in text
+
+
+def test_the_one_that_we_ship_is_right():
+    book = results.read(SHIPPED)
+    for chapter in book.sections:
+        for words in results.commands(chapter, Path("results")):
+            args = make_parser("", {}).parse_args(words)
+            assert args.out == Path("results") / chapter.name

@@ -1,0 +1,32 @@
+"""A house of two rooms in which an episode takes a second."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from simulated import simulated
+
+from edge.config import Config
+
+BOX = [(0, 0), (8, 0), (8, 4), (0, 4)]
+HOUSE = {
+    "name": "small",
+    "start": [1.0, 2.0, 0.0],
+    "rooms": [{"name": "one", "rect": [0, 0, 4, 4]}, {"name": "two", "rect": [4, 0, 8, 4]}],
+    "walls": [
+        *({"start": a, "end": b} for a, b in zip(BOX, BOX[1:] + BOX[:1], strict=True)),
+        {"start": (4, 0), "end": (4, 1.4)},
+        {"start": (4, 2.6), "end": (4, 4)},
+    ],
+    "objects": [{"category": "sofa", "at": [2, 3.4]}, {"category": "bed", "at": [6.8, 2.0]}],
+}
+
+
+def small_house(folder: Path, **sections: Any) -> Config:
+    """A configuration with that house, and the simulator's detector."""
+    path = folder / "small.json"
+    path.write_text(json.dumps(HOUSE))
+    sim = {"world": {"kind": "house", "house": str(path)}, **sections.pop("sim", {})}
+    return simulated({"sim": sim, **sections})

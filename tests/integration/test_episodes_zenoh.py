@@ -1,0 +1,77 @@
+"""An episode over Zenoh is the same each time, whatever holds up the processes it consists of."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+from simulated import simulated
+
+from edge.errors import Stopped
+from edge.eval.columns import make_columns
+from edge.eval.drive import over_zenoh, run_episode
+from edge.eval.episodes import plan
+from edge.eval.outcome import TIMINGS
+
+CONFIG = simulated({"mission": {"time_limit_s": 60.0}})
+
+
+@contextmanager
+def held_up() -> Iterator[list[str]]:
+    """Stops one child or another for longer than after which things are sent again."""
+    over, held = threading.Event(), []
+
+    def hold() -> None:
+        luck = random.Random(0)
+        while not over.wait(luck.uniform(0.2, 0.6)):
+            children = [child for child in psutil.Process().children() if is_edge(child)]
+            if children:
+                child = luck.choice(children)
+                child.send_signal(signal.SIGSTOP)
+                over.wait(luck.uniform(0.6, 1.2))
+                child.send_signal(signal.SIGCONT)
+                held.append(str(child.pid))
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    try:
+        yield held
+    finally:
+        over.set()
+        thread.join()
+
+
+def is_edge(process: psutil.Process) -> bool:
+    return any("edge.cli" in word for word in process.cmdline())
+
+
+@pytest.mark.slow
+def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path):
+    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_columns(CONFIG, {})
+    first = run_episode(column, there, over_zenoh)
+    with held_up() as held:
+        second = run_episode(column, there, over_zenoh, page=tmp_path)
+    assert len(held) > 2
+    one, other = (
+        {k: v for k, v in dataclasses.asdict(o).items() if k not in TIMINGS}
+        for o in (first, second)
+    )
+    assert one == other
+    assert first.failure != "crashed", first.reason
+    assert first.trail[0] == pytest.approx(there.start[:2], abs=0.01)
+    assert list(tmp_path.glob("*.html"))
+
+
+def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():
+    (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_columns(CONFIG, {})
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        run_episode(column, there, over_zenoh, stop=stop)

@@ -1,0 +1,88 @@
+"""Every word that the small detector knows, in its house: found where it stands in plain view,
+whatever else the default background looks for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from edge import names
+from edge.config import parse
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.perception.factory import make_detector
+from edge.perception.instances import InstanceTracker
+from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
+from edge.sim.base import WorldObject, free_poses
+from edge.sim.sensors import CameraRig
+from edge.sim.worlds import load_world
+from edge.types import Observation
+
+BACKGROUND = (
+    "armchair", "backpack", "ball", "bathtub", "bed", "bookshelf", "box", "cabinet", "chair",
+    "coffee table", "desk", "dresser", "lamp", "laptop", "microwave", "nightstand", "oven",
+    "picture", "plant", "refrigerator", "rug", "sink", "sofa", "stool", "suitcase", "table",
+    "television", "toilet", "trash can", "tv stand", "vase", "wardrobe", "washing machine",
+)  # fmt: skip
+LOOKS = 8
+PLAIN_VIEW = 0.006
+"""Share of the image that a thing fills."""
+
+
+@pytest.fixture(scope="module")
+def house():
+    """Configuration, world, camera and poses."""
+    pytest.importorskip("onnxruntime")
+    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
+    config = parse({"perception": {"detector": {**detector, "background": BACKGROUND}}}, "<test>")
+    world = load_world(config)
+    poses = free_poses(world, 600, 5, config.robot.radius_m)
+    try:
+        return (
+            config,
+            world,
+            CameraRig(config, world),
+            poses,
+            make_detector(config.perception, ["bed"]),
+        )
+    except UserError as error:
+        pytest.skip(str(error))
+
+
+def looks(house, thing: WorldObject) -> Iterator[Observation]:
+    """Some looks at a thing in plain view, each from another side."""
+    _, _, rig, poses, _ = house
+    seq = 0
+    for pose in poses:
+        if seq == LOOKS or not 0.9 < thing.distance_m(pose.x_m, pose.y_m) < 2.8:
+            continue
+        x_m, y_m, _ = thing.center_m
+        seen_from = SE2(pose.x_m, pose.y_m, math.atan2(y_m - pose.y_m, x_m - pose.x_m))
+        rig.look(seen_from)
+        if (rig.ids == thing.id).mean() < PLAIN_VIEW:
+            continue
+        seq += 1
+        yield Observation(
+            seq, seq * 100_000_000, seen_from.matrix(), rig.rgb.copy(), rig.depth_m.copy(),
+            rig.model, rig.T_base_camera,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("word", BACKGROUND)
+def test_it_is_found_where_it_stands_in_plain_view(house, word):
+    config, world, _, _, detector = house
+    detector.set_prompts([word])
+    sightings, lifter = SightingTracker(config.perception), Lifter(config.perception)
+    tracker = InstanceTracker(config.perception, sightings)
+    thing = next(o for o in world.objects if names.same(o.label, word))
+    for observation in looks(house, thing):
+        found = detector.detect(observation)
+        lifted, around = lifter.lift(found), lifter.lift(found.around())
+        sightings.look(lifted, around)
+        tracker.update(lifted, observation.stamp_ns)
+        tracker.expire(observation, found.prompts)
+    sure = tracker.of(word, sure=True, doubted=False)
+    assert min(thing.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all

@@ -1,0 +1,200 @@
+"""The prior beside the loop: what it makes of sightings and of the map cut into rooms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_loop import ClosedLoop
+from hypothesis import given
+from hypothesis import strategies as st
+from patience import eventually
+from simulated import simulated
+
+from edge.config import DetectorSim, Mapping
+from edge.geometry import SE2
+from edge.loop.prior import LEAST, MOST, PERIOD_NS, Prior, make_prior
+from edge.mapping.grid import RollingMap
+from edge.mapping.points import HEIGHT_CODES
+from edge.mapping.view import MapView
+from edge.perception.prior.table import load
+from edge.perception.prior.words import make_words
+from edge.perception.sightings import Sightings
+
+TABLE = load()
+WORDS = make_words(TABLE, DetectorSim())
+BY = ("cooccurrence", "rooms", "both")
+
+
+def walls(*ends: tuple[float, float, float, float]) -> MapView:
+    """A map in which walls were seen from (x, y) to (x, y), from where the robot stands (0, 0)."""
+    grid, points = RollingMap(Mapping(extent_m=30.0)), []
+    for x0, y0, x1, y1 in ends:
+        for f in np.linspace(0, 1, 400):
+            points += [
+                (x0 + f * (x1 - x0), y0 + f * (y1 - y0), z) for z in np.linspace(0, 0.99, 12)
+            ]
+    T = np.eye(4)
+    T[2, 3] = 0.6
+    cloud = np.array(points, np.float32).reshape(-1, 3) - np.float32([0, 0, 0.6])
+    for _ in range(2):
+        grid.update_cloud(cloud, T, SE2(0.0, 0.0, 0.0))
+    return MapView(grid)
+
+
+def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> Sightings:
+    s = Sightings(32)
+    for i, (word, x_m, y_m) in enumerate(things):
+        if word not in s.words:
+            s.words.append(word)
+        s.xyz_m[i], s.word[i], s.confidence[i] = (x_m, y_m, 0.5), s.words.index(word), confidence
+    s.n = s.generation = len(things)
+    return s
+
+
+def prior(by: str, inline: bool = True) -> Prior:
+    return Prior(by, TABLE, WORDS, int(0.85 * HEIGHT_CODES), inline)
+
+
+def lifts(p: Prior, target: str, *places: tuple[float, float]) -> list[float]:
+    xy_m, out = np.array(places, np.float32).reshape(-1, 2), np.full(9, 7, np.float32)
+    p.lift(target, xy_m, len(places), out)
+    assert (out[len(places) :] == 7).all()
+    return out[: len(places)].tolist()
+
+
+@pytest.mark.parametrize("by", BY)
+@pytest.mark.parametrize(
+    ("things", "target"),
+    [
+        ([], "toilet"),
+        ([("toilet paper", 1.0, 0.0)], "zeppelin"),
+        ([("zeppelin", 1.0, 0.0)], "toilet"),
+        ([("toilet paper", 20.0, 0.0)], "toilet"),
+    ],
+)
+def test_no_opinion(by, things, target):
+    p = prior(by)
+    assert lifts(p, target) == []
+    assert lifts(p, target, (0, 0)) == [1]
+    p.step(walls((2, -2, 2, 2)), seen(*things), 0)
+    assert lifts(p, target, (0, 0), (1, 1)) == [1, 1]
+    assert lifts(p, target) == []
+
+
+def test_what_stands_near_tells():
+    p, empty = prior("cooccurrence"), MapView(RollingMap(Mapping()))
+    p.step(empty, seen(("toilet paper", 1, 0), ("bed", -6, 0)), 0)
+    by_sink, by_bed, far = lifts(p, "toilet", (0, 0), (-5, 0), (0, 9))
+    assert by_bed < far == 1 < by_sink
+    hint = seen(("toilet paper", 1, 0), ("bed", -6, 0), confidence=0.05)
+    hint.generation += 1
+    p.step(empty, hint, 0)
+    assert 1 < lifts(p, "toilet", (0, 0))[0] < by_sink
+
+
+def test_not_through_walls():
+    p, things = prior("cooccurrence"), seen(("toilet paper", 1, 0))
+    p.step(walls((2, -2, 2, 2)), things, 0)
+    beside, behind = lifts(p, "toilet", (0.5, 0.5), (2.6, 0.0))
+    assert behind == 1 < beside
+
+
+def test_rooms_tell_as_far_as_they_reach():
+    """A room of 5 m × 6 m, one end of which holds what only a bathroom does."""
+    room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
+    p = prior("rooms")
+    p.step(room, seen(("toilet", 3.5, 2.5), ("sink", 3.5, -2.5)), 0)
+    inside, outside = lifts(p, "toilet paper", (-0.5, 0.0), (-8.0, 0.0))
+    assert outside == 1 < inside
+    assert lifts(p, "bed", (-0.5, 0.0))[0] < 1
+
+
+@given(
+    things=st.lists(
+        st.tuples(
+            st.sampled_from((*TABLE.things[:30], "zeppelin")),
+            st.floats(-4, 4, width=32),
+            st.floats(-4, 4, width=32),
+        ),
+        max_size=20,
+    ),
+    by=st.sampled_from(BY),
+    target=st.sampled_from(TABLE.things),
+)
+def test_never_out_of_bounds_and_in_any_order(things, by, target):
+    empty, places = MapView(RollingMap(Mapping())), ((0, 0), (1, 2), (3, -3))
+    found = []
+    for order in (things, things[::-1]):
+        p = prior(by)
+        p.step(empty, seen(*order), 0)
+        found.append(lifts(p, target, *places))
+    assert found[0] == pytest.approx(found[1], rel=1e-4)
+    assert all(LEAST <= lift <= MOST for lift in found[0])
+
+
+def test_what_changed_is_looked_at_again():
+    p, view = prior("both"), walls((2, -2, 2, 2))
+    things = seen(("toilet paper", 1, 0))
+    p.step(view, things, 0)
+    first = lifts(p, "toilet", (0.5, 0.5))
+    assert first == lifts(p, "toilet", (0.5, 0.5))
+    assert lifts(p, "toilet", (-5, 0.5)) != first
+    things.n, things.generation = 0, things.generation + 1
+    p.step(view, things, 0)
+    assert lifts(p, "toilet", (0.5, 0.5)) == [1]
+
+
+def test_rooms_are_cut_once_a_second():
+    p, things = prior("both"), seen(("toilet paper", 1, 0))
+    for now_ns in range(0, 2 * PERIOD_NS + 1, PERIOD_NS // 10):
+        p.step(walls(), things, now_ns)
+    assert p._worker.stats.done == 3
+
+
+def test_another_map_is_cut_at_once():
+    p, things = prior("cooccurrence"), seen(("toilet paper", 1, 0))
+    p.step(walls((2, -2, 2, 2)), things, 0)
+    p.step(walls(), things, 1)
+    assert lifts(p, "toilet", (2.6, 0)) == [1]
+    p.forget()
+    p.step(walls(), things, 2)
+    assert lifts(p, "toilet", (2.6, 0))[0] > 1
+
+
+def test_beside_the_loop_too():
+    p, things, view = (
+        prior("cooccurrence", inline=False),
+        seen(("toilet paper", 1, 0)),
+        walls((2, -2, 2, 2)),
+    )
+
+    def hidden() -> bool:
+        p.step(view, things, 0)
+        return lifts(p, "toilet", (2.6, 0)) == [1]
+
+    eventually(hidden)
+    p.close()
+
+
+def settings(by: str) -> dict:
+    return {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True},
+        "perception": {"prior": by},
+    }
+
+
+def test_policies_get_it():
+    assert make_prior(simulated(settings("none"))) is None
+    loop = ClosedLoop(simulated(settings("both")))
+    for _ in range(40):
+        loop.step()
+    context = loop.service._context
+    xy_m, n = context.candidates.xy_m, context.candidates.n
+    out = np.zeros(n, np.float32)
+    assert context.sightings.n
+    context.prior.lift("pillow", xy_m, n, out)
+    assert (out >= LEAST).all()
+    assert (out <= MOST).all()
+    context.prior.lift("zeppelin", xy_m, n, out)
+    assert (out == 1).all()

@@ -1,0 +1,294 @@
+"""Scorers write the value maps, with what the camera saw when they were asked."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from patience import eventually
+from simulated import simulated
+
+from edge.eval.closed_loop import START_NS, ClosedLoop
+from edge.geometry import SE2, CameraModel, optical, se3
+from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
+from edge.loop.scorers import Scorers
+from edge.mapping.grid import RollingMap
+from edge.mission.brief import prepare
+from edge.perception.choice.question import Choice
+from edge.perception.instances import InstanceTracker
+from edge.perception.prior.table import load
+from edge.policies.base import FRONTIER, Candidates
+from edge.types import ContextBoxes, Detections, Observation
+
+CAMERA = CameraModel.from_hfov(160, 120, math.radians(75))
+MOUNT = optical(se3(0.0, 0.0, 0.6))
+BOTH = ("bed", "sofa")
+
+
+def seen_from(pose: SE2, seq: int = 0, range_m: float = 4.0) -> Observation:
+    """A wall right across, so far ahead."""
+    depth = np.full((CAMERA.height_px, CAMERA.width_px), range_m, np.float32)
+    return Observation(
+        seq, seq, pose.matrix(), rgb=np.zeros((120, 160, 3), np.uint8), depth_m=depth,
+        camera=CAMERA, T_base_camera=MOUNT,
+    )  # fmt: skip
+
+
+def frontiers(*places: tuple[float, float]) -> Candidates:
+    candidates = Candidates(8)
+    candidates.n = len(places)
+    for i, place in enumerate(places):
+        candidates.kind[i], candidates.xy_m[i], candidates.id[i] = FRONTIER, place, 7 + i
+    return candidates
+
+
+class Case:
+    """Scorers, and a map that has its place around the origin."""
+
+    def __init__(self, scorers: Scorers, targets=BOTH) -> None:
+        config = simulated()
+        self.scorers, self.targets = scorers, targets
+        self.grid, self.tracker = RollingMap(config.mapping), InstanceTracker(config.perception)
+        start = seen_from(SE2(0.0, 0.0, 0.0))
+        T = start.T_map_base @ MOUNT
+        self.grid.update_depth(start.depth_m, CAMERA, T, start.pose)
+        self.grid.values.begin(targets)
+
+    def ask(self, pose: SE2, candidates: Candidates, seq: int = 1, prior=None) -> None:
+        seen, values = seen_from(pose, seq), self.grid.values
+        self.scorers.ask(seen, self.targets, "bed", candidates, self.tracker, values, prior)
+
+    def best(self, *places: tuple[float, float], target: str = "bed") -> np.ndarray:
+        out, xy_m = np.zeros(len(places), np.float32), np.array(places, np.float32)
+        self.grid.values.best(self.targets.index(target), xy_m, len(places), 0.3, out)
+        return out
+
+
+class Chooser:
+    """Prefers the first mark; may be made to think."""
+
+    name = "chooser"
+
+    def __init__(self, thinking: threading.Event | None = None) -> None:
+        self.thinking, self.asked = thinking, []
+
+    def look(self, view):
+        self.asked.append(view.target)
+        return view
+
+    def answer(self, view):
+        if self.thinking is not None:
+            self.thinking.wait(30)
+        ids = tuple(mark.id for mark in view.marks)
+        p = np.array([0.7] + [0.1] * (len(ids) - 1), np.float32)
+        return Choice(view.observation.stamp_ns, view.target, ids, p, 1.0 - p.sum(), 0.8)
+
+    def close(self):
+        pass
+
+
+def test_a_late_answer_is_written_where_it_was_asked():
+    """Meanwhile the robot has turned round and the frontiers are others."""
+    done = threading.Event()
+    case = Case(Scorers(None, Chooser(done), feeds="choice"))
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0), (3.0, -1.0)))
+    case.ask(SE2(0.0, 0.0, math.pi), frontiers((-3.0, 0.0)), seq=2)
+    case.scorers.take_up(case.grid.values)
+    assert np.isnan(case.best((3.0, 1.0))).all()
+    done.set()
+    eventually(lambda: case.scorers.take_up(case.grid.values) or case.scorers.answers.choice)
+    left, right, behind = case.best((3.0, 1.0), (3.0, -1.0), (-3.0, 0.0))
+    assert left == pytest.approx(0.56, abs=0.04)  # eq. 6: S P
+    assert right < 0.2
+    assert np.isnan(behind)
+    assert np.isnan(case.best((3.0, 1.0), target="sofa")).all()
+    case.scorers.close()
+
+
+def test_what_was_asked_before_the_pose_jumped_is_not_written():
+    done = threading.Event()
+    case = Case(Scorers(None, Chooser(done), feeds="choice"))
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
+    case.scorers.forget()
+    done.set()
+    eventually(lambda: case.scorers._choice.idle)
+    case.scorers.take_up(case.grid.values)
+    assert not case.grid.values.weight.any()
+    case.scorers.close()
+
+
+@pytest.mark.parametrize(
+    ("feeds", "asked"),
+    [
+        ("choice", ["bed", "lamp", "bed", "sofa", "bed", "lamp"]),
+        (None, ["bed"] * 6),  # no one would read what is said of the others
+    ],
+)
+def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
+    chooser = Chooser()
+    case = Case(Scorers(None, chooser, inline=True, feeds=feeds), ("sofa", "bed", "lamp"))
+    for seq in range(6):
+        case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)), seq=seq)
+        case.scorers.take_up(case.grid.values)
+    assert chooser.asked == asked
+    assert case.grid.values.weight.any(axis=(0, 1)).tolist() == [feeds == "choice"] * 3
+
+
+class Similar:
+    name = "similar"
+
+    def score(self, rgb, prompts):
+        return np.array([0.3, 0.6], np.float32)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("feeds", ["similarity", None])
+def test_the_score_of_a_whole_view_is_written_for_every_target(feeds):
+    case = Case(Scorers(Similar(), None, inline=True, feeds=feeds))
+    case.ask(SE2(0.0, 0.0, math.pi), frontiers())
+    case.scorers.take_up(case.grid.values)
+    assert case.scorers.answers.similarity.score.tolist() == pytest.approx([0.3, 0.6])
+    if feeds is None:
+        assert not case.grid.values.weight.any()
+        return
+    there, behind = case.best((-2.0, 0.0), (2.0, 0.0))
+    assert there == pytest.approx(0.3, abs=1e-4)
+    assert np.isnan(behind)
+    assert case.best((-2.0, 0.0), target="sofa")[0] == pytest.approx(0.6, abs=1e-4)
+
+
+def test_the_running_detectors_scores_are_written_where_it_looked_from():
+    case = Case(Scorers(None, None, from_detections="x", feeds="similarity"))
+    seen = detections(targets=[("sofa", 0.4)], observation=seen_from(SE2(0.0, 0.0, math.pi / 2)))
+    case.scorers.saw(seen, case.grid.values)
+    assert case.best((0.0, 2.0), target="sofa")[0] == pytest.approx(0.4, abs=1e-4)
+    assert case.best((0.0, 2.0))[0] == 0.0  # seen, and no bed there
+    assert np.isnan(case.best((2.0, 0.0))).all()
+
+
+# -- scores by what stands around ----------------------------------------------------------
+
+
+def detections(targets=(), around=(), prompts=BOTH, observation=None) -> Detections:
+    """Boxes are (word, score)."""
+    words = tuple(dict.fromkeys(word for word, _ in around))
+
+    def boxes(found, of):
+        score = np.array([score for _, score in found], np.float32)
+        label = np.array([of.index(word) for word, _ in found], np.int32)
+        return np.zeros((len(found), 4), np.float32), score, label
+
+    return Detections(
+        observation or seen_from(SE2(0.0, 0.0, 0.0)), *boxes(targets, prompts), prompts,
+        context=ContextBoxes(*boxes(around, words), words) if around else None,
+    )  # fmt: skip
+
+
+def test_a_view_of_nothing_promises_nothing():
+    assert RelatedScores()(detections()).tolist() == [0.0, 0.0]
+
+
+def test_related_things_promise_a_target_by_how_often_they_share_a_room():
+    score = RelatedScores()
+    assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
+    p = given(load(), BOTH, ("pillow", "toilet", "lampion"))
+    assert p[0, 0] > 0.6 > 0.05 > p[0, 1]
+    assert p[:, 2].tolist() == [0.0, 0.0]  # a word of which nothing is known
+    around = [("pillow", 0.8), ("toilet", 0.9), ("lampion", 1.0)]
+    got = score(detections([("bed", 0.1), ("sofa", 0.9)], around))
+    by_sofa = given(load(), BOTH, ("sofa",))[0, 0] * 0.9
+    assert got == pytest.approx([max(p[0, 0] * 0.8, by_sofa), 0.9], abs=1e-6)
+
+
+def test_of_a_target_that_the_table_lacks_only_its_own_boxes_tell():
+    seen = detections([("lampion", 0.3)], [("pillow", 0.9)], prompts=("lampion",))
+    assert RelatedScores()(seen).tolist() == pytest.approx([0.3])
+
+
+class Favour:
+    """A prior that knows one place, near which everything is."""
+
+    def __init__(self, x_m: float, y_m: float, lift: float) -> None:
+        self.at, self.much = (x_m, y_m), lift
+
+    def lift(self, target, xy_m, n, out) -> None:
+        near = np.hypot(*(xy_m[:n] - np.float32(self.at)).T) < 0.5
+        out[:n] = np.where(near, self.much, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lift", "p", "elsewhere"), [(3.0, [0.2, 0.6], 0.2), (1.0, [1 / 3] * 2, 1 / 3)]
+)
+def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
+    """Its share of all lifts, "elsewhere" being average; S has the odds of the best direction."""
+    scorers = Scorers(None, PriorChoice(), feeds="choice")  # at once, though not inline
+    case = Case(scorers)
+    left, right = (3.0, 1.0), (3.0, -1.0)
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers(left, right), prior=Favour(*right, lift))
+    scorers.take_up(case.grid.values)
+    choice = scorers.answers.choice
+    assert dict(zip(choice.ids, choice.p.tolist(), strict=True)) == pytest.approx(
+        {7: p[0], 8: p[1]}
+    )
+    assert choice.elsewhere == pytest.approx(elsewhere)
+    assert choice.scene == pytest.approx(lift / (1.0 + lift))
+    assert case.best(left, right) == pytest.approx(choice.scene * np.array(p), abs=0.05)
+
+
+def test_without_a_prior_there_is_no_choice_by_it():
+    scorers = Scorers(None, PriorChoice(), feeds="choice")
+    case = Case(scorers)
+    case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
+    scorers.take_up(case.grid.values)
+    assert scorers.answers.choice is None
+
+
+# -- in the service ------------------------------------------------------------------------
+
+
+RELATED = {"similarity": "cooccurrence-similarity"}
+BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
+
+
+@pytest.mark.parametrize(
+    ("policy", "perception"),
+    [
+        ({"kind": "vlfm"}, RELATED),
+        ({"kind": "directional"}, BY_PRIOR),
+        ({"kind": "adaptive"}, RELATED),
+        ({"kind": "adaptive", "by": "choice"}, BY_PRIOR),
+    ],
+)
+def test_a_robot_without_any_server_finds_things_by_related_ones(policy, perception):
+    """And what was said of a target is kept by the next mission, not by a jump of the pose."""
+    config = simulated(
+        {
+            "loop": {"lockstep": True}, "sim": {"lockstep": True}, "policy": policy,
+            "perception": perception, "mission": {"target": "television"},
+        }
+    )  # fmt: skip
+    loop = ClosedLoop(config).run(240)
+    service = loop.service
+    assert service.status.phase == "reached", service.status
+    values = service.grid.values
+    assert values.value.shape[2] == 1
+    said = values.value.copy()
+    assert said.max() > 0
+    service.begin(prepare(config.mission, "go to the bed, then to the television"), START_NS)
+    assert service.mission.brief.targets == ("bed", "television")
+    np.testing.assert_array_equal(values.value[..., 1:], said)
+    loop.step()
+    service.forget_places(loop.drive.motion.stamp_ns)
+    assert service.grid.values.value.shape[2] == 2
+    assert not service.grid.values.weight.any()
+
+
+def test_a_policy_that_goes_by_no_values_has_none():
+    loop = ClosedLoop(simulated({"perception": {"similarity": "cooccurrence-similarity"}}))
+    loop.step()
+    assert loop.service.grid.values.value.size == 0
+    assert loop.scorers.answers.similarity is not None

@@ -1,0 +1,59 @@
+"""What a mission saw besides its targets is there for the next one."""
+
+from __future__ import annotations
+
+import pytest
+from closed_loop import ClosedLoop
+from simulated import simulated
+
+from edge.bus.verbs import Request
+from edge.loop.requests import handle_mission
+from edge.mission.brief import prepare
+from edge.perception.factory import make_detector
+
+
+@pytest.fixture(scope="module")
+def found_a_bed():
+    """A robot that has found the bed, and passed the sofa on its way."""
+    return ClosedLoop(simulated({"mission": {"target": "bed"}})).run(200)
+
+
+def begin(loop: ClosedLoop, formula: str) -> None:
+    brief = prepare(loop.config.mission, formula=formula)
+    handle_mission(loop.service, Request("new", prepared=brief), loop.drive.motion.stamp_ns)
+
+
+def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
+    loop = found_a_bed
+    assert loop.service.status.phase == "reached"
+    assert loop.service.tracker.of("sofa") == []
+    assert len(loop.service.sightings.shown.of("sofa")) == 1
+    begin(loop, "F sofa")
+    (sofa,) = loop.service.tracker.of("sofa")
+    assert sofa.state == "confirmed"
+    # The model that is put in the other's place in between may call more or other things context.
+    few = loop.config.perception.model_copy(
+        update={"detector": loop.config.perception.detector.model_copy(update={"background": ()})}
+    )
+    loop.service._worker.exchange(make_detector(few, ("sofa",), truth=loop.truth))
+    before = len(loop.notes.goals)
+    driven_m = loop.drive.motion.path_m
+    loop.run(300)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.distance_m("sofa") <= 1.0
+    assert {goal.kind for goal in loop.notes.goals[before:]} == {"instance"}
+    assert loop.drive.motion.path_m - driven_m < 12.0
+
+
+def test_policies_see_what_was_seen_and_cannot_write_there(found_a_bed):
+    seen = found_a_bed.service._context.sightings
+    assert {"bed", "sofa", "carpet"} <= {seen.words[w] for w in seen.word[: seen.n]}
+    with pytest.raises(ValueError, match="read-only"):
+        seen.confidence[0] = 1.0
+
+
+def test_a_pose_jump_forgets_what_stood_where():
+    loop = ClosedLoop(simulated({"mission": {"target": "bed"}})).run(2)
+    assert loop.service.sightings.shown.n > 0
+    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    assert loop.service.sightings.shown.n == 0
