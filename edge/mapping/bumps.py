@@ -167,7 +167,8 @@ class Bumps:
 
         It does where it stands on the line from the robot through the place: from `radius_m`
         before the place to the inflation behind it. Half the robot's width counts: what is
-        beside it, as the jambs of a door are beside its sill, does not hold it up.
+        beside it, as the jambs of a door are beside its sill, does not hold it up; but for what
+        the robot's front half touches, as the edge of a table in a turn.
 
         Args:
             radius_m: the robot's.
@@ -185,12 +186,14 @@ class Bumps:
         c, s = math.cos(heading), math.sin(heading)
         along, across = dx * c + dy * s, dy * c - dx * s
         raw = self._layers.raw[y % n, x % n]
+        on_the_way = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
+        ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # of the robot's centre
+        touched = (ahead_m >= 0.0) & (np.hypot(ahead_m, across) <= radius_m + res)
         return bool(
             np.any(
                 (raw >= ly.OCCUPIED)
                 & (raw != ly.BUMPED)
-                & (-radius_m <= along) & (along <= beyond_m)
-                & (np.abs(across) <= 0.5 * radius_m)
+                & (on_the_way | touched)
                 & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
             )
         )  # fmt: skip

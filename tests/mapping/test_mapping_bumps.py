@@ -174,6 +174,8 @@ def test_where_it_was_held_up_is_known_after_the_opening_too():
         (0.4, 0.0, False),
         (0.75, math.pi, False),
         (0.75, 1.2, False),  # beside the way
+        (0.82, 1.2, True),  # so too, but touched
+        (0.82, 2.0, False),  # behind
     ],
 )
 def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, shows):
