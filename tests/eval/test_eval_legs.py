@@ -14,6 +14,7 @@ from edge.eval.closed_loop import ClosedLoop
 from edge.eval.legs import PLACE_M, Leg, Legs, SeenFloor
 from edge.geometry import Grid
 from edge.sim.base import FloorPlan, free_poses
+from edge.sim.worlds import load_world
 
 RANGE_M = 5.0
 
@@ -83,7 +84,7 @@ def driven(instruction: str, seed: int, start=None, **more) -> tuple[ClosedLoop,
 
 def facing(seed: int, label: str, away_m: float) -> list[float]:
     """A place from where such a thing is about so far away, and straight ahead."""
-    world = ClosedLoop(simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})).world
+    world = load_world(simulated({"sim": {"world": {"kind": "generated", "seed": seed}}}))
     thing = next(o for o in world.objects if o.label == label)
     off = [
         (abs(thing.distance_m(p.x_m, p.y_m) - away_m), p) for p in free_poses(world, 500, 0, 0.2)
