@@ -199,7 +199,7 @@ def regions_at(label, x0_m, y0_m, cell_m, xy_m, n, radius_m, out):
         out: (n or more,) int16.
     """
     h, w = label.shape
-    reach = int(radius_m / cell_m)
+    reach = int(radius_m / cell_m + 1e-6)
     for i in range(n):
         row = math.floor((xy_m[i, 1] - y0_m) / cell_m)
         col = math.floor((xy_m[i, 0] - x0_m) / cell_m)

@@ -134,7 +134,7 @@ def ratio(house: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, float
     """Mean of a over mean of b, with its interval by a bootstrap of houses."""
     sums = np.stack([np.bincount(house, v, house.max() + 1) for v in (a, b)])
     draws = np.random.default_rng(0).integers(house.max() + 1, size=(2000, house.max() + 1))
-    drawn = sums[:, draws].sum(2)
+    drawn = np.maximum(sums[:, draws].sum(2), 1e-9)
     low, high = np.quantile(drawn[0] / drawn[1], (0.025, 0.975))
     return float(a.sum() / b.sum()), float(low), float(high)
 
@@ -156,6 +156,7 @@ def main(argv: list[str] | None) -> None:
         (by, p) for by in ("cooccurrence", "rooms", "both") for p in args.powers
     ]
     spl: list[list[float]] = []
+    names: list[str] = []
     for fold in range(args.folds):
         table, held_out = learned_without(houses, plans, fold)
         for i, start, target, shortest in episodes([plans[i] for i in held_out], args.each, fold):
@@ -165,14 +166,30 @@ def main(argv: list[str] | None) -> None:
                 for by, p in ways
             ]
             spl.append([number, *(shortest / max(d, shortest) for d in driven)])
-    rows = np.array(spl)
+            names.append(plans[number].words[target])
+    tell(np.array(spl), np.array(names), ways)
+
+
+def tell(rows: np.ndarray, names: np.ndarray, ways: Sequence[tuple[str, float]]) -> None:
+    """Print each way against the first, and the last by target.
+
+    Args:
+        rows: (n, 1 + ways), house and SPL of each episode.
+        names: (n,) of the targets.
+    """
+    house, plain = rows[:, 0].astype(int), rows[:, 1]
     print(f"{len(rows)} episodes")
-    for k, (by, p) in enumerate(ways, start=1):
-        value, low, high = ratio(rows[:, 0].astype(int), rows[:, k], rows[:, 1])
-        print(f"{by:13} w {p:3.1f}  SPL {rows[:, k].mean():.3f}  to none {value:.3f} "
-              f"({low:.3f}–{high:.3f})  worse by over 0.1: "
-              f"{(rows[:, k] < rows[:, 1] - 0.1).mean():.1%}, better: "
-              f"{(rows[:, k] > rows[:, 1] + 0.1).mean():.1%}")  # fmt: skip
+    for (by, power), spl in zip(ways, rows[:, 1:].T, strict=True):
+        value, low, high = ratio(house, spl, plain)
+        print(f"{by:13} w {power:3.1f}  SPL {spl.mean():.3f}  to none {value:.3f} "
+              f"({low:.3f}–{high:.3f})  worse by over 0.1: {(spl < plain - 0.1).mean():.1%}, "
+              f"better: {(spl > plain + 0.1).mean():.1%}")  # fmt: skip
+    print(f"{ways[-1][0]}, w {ways[-1][1]}, by target:")
+    for name in np.unique(names):
+        at = names == name
+        value, low, high = ratio(house[at], rows[at, -1], plain[at])
+        print(f"  {name:18} {at.sum():4}  SPL {rows[at, -1].mean():.3f}  to none {value:.3f} "
+              f"({low:.3f}–{high:.3f})")  # fmt: skip
 
 
 if __name__ == "__main__":

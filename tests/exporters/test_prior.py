@@ -183,25 +183,43 @@ def test_ratio_of_the_same_is_one():
     assert study.ratio(np.array([0, 1, 1]), a, a) == pytest.approx((1, 1, 1))
 
 
-def test_the_whole_command(tmp_path, capsys):
-    """Where a toilet stands with its paper in the bathroom, paper comes to tell of it."""
+@pytest.fixture(scope="module")
+def houses(tmp_path_factory):
+    """Of a toilet with its paper in the bathroom, and a bed in the other room."""
     rng = np.random.default_rng(3)
-    file, out = tmp_path / "houses.jsonl.gz", tmp_path / "table.json"
+    file = tmp_path_factory.mktemp("houses") / "houses.jsonl.gz"
     with gzip.open(file, "wt") as lines:
         for _ in range(100):
             x, y = rng.uniform(0.6, 3.4, 2)
             things = [("toilet", x, y), ("toilet paper", x, y + 0.5), ("bed", x + 4, y)]
             lines.write(json.dumps(house(*things)) + "\n")
-    assert main([str(file), "--out", str(out)]) == 0
+    return file
+
+
+def test_a_table_is_learned(houses, tmp_path, capsys):
+    out = tmp_path / "table.json"
+    assert main([str(houses), "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "toilet paper" in said
     learned = table.parse(json.loads(out.read_text()))
     assert learned.things == ("bed", "toilet", "toilet paper")
     assert learned.kinds == ("bathroom", "bedroom")
     assert learned.kind_rooms_with.tolist() == [[0, 100, 100], [100, 0, 0]]
-    assert file.name in json.loads(out.read_text())["source"]
+    assert houses.name in json.loads(out.read_text())["source"]
     plan = read_plan(house(("toilet", 1, 1)))
     assert len(standing(plan)) > 500
     samples = gather([plan], learned.things, learned.kinds)
     assert samples.wanted[:, 0].sum() == 0
     assert len(samples.house) == len(samples.found)
+
+
+def test_the_study_searches_held_out_houses(houses, capsys):
+    assert study.main([str(houses), "--each", "1", "--powers", "1"]) == 0
+    said = capsys.readouterr().out
+    ways = [line.split()[:3] for line in said.splitlines() if "to none" in line and " w " in line]
+    assert ways == [
+        [by, "w", p]
+        for by, p in (("none", "0.0"), ("cooccurrence", "1.0"), ("rooms", "1.0"), ("both", "1.0"))
+    ]
+    n = int(next(line for line in said.splitlines() if "episodes" in line).split()[0])
+    assert 5 <= n <= 25

@@ -123,3 +123,22 @@ def test_the_region_of_a_place_is_the_nearest():
     regions.regions_at(label, 0.0, 0.0, CELL_M, xy, 6, 0.7, out)
     left, right = label[10, 10], label[10, 70]
     assert out.tolist() == [left, right, left, right, 0, right]
+
+
+@given(seed=st.integers(0, 2**31))
+def test_regions_at_is_its_twin(seed):
+    rng = np.random.default_rng(seed)
+    label = np.where(rng.random((9, 14)) < 0.2, rng.integers(1, 4, (9, 14)), 0).astype(np.int16)
+    xy = rng.uniform(-0.5, 2.0, (5, 3)).astype(np.float32)
+    out = np.full(6, 9, np.int16)
+    regions.regions_at(label, 0.1, -0.2, 0.1, xy, 5, 0.3, out)
+    rows, cols = np.nonzero(label)
+    for (x, y, _), found in zip(xy.astype(float), out, strict=False):
+        row, col = np.floor((y - -0.2) / 0.1), np.floor((x - 0.1) / 0.1)
+        apart = (rows - row) ** 2 + (cols - col) ** 2
+        if (apart <= 9).any():
+            best = apart == apart.min()
+            assert found in label[rows[best], cols[best]]
+        else:
+            assert found == 0
+    assert out[5] == 9
