@@ -47,7 +47,7 @@ class PolicyHvl(_Selection):
     sigma_rad: Positive = 0.1
     w_dist: NonNegative = 0.5
     w_vl: NonNegative = 1.0
-    w_context: NonNegative = 1.0
+    w_context: NonNegative = 3.0
     distance: Literal["path", "straight"] = "path"
     unknown_k: Positive = 2.0
     unknown_radius_m: Positive = 1.0

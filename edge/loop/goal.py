@@ -48,7 +48,7 @@ class _Present:
         peak: the best score of its candidate so far.
         view: what is to be seen from there, where that is what it is for.
         told: whether it was sent.
-        answer: the controller's newest; `blocked`: where it said that the robot was held up.
+        answer: the controller's newest.
         verifying_since_ns: when the robot was there and near enough to verify the instance;
             `images_before`: how many the detector had searched by then.
     """
@@ -58,7 +58,6 @@ class _Present:
     view: Viewpoint | None = None
     told: bool = False
     answer: GoalStatus | None = None
-    blocked: tuple[float, float] | None = None
     verifying_since_ns: int | None = None
     images_before: int = 0
 
@@ -96,6 +95,8 @@ class GoalTracker:
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = Standstill(config, event)
         self._warned_of: set[int] = set()
+        self._sent_ns: int | None = None  # stamp of the goal that the controller drives to
+        self._blocked: tuple[float, float] | None = None  # where it said that it was held up
         self._turns = -1
         self._without_since_ns: int | None = None
         self._unanswered_since_ns: int | None = None
@@ -247,16 +248,18 @@ class GoalTracker:
         """The controller said something; what it says of old goals only shows that it is there."""
         self.heard = True
         self._unanswered_since_ns = None
+        if answer.stamp_ns == self._sent_ns:  # it drives on to a goal that is none any more
+            self._blocked = answer.blocked or self._blocked
         present = self._present
         if present is not None and present.told and answer.stamp_ns == present.goal.stamp_ns:
             present.answer = answer
-            present.blocked = answer.blocked or present.blocked
             self.driving = answer.state == "accepted"
 
     def _tell(self, goal: Goal, now_ns: int) -> None:
         self._grace_ns = GRACE_NS
         if self._unanswered_since_ns is None:
             self._unanswered_since_ns = now_ns
+        self._sent_ns = goal.stamp_ns
         self._send(goal)
 
     def _notice_silence(self, now_ns: int) -> None:
@@ -298,9 +301,8 @@ class GoalTracker:
             images: how many the detector has searched so far.
         """
         present = self._present
-        if present is not None:
-            blocked, present.blocked = present.blocked, None
-            self._standstill.told(grid, pose, blocked, now_ns)
+        blocked, self._blocked = self._blocked, None
+        self._standstill.told(grid, pose, blocked, now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
@@ -422,6 +424,7 @@ class GoalTracker:
     def forget_places(self) -> None:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
         self.rest()
+        self._sent_ns = self._blocked = None
         self._search = Search()
         self._standstill.reset()
 

@@ -137,6 +137,18 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
     assert len(held_up(loop)) == closes
 
 
+def test_where_it_was_held_up_counts_though_its_goal_was_just_dropped(tmp_path):
+    loop = closed_loop(tmp_path, way_round=False)
+    while loop.drive.motion.v_mps < 0.2:
+        loop.step()
+    service, place = loop.service, loop.drive.motion.odometry.ahead(0.2)
+    stamp_ns = service.goal.stamp_ns
+    service.goals.drop()
+    service.goal_answered(GoalStatus(stamp_ns, "accepted", blocked=place))
+    loop.step()
+    assert service.grid.bumps.closed_m == [place]
+
+
 def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
     """The robot stands under a controller that fails every goal so long after it came.
 

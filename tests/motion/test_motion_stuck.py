@@ -9,13 +9,36 @@ import pytest
 
 from edge.config import Robot
 from edge.geometry import SE2, Grid
-from edge.motion.progress import DETOURS, Progress
+from edge.motion.progress import DETOURS, Contact, Progress
 from edge.motion.pursuit import MotionLimits
 from edge.motion.recovery import BACK_M, TIME_NS, Recovery
 from edge.trajectory.costmap import from_weights
 
 S = 1_000_000_000
 HERE = SE2(1.0, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("steps", "after"),
+    [
+        ([], None),
+        ([(0.0, 0.0)] * 50, None),  # told to stand
+        ([(0.0, 0.5)] * 10, 6),  # 0.3 m in vain
+        ([(0.0, -0.5)] * 10, 6),
+        ([(0.0, 0.1)] * 40, 30),
+        ([(0.02, 0.5)] * 50, None),  # it drives
+        ([(0.0, 0.5), (0.0, -0.5)] * 20, None),  # forth and back
+        ([*[(0.0, 0.5)] * 5, (0.0, 0.0)] * 5, None),  # it stopped in between
+        ([*[(0.0, 0.5)] * 5, (0.06, 0.5), *[(0.0, 0.5)] * 6], 11),  # it came free once
+    ],
+)
+def test_a_robot_pushes_that_was_told_to_drive_in_vain(steps, after):
+    """Steps of 0.1 s: how far it came, at what speed it was told to drive."""
+    contact, x, said = Contact(0.3, 0.05), 0.0, []
+    for moved_m, v_mps in steps:
+        x += moved_m
+        said.append(contact.update(SE2(x, 0.0, 0.0), v_mps, 0.1))
+    assert (said.index(True) + 1 if any(said) else None) == after
 
 
 def test_progress_waits_for_the_way_to_get_shorter():
