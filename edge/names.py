@@ -132,7 +132,6 @@ NEAR: dict[str, tuple[str, ...]] = {
     "cup": ("wine glass",),
     "nightstand": ("side table", "table"),
     "ottoman": ("stool",),
-    "shelf": ("shoe rack",),
 }
 """Canonical name → other things that one view does not tell from it: many views may."""
 

@@ -186,3 +186,34 @@ def test_procthor_categories_are_known(shared_dir):
     furniture = {"sofa", "television", "garbage can", "fridge", "house plant", "arm chair",
                  "counter top", "desk lamp", "side table", "dresser", "bed", "desk"}  # fmt: skip
     assert furniture - {"side table"} <= {c for c in seen if names.is_known(c)} | (furniture - seen)
+
+
+def test_what_is_near_or_broader_stands_under_its_own_name():
+    for table in (names.BROADER, names.NEAR):
+        for name, others in table.items():
+            for word in (name, *others):
+                assert names.canonical(word) == word
+    for name, others in names.NEAR.items():
+        assert not any(names.akin(name, other) for other in others)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "akin", "near"),
+    [
+        ("couch", "sofa", True, True),
+        ("armchair", "chair", True, True),
+        ("wardrobe", "cabinet", False, True),
+        ("desk", "dining table", False, False),
+        ("bed", "sofa", False, False),
+    ],
+)
+def test_what_may_be_said_of_one_thing(a, b, akin, near):
+    assert names.akin(a, b) == names.akin(b, a) == akin
+    assert names.near(a, b) == names.near(b, a) == near
+
+
+def test_what_is_outside_is_no_target_and_no_kind_of_one():
+    assert names.outside((), ("chair",)) == ()
+    words = ("couch", "sofa", "armchair", "lamp", "dining chairs")
+    assert names.outside(words, ("chair",)) == ("sofa", "table lamp")
+    assert names.outside(words, ("armchair",)) == ("sofa", "table lamp", "chair")

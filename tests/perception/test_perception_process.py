@@ -462,11 +462,15 @@ def compare(inside, perception, observations):
     try:
         for observation in observations:
             a, b = inside.detect(observation), outside.detect(observation)
-            for name in ("xyxy_px", "score", "class_id", "rival"):
-                mine, its = getattr(a, name), getattr(b, name)
-                assert (mine.dtype, mine.shape) == (its.dtype, its.shape)
-                assert mine.tobytes() == its.tobytes()
+            arrays = [(a, b, ("xyxy_px", "score", "class_id", "rival"))]
+            arrays.append((a.context, b.context, ("xyxy_px", "score", "class_id")))
+            for ours, others, fields in arrays:
+                for name in fields:
+                    mine, its = getattr(ours, name), getattr(others, name)
+                    assert (mine.dtype, mine.shape) == (its.dtype, its.shape)
+                    assert mine.tobytes() == its.tobytes()
             assert (a.model, a.prompts) == (b.model, b.prompts)
+            assert a.context.words == b.context.words
         return len(a)
     finally:
         outside.close()
@@ -503,7 +507,7 @@ def test_the_shipped_models_boxes_are_the_same_in_a_process(monkeypatch, make_ob
     if SMALL not in card_names():
         pytest.skip(f"no card {SMALL}")
     monkeypatch.undo()
-    chosen = config.DetectorOnnx(model=SMALL, tau_vl=0.01)
+    chosen = config.DetectorOnnx(model=SMALL, tau_vl=0.01, background=("sofa", "lamp"))
     inside = make_detector(config.Perception(detector=chosen), ["chair", "bed"])
     rules = config.ModelProcess(**QUICK)
     perception = config.Perception(isolation="process", process=rules, detector=chosen)
