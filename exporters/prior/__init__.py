@@ -1,1 +1,1 @@
-"""Learns the robot's prior (`edge.perception.prior`) from searches of furnished houses on a plan."""
+"""Learns the prior (`edge.perception.prior`) from searches of furnished houses on a plan."""
