@@ -69,7 +69,7 @@ class PolicySearch(_Selection):
     look_round: bool = True
     start_m: Positive = 1.0
     look_weight: NonNegative = 1.0
-    prior_weight: NonNegative = 0.5
+    prior_weight: NonNegative = 1.0
 
 
 class PolicyVlfm(_Selection):

@@ -61,7 +61,10 @@ def test_no_luck_with_the_noise_is_needed(seed, rate_hz):
     and the robot has not been shut in."""
     perception = {"detector": {"kind": "sim", "seed": seed}}
     sim = {"lockstep": True, "step_s": 1 / rate_hz}
-    loop = ClosedLoop(config(mission={"target": "bed"}, perception=perception, sim=sim)).run(200)
+    settings = config(
+        mission={"target": "bed"}, perception=perception, sim=sim, policy={"kind": "search"}
+    )
+    loop = ClosedLoop(settings).run(200)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
     assert loop.service.status.path_m < 30.0
@@ -300,15 +303,18 @@ def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
 def watched(monkeypatch) -> Iterator[ClosedLoop]:
     """A closed loop with the sinks of a real run, over real time and a real session.
 
-    Maps, status and latency are copied and encoded beside the loop; they are sent so seldom here
-    that they stay out of what a test measures.
+    Maps, status and latency are copied and encoded beside the loop, and the prior cuts the map into
+    rooms there; they are sent so seldom here, and it is left out, so that they stay out of what a
+    test measures.
     """
     monkeypatch.setattr("edge.sinks.zenoh.LATENCY_HZ", 0.001)
     seldom = {"map_hz": 0.001, "status_hz": 0.001}
     settings = config(
         loop={"lockstep": False}, report=seldom, mission={"target": "television"},
         zenoh={"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
-        perception={"detector": {"kind": "sim", "score_noise": 0.0, "miss_rate": 0.0}},
+        perception={
+            "detector": {"kind": "sim", "score_noise": 0.0, "miss_rate": 0.0}, "prior": "none",
+        },
     )  # fmt: skip
     with open_session(settings.zenoh, "listen") as session:
         sinks = [ZenohSink(settings, session), ConsoleSink(), Recorder(settings)]
