@@ -154,13 +154,12 @@ class ReachField:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
 
-    def approach(
-        self, x_m: float, y_m: float, within_m: float
-    ) -> tuple[float, float, float] | None:
+    def approach(self, surface_m: np.ndarray, within_m: float) -> tuple[float, float, float] | None:
         """Where to stop on the way to a thing: the free cell with the shortest way there from
-        which the point is near, with no wall in between.
+        which a point of its surface is near, with no wall in between.
 
         Args:
+            surface_m: (k, 2 or more) float32 in `map`.
             within_m: how near; the centre of the cell to the point.
 
         Returns:
@@ -170,9 +169,7 @@ class ReachField:
             return None
         res = self._window.resolution_m
         distance, common = self.field
-        x, y, steps = first_in_sight(
-            self._layers, distance, *common, float(x_m / res), float(y_m / res), within_m / res
-        )
+        x, y, steps = first_in_sight(self._layers, distance, *common, res, surface_m, within_m)
         if steps == _UNREACHED:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
@@ -378,25 +375,28 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
 
 
 @njit(nogil=True, cache=True)
-def first_in_sight(layers, distance, x0, y0, x1, y1, px, py, radius):
-    """See `ReachField.approach`; in cells, results as of `nearest_reached`."""
-    n = layers.raw.shape[0]
+def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within):
+    """See `ReachField.approach`; results as of `nearest_reached`."""
+    n, radius = layers.raw.shape[0], within / res
     best_x, best_y, found = 0, 0, np.int32(0)
-    for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
-        sy = y % n
-        for x in range(
-            max(int(np.floor(px - radius)), x0), min(int(np.floor(px + radius)) + 1, x1)
+    for i in range(len(surface)):
+        px, py = surface[i, 0] / res, surface[i, 1] / res
+        left, right = int(np.floor(px - radius)), int(np.floor(px + radius)) + 1
+        for y in range(
+            max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)
         ):
-            sx = x % n
-            steps = distance[sy, sx]
-            if steps == 0 or (found != 0 and steps >= found):
-                continue
-            if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
-                continue
-            dx, dy = px - x - 0.5, py - y - 0.5
-            if dx * dx + dy * dy > radius * radius or not _in_sight(layers, x, y, dx, dy):
-                continue
-            best_x, best_y, found = x, y, steps
+            sy = y % n
+            for x in range(max(left, x0), min(right, x1)):
+                sx = x % n
+                steps = distance[sy, sx]
+                if steps == 0 or (found != 0 and steps >= found):
+                    continue
+                if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+                    continue
+                dx, dy = px - x - 0.5, py - y - 0.5
+                if dx * dx + dy * dy > radius * radius or not _in_sight(layers, x, y, dx, dy):
+                    continue
+                best_x, best_y, found = x, y, steps
     return best_x, best_y, found
 
 

@@ -158,13 +158,13 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "refuted":  # since they were gathered
             return None
+        for within_m in STOP_M:
+            found = context.map.approach(instance.points_m, within_m)
+            if found is not None:
+                return found[0], found[1]
         points = instance.points_m[:, :2]
         away = np.hypot(points[:, 0] - pose.x_m, points[:, 1] - pose.y_m)
         xy_m = points[int(np.argmin(away))]
-        for within_m in STOP_M:
-            found = context.map.approach(float(xy_m[0]), float(xy_m[1]), within_m)
-            if found is not None:
-                return found[0], found[1]
         through = _way_through(candidates, xy_m)
         if through >= 0:
             xy_m, kind = candidates.xy_m[through], FRONTIER

@@ -95,8 +95,8 @@ def facing(seed: int, label: str, away_m: float) -> list[float]:
 
 
 def test_what_was_seen_while_another_thing_was_searched_for_is_driven_to_straight():
-    start = facing(3, "bed", 1.6)
-    loop, legs = driven("Reach a refrigerator, then a bed.", 3, start)
+    start = facing(4, "bed", 1.6)
+    loop, legs = driven("Reach a refrigerator, then a bed.", 4, start)
     assert loop.service.status.phase == "reached"
     search, rest = legs
     assert (search.target, search.known, rest.target, rest.known) == (

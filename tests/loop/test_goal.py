@@ -29,7 +29,7 @@ class Map:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
         self.generation, self.opened = 7, False
-        self.camera_yaw_rad, self.view = 0.0, None
+        self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.reach = self.coverage = self.bumps = self
 
     def nearest(self, x: float, y: float, within_m: float) -> tuple[float, float, float] | None:
@@ -37,8 +37,9 @@ class Map:
             return None
         return x, y, math.hypot(x, y)
 
-    def approach(self, x: float, y: float, within_m: float) -> tuple[float, float, float] | None:
-        return self.nearest(x, y, within_m)
+    def approach(self, surface_m: np.ndarray, within_m: float) -> tuple[float, float, float] | None:
+        nearest = min(surface_m.tolist(), key=lambda p: self.here.distance_to(p[0], p[1]))
+        return self.nearest(nearest[0], nearest[1], within_m)
 
     def state_at(self, x: float, y: float) -> int:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
@@ -110,7 +111,7 @@ class Case:
         self.goals.set_out(self.mission)
 
     def context(self, pose: SE2 = HERE) -> Context:
-        seen = Observation(0, self.now_ns, pose.matrix())
+        seen, self.map.here = Observation(0, self.now_ns, pose.matrix()), pose
         return Context(
             seen, pose, self.map, (0, 0, 0, 0), self.pool.candidates, None, Answers(), ("chair",),
             "chair", self.now_ns,

@@ -149,13 +149,17 @@ def test_lengths_of_many_ways_are_those_of_each():
 def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0), (1.5, 0.3, 0.0, 1.9, 0.7, 0.5)
-    assert grid.reach.approach(1.5, 0.5, 0.7) is None
+    surface_m = np.array([[1.5, 0.5, 0.4]], np.float32)
+    assert grid.reach.approach(surface_m, 0.7) is None
     for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
         for yaw in np.arange(0, 6.4, 0.3):
             look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
     complete(grid, SE2(0.0, 0.5, 0.0))
-    x, y, way_m = grid.reach.approach(1.5, 0.5, 0.7)
+    x, y, way_m = grid.reach.approach(surface_m, 0.7)
     assert math.hypot(x - 1.5, y - 0.5) <= 0.7
     assert x > 1.1, "not from behind the wall, though that is nearer"
     assert way_m == pytest.approx(grid.reach.distance_m(x, y))
-    assert grid.reach.approach(1.5, 0.5, 0.1) is None
+    assert grid.reach.approach(surface_m, 0.1) is None
+    # Of several points the one with the shortest way.
+    more_m = np.array([[1.5, 0.5, 0.4], [1.5, -1.0, 0.4]], np.float32)
+    assert grid.reach.approach(more_m, 0.7)[2] < way_m
