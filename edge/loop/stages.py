@@ -50,7 +50,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers, changed region", "edge/mapping"),
     Stage("lift", 0.5, "Detections", "Instances", "edge/perception/lift.py"),
-    Stage("candidates", 0.2, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
+    Stage("candidates", 0.4, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
     Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
     Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission/run.py"),
     Stage("select", 0.3, "scored Candidates", "Goal or none, answers", "edge/loop/goal.py"),
