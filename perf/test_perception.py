@@ -129,7 +129,7 @@ def test_lift(benchmark, way):
     benchmark.extra_info["budget"] = f"lift_20_boxes_{way}"
     seen = observe()
     lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
-    out = benchmark(lifter.lift, boxes_in(seen, 20))
+    out, _ = benchmark(lifter.lift, boxes_in(seen, 20))
     assert out.valid.any()
 
 
@@ -139,9 +139,9 @@ def test_track(benchmark):
     perception = config.Perception(detector=config.DetectorSim())
     tracker, lifter = InstanceTracker(perception), Lifter(perception)
     for seed in range(20):
-        tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed)), seed)
+        tracker.update(lifter.lift(boxes_in(observe(seed), 20, seed))[0], seed)
     seen = observe()
-    lifted = lifter.lift(boxes_in(seen, 8))
+    lifted, _ = lifter.lift(boxes_in(seen, 8))
 
     def step():
         tracker.update(lifted, 1_000_000_000)
@@ -158,10 +158,10 @@ def test_sightings(benchmark):
     perception = config.Perception(detector=config.DetectorSim())
     sightings, lifter = SightingTracker(perception), Lifter(perception)
     for seed in range(20):
-        lifted = lifter.lift(boxes_in(observe(seed), 20, seed))
-        sightings.look(lifted, lifter.lift(boxes_in(observe(seed), 20, seed + 100, WORDS)))
+        lifted, _ = lifter.lift(boxes_in(observe(seed), 20, seed))
+        sightings.look(lifted, lifter.lift(boxes_in(observe(seed), 20, seed + 100, WORDS))[0])
     seen = observe()
-    targets = lifter.lift(boxes_in(seen, 8))
-    around = lifter.lift(boxes_in(seen, 20, 2, WORDS))
+    targets, _ = lifter.lift(boxes_in(seen, 8))
+    around, _ = lifter.lift(boxes_in(seen, 20, 2, WORDS))
     benchmark(sightings.look, targets, around)
     assert sightings.shown.n > 50

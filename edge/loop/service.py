@@ -206,9 +206,7 @@ class Service:
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
             self._scorers.saw(detections, self.grid.values)
-        others = detections.around()
-        around = None if others is None else self._lifter.lift(others)
-        lifted = self._lifter.lift(detections, around)
+        lifted, around = self._lifter.lift(detections)
         self.sightings.look(lifted, around)
         self.tracker.update(lifted, detections.observation.stamp_ns)
         self.tracker.expire(detections.observation, detections.prompts)

@@ -20,7 +20,6 @@ _RASTER_COLUMNS = 320
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 _NO_RASTER = np.full((1, 1), -1, np.int32)
 _NO_POINTS = np.zeros((1, 3), np.float32)
-_NO_BOXES = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +30,6 @@ class Lifted:
         detections: what was lifted.
         center_m: (n, 3) float32 in `map`, median of the surface points.
         points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
-        depth_m: (n, 2) float32, nearest and farthest of the surface taken; NaN where there is none.
         n_points: (n,) int32.
         n_samples: (n,) int32, returns that the centre rests on.
         valid: (n,) bool; False where too few returns came back from the object.
@@ -40,7 +38,6 @@ class Lifted:
     detections: Detections
     center_m: np.ndarray
     points_m: np.ndarray
-    depth_m: np.ndarray
     n_points: np.ndarray
     n_samples: np.ndarray
     valid: np.ndarray
@@ -79,47 +76,52 @@ class Lifter:
         self._raster = _NO_RASTER
         self._cloud_points = _NO_POINTS
 
-    def lift(self, detections: Detections, around: Lifted | None = None) -> Lifted:
+    def lift(self, detections: Detections) -> tuple[Lifted, Lifted | None]:
         """All boxes; those without enough returns are marked invalid, never left out.
-
-        Args:
-            around: boxes of other things in the same image; what they show is not these boxes'.
 
         An observation that lacks the camera, depth or cloud that lifting needs (a LiDAR that fell
         silent) is counted in `unliftable`, and all its boxes are invalid.
+
+        Returns:
+            The targets' boxes, and those of context words (None: not looked for). They are lifted
+            together, since one thing may hide much of another.
         """
-        seen = detections.observation
-        n = len(detections)
-        out = Lifted(
-            detections,
+        seen, around = detections.observation, detections.around()
+        k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
+        if around is not None:
+            boxes = np.concatenate((boxes, around.xyxy_px))
+            word = np.concatenate((word, around.class_id + np.int32(len(detections.prompts))))
+        n = len(boxes)
+        out = (
             np.zeros((n, 3), np.float32),
             np.zeros((n, POINTS, 3), np.float32),
-            np.full((n, 2), np.nan, np.float32),
             np.zeros(n, np.int32),
             np.zeros(n, np.int32),
             np.zeros(n, np.bool_),
         )
-        if n == 0:
-            return out
+        if n and self._liftable(seen):
+            camera, by_cloud = seen.camera, self.config.lift == "cloud"
+            cell_px = self._project(seen, camera) if by_cloud else 0
+            view = (
+                _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
+                float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+            )  # fmt: skip
+            kernels.lift_boxes(
+                view, boxes, word, seen.T_map_base @ seen.T_base_camera,
+                float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
+                self.config.lift_min_points, self._scratch, out,
+            )  # fmt: skip
+        others = None if around is None else Lifted(around, *(array[k:] for array in out))
+        return Lifted(detections, *(array[:k] for array in out)), others
+
+    def _liftable(self, seen: Observation) -> bool:
+        """Whether an observation has what lifting needs; told once where it has not."""
         if missing := self._missing(seen):
             self.unliftable += 1
             if self.unliftable == 1:
                 log.warning("observation %d: %s; boxes cannot be lifted (further ones are only "
                             "counted)", seen.seq, missing)  # fmt: skip
-            return out
-        camera, by_cloud = seen.camera, self.config.lift == "cloud"
-        cell_px = self._project(seen, camera) if by_cloud else 0
-        view = (
-            _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
-            float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
-        )  # fmt: skip
-        kernels.lift_boxes(
-            view, detections.xyxy_px, *_others(around), seen.T_map_base @ seen.T_base_camera,
-            float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
-            self.config.lift_min_points, self._scratch,
-            (out.center_m, out.points_m, out.depth_m, out.n_points, out.n_samples, out.valid),
-        )  # fmt: skip
-        return out
+        return not missing
 
     def _missing(self, seen: Observation) -> str:
         """What an observation lacks to be lifted through, or ""."""
@@ -150,8 +152,3 @@ class Lifter:
             self._raster, self._cloud_points,
         )  # fmt: skip
         return cell_px
-
-
-def _others(around: Lifted | None) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes and depths of what may stand before a target; see `lift_kernels.drop_others`."""
-    return _NO_BOXES if around is None else (around.detections.xyxy_px, around.depth_m)

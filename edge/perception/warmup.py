@@ -57,7 +57,7 @@ def _lift() -> None:
     )
     for way in ("depth", "cloud"):
         perception = config.Perception(lift=way, detector=config.DetectorSim())
-        lifted = Lifter(perception).lift(detections)
+        lifted, _ = Lifter(perception).lift(detections)
     clear = replace(lifted, valid=np.ones(1, np.bool_), n_points=np.ones(1, np.int32))
     sightings = SightingTracker(perception)
     sightings.look(clear, clear)

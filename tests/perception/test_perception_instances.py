@@ -43,8 +43,7 @@ class Scene:
         )
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        depth_m = np.zeros((n, 2), np.float32)
-        return Lifted(detections, places, points, depth_m, full, full, np.ones(n, np.bool_))
+        return Lifted(detections, places, points, full, full, np.ones(n, np.bool_))
 
     def expire(self, observation, prompts=("chair", "desk")):
         return self.tracker.expire(observation, prompts)

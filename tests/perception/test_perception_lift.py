@@ -14,7 +14,7 @@ from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception import lift_kernels as kernels
 from edge.perception.lift import POINTS, Lifter
-from edge.types import Detections, Observation
+from edge.types import ContextBoxes, Detections, Observation
 
 SIMULATED = config.Perception(detector=config.DetectorSim())
 
@@ -31,9 +31,8 @@ def detect(observation, *boxes, score=0.9):
 
 
 def lift(observation, *boxes, **settings):
-    return Lifter(config.Perception(detector=config.DetectorSim(), **settings)).lift(
-        detect(observation, *boxes)
-    )
+    lifter = Lifter(config.Perception(detector=config.DetectorSim(), **settings))
+    return lifter.lift(detect(observation, *boxes))[0]
 
 
 def wall_with_thing(thing_m=2.0, wall_m=4.0):
@@ -150,7 +149,7 @@ def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way,
     seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
     lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
     for _ in range(2):
-        lifted = lifter.lift(detect(seen, BOX))
+        lifted, _ = lifter.lift(detect(seen, BOX))
         assert len(lifted) == 1
         assert not lifted.valid.any()
     assert lifter.unliftable == 2
@@ -223,7 +222,7 @@ def test_things_of_a_real_lidar_scan(shared_dir):
                 in_view = box[0] >= 0 and box[2] < seen.camera.width_px and z.min() > 2
                 if len(points) < 25 or not in_view or box[2] - box[0] < 6:
                     continue
-                out = lifter.lift(detect(seen, box))
+                out, _ = lifter.lift(detect(seen, box))
                 assert out.valid.all()
                 apart = points[:, :2] + offset_m[:2] - out.center_m[0, :2]
                 found.append(np.linalg.norm(apart, axis=1).min())
@@ -295,19 +294,24 @@ SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
         (None, 1.5),
         ((), 1.5),
         ((CABINET,), 3.0),
-        # A rival for the same box does not stand before it, nor does what was not lifted.
+        # A rival for the same box hides nothing of it.
         ((SHELF,), 1.5),
         (((200, 200, 210, 210),), 1.5),
-        # Were nothing left, all of it counts.
-        ((CABINET, (30, 0, 70, 30)), 1.5),
+        ((CABINET, (np.nan, 0, 1, 1)), 3.0),
     ],
 )
-def test_what_another_box_shows_is_not_the_things(make_observation, around, x_m):
-    seen, lifter = make_observation(depth_m=shelf_behind_a_cabinet()), Lifter(SIMULATED)
-    others = None if around is None else lifter.lift(detect(seen, *around))
-    out = lifter.lift(detect(seen, SHELF), others)
+def test_what_fits_another_box_better_is_not_the_things(make_observation, around, x_m):
+    seen = detect(make_observation(depth_m=shelf_behind_a_cabinet()), SHELF)
+    if around is not None:
+        boxes = np.array(around, np.float32).reshape(-1, 4)
+        n = len(boxes)
+        others = ContextBoxes(boxes, np.ones(n, np.float32), np.zeros(n, np.int32), ("cabinet",))
+        seen = dataclasses.replace(seen, context=others)
+    out, beside = Lifter(SIMULATED).lift(seen)
     assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
-    assert out.depth_m[0, 0] <= x_m <= out.depth_m[0, 1]
+    assert (beside is None) == (around is None)
+    if around and around[0] == CABINET:
+        assert beside.center_m[0, 0] == pytest.approx(1.5, abs=0.1)
 
 
 @settings(max_examples=50)
@@ -318,13 +322,14 @@ def test_samples_of_other_things_are_dropped_one_by_one(seed):
     z = rng.uniform(1, 4, n)
     u, v = rng.uniform(5, 35, (2, n))
     samples = np.stack([(u - 20) / 40 * z, (v - 20) / 40 * z, z], axis=1).astype(np.float32)
-    box = np.array([5, 5, 35, 35], np.float32)
     corner = rng.uniform(0, 35, (3, 2))
-    others = np.hstack([corner, corner + rng.uniform(2, 20, (3, 2))]).astype(np.float32)
-    depths = np.sort(rng.uniform(0.5, 4, (3, 2)), axis=1).astype(np.float32)
-    kept = twins.without_others(samples, view, box, others, depths)
+    boxes = np.vstack([[5, 5, 35, 35], np.hstack([corner, corner + rng.uniform(2, 20, (3, 2))])])
+    boxes = boxes.astype(np.float32)
+    depth = np.sort(rng.uniform(0.5, 4, (4, 2)), axis=1).astype(np.float32)
+    claim, word = rng.uniform(0, 1, 4).astype(np.float32), rng.integers(0, 3, 4).astype(np.int32)
+    kept = twins.without_others(samples, view, boxes, word, 0, depth, claim)
     left = samples.copy()
     whole = (np.zeros((1, 1), np.float32),) * 3 + view[3:]
-    k = kernels.drop_others(left, n, whole, box, others, depths)
+    k = kernels.drop_others(left, n, whole, boxes, word, 0, depth, claim)
     assert {*map(tuple, left[:k])} == {*map(tuple, kept)}
     assert {*map(tuple, left)} == {*map(tuple, samples)}

@@ -48,7 +48,6 @@ class Scene:
             detections,
             places,
             points,
-            np.zeros((n, 2), np.float32),
             full,
             full,
             np.ones(n, np.bool_),

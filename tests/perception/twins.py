@@ -118,13 +118,16 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
     return np.array(points, np.float32).reshape(-1, 3)
 
 
-def without_others(samples, view, box, others, depths):
-    """Samples in no other box at that one's depths; all where under `LEFT` of them remain."""
+def without_others(samples, view, boxes, word, mine, depth, claim):
+    """Samples in no box of another word that fits better at its depths; all where under `LEFT` of them remain."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
     v = fy * samples[:, 1] / samples[:, 2] + cy
     keep = np.ones(len(samples), bool)
-    for other, (near, far) in zip(others, depths, strict=True):
+    box = boxes[mine]
+    for other, (near, far), fits, of in zip(boxes, depth, claim, word, strict=True):
+        if fits <= claim[mine] or of == word[mine]:
+            continue
         apart = np.minimum(other[2:], box[2:]) <= np.maximum(other[:2], box[:2])
         if apart.any() or iou(other, box) > APART:
             continue
