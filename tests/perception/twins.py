@@ -119,7 +119,8 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
 
 
 def without_others(samples, view, boxes, word, mine, depth, claim):
-    """Samples in no box of another word that fits better at its depths; all where under `LEFT` of them remain."""
+    """Samples in no box of another word that fits better, at its depths; all of them where under
+    `LEFT` would remain."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
     v = fy * samples[:, 1] / samples[:, 2] + cy
