@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         eps.write(args.plan, episodes)
         print(f"{args.plan}: {len(episodes)} episodes")
         return 0
-    out = args.report or args.out
+    out = args.out or args.report
     if out is not None:
         for name, count in changed(columns, out).items():
             print(f"{name}: its settings have changed; {count} outcomes of before do not count")
