@@ -140,7 +140,7 @@ def test_a_server_that_stalls_is_given_up(server, tmp_path, cut):
 
 
 def test_a_server_that_trickles_is_given_up(server, tmp_path):
-    server.put("/w.pt", CONTENT, cut=1)
+    server.put("/w.pt", CONTENT, cut=1, stall=True)
     with pytest.raises(FetchError, match=r"only [01] bytes came in 0 s"):
         fetch(server, tmp_path, limits=Limits(slow_s=0.0, slow_bytes=2, tries=1))
 
