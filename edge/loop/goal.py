@@ -145,8 +145,8 @@ class GoalTracker:
         """Algorithm 2 of VL-Nav over the scored candidates: the goal of this tick.
 
         With none left the robot turns on the spot. Then those that were given up come once more,
-        the ways on which the robot was held up, and those where its body may just fit, as soon as
-        the reach field leads there; then what the detector has seen badly is looked at again.
+        and the ways on which the robot was held up, as soon as the reach field leads there; then
+        what the detector has seen badly is looked at again.
 
         Args:
             grid: opened again where the robot was held up, and searched for views.
@@ -157,15 +157,11 @@ class GoalTracker:
             A goal on a free cell that the robot can reach, facing its candidate, the same object
             as before while it stands; or None.
         """
-        if not self._search.squeezing:
-            grid.squeeze(None)
         self._leave_vanished(context)
         chosen = self._towards_best(context, score) or self._turn(context)
         if chosen is not None or not self._search.exhausted:
             self._next_view.drop()
-        elif not self._search.trying_again(
-            context, grid, self._pool, self._tracker, self._config.robot.radius_m
-        ):
+        elif not self._search.trying_again(context, grid, self._pool, self._tracker):
             chosen = self._look_again(context, grid, images)
         self._present = chosen
         return self.goal

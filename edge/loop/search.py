@@ -32,12 +32,10 @@ class Search:
     Attributes:
         exhausted: nothing was left to go to, and turning on the spot showed nothing new. What
             turns up since is gone to, but the robot does not turn after it.
-        squeezing: the robot goes where its body may just fit.
         left: places of frontiers that were left before the robot came there.
     """
 
     exhausted: bool = False
-    squeezing: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_LEFT))
     _turns: int = 0  # since there was something to go to
     _idle_since_ns: int | None = None
@@ -89,25 +87,15 @@ class Search:
         self._idle_since_ns = now_ns
 
     def trying_again(
-        self,
-        context: Context,
-        grid: RollingMap,
-        pool: CandidatePool,
-        tracker: InstanceTracker,
-        radius_m: float,
+        self, context: Context, grid: RollingMap, pool: CandidatePool, tracker: InstanceTracker
     ) -> bool:
-        """Give all that was given up one more chance; whether that may yet come to something.
-
-        Args:
-            radius_m: of the robot, which goes where its body may just fit from then on.
-        """
+        """Give all that was given up one more chance; whether that may yet come to something."""
         reach = grid.reach
         if not self._second_chance:
             self._second_chance = True
             pool.lift_discards()
             tracker.forget_refuted(context.target)
-            self.squeezing = grid.squeeze(radius_m)
-            if grid.bumps.open_all() or self.squeezing:  # doors open, and people go
+            if grid.bumps.open_all():  # doors open, and people go
                 # The reach field that is growing may have begun before; the one after it leads
                 # there.
                 self._retry = (reach.generation + 2, context.now_ns + _RETRY_NS)

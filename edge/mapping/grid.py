@@ -51,7 +51,6 @@ class RollingMap:
         c = self.config = config
         res = c.resolution_m
         self._inflation_cells = c.inflation_m / res
-        self._inflated_cells = self._inflation_cells
         self._disc = ly.disc_half_widths(self._inflation_cells)
         self._body = ly.disc_half_widths(max(self._inflation_cells - ROUNDING_CELLS, 0.0))
         self._footprint = ly.disc_half_widths(_FOOTPRINT_M / res)
@@ -88,25 +87,6 @@ class RollingMap:
         self.gain = Gain(self._layers, self.window, c.range_m)
         self.values = ValueMap(self._layers, self.window, c.values.cell_m, c.range_m, c.values.beta)
         self.bumps = Bumps(self._layers, self.window, c, self._write)
-
-    def squeeze(self, radius_m: float | None) -> bool:
-        """Have obstacles inflated by so little that a robot of this radius may just fit between
-        them; None: by `mapping.inflation_m` again. Whether that changed anything.
-
-        Costs with the map's size when it changes anything, so not for every tick.
-        """
-        cells = self._inflation_cells
-        if radius_m is not None:  # a cell: what rounding takes off a gap on either side
-            cells = min(max(radius_m / self.resolution_m - 1.0, 0.0), cells)
-        if cells == self._inflated_cells:
-            return False
-        margin, n = len(self._disc) // 2, self.window.n
-        self._inflated_cells, self._disc = cells, ly.disc_half_widths(cells)
-        x0, y0 = (max(int(v) - margin, 0) for v in self._explored[:2])
-        x1, y1 = (min(int(v) + margin, n) for v in self._explored[2:])
-        ly.inflate_anew(self._layers, *self.window.shift, x0, y0, x1, y1, self._disc, self._changed)
-        self._refresh_frontiers(False)
-        return True
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2
@@ -430,8 +410,6 @@ def warmup(mapping: config.Mapping) -> None:
     grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
     grid.bumps.close(SE2(0.0, 0.0, 0.0), (0.4, 0.0), 0.2, 0)
     grid.bumps.open_all()
-    grid.squeeze(0.0)
-    grid.squeeze(None)
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.reach.approach(np.zeros((1, 3), np.float32), 0.5)

@@ -214,27 +214,6 @@ def remove_obstacles(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
 
 
 @njit(nogil=True, cache=True)
-def inflate_anew(layers, shift_x, shift_y, x0, y0, x1, y1, disc, changed):
-    """Inflate all obstacles by another disc.
-
-    Args:
-        x0, y0, x1, y1: window rectangle that holds every obstacle and all that was inflated.
-        changed: grows to it.
-    """
-    n = layers.raw.shape[0]
-    for y in range(y0, y1):
-        sy = (y + shift_y) % n
-        for x in range(x0, x1):
-            sx = (x + shift_x) % n
-            layers.near[sy, sx] = 0
-            bit_set(layers.blocked, sy, sx, False)
-    inflate_into(layers, shift_x, shift_y, (x0, y0, x1, y1), (0, 0, n, n), disc, changed)
-    if x1 > x0 and y1 > y0:
-        grow(changed, x0, y0)
-        grow(changed, x1 - 1, y1 - 1)
-
-
-@njit(nogil=True, cache=True)
 def wipe(layers, shift_x, shift_y, x0, y0, x1, y1, dirty):
     """Forget a window rectangle; clusters that had cells in it are marked in `dirty`."""
     n = layers.raw.shape[0]

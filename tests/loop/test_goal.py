@@ -41,9 +41,6 @@ class Map:
         nearest = min(surface_m.tolist(), key=lambda p: self.here.distance_to(p[0], p[1]))
         return self.nearest(nearest[0], nearest[1], within_m)
 
-    def squeeze(self, radius_m: float | None) -> bool:
-        return False
-
     def state_at(self, x: float, y: float) -> int:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
 

@@ -325,20 +325,3 @@ def test_the_floor_follows_a_ramp():
         grid.update_depth(render(CAMERA, lower, []), CAMERA, T, pose)
     assert grid._floor_z_m == pytest.approx(rise_m, abs=0.03)
     assert not (grid.snapshot().cells == 100).any()
-
-
-def test_a_gap_that_the_body_may_just_fit_opens_and_closes_again():
-    """0.4 m between two boxes, for a robot of 0.2 m radius and 0.2 m of inflation."""
-    boxes = [(1.0, 0.2, 0.0, 1.2, 1.5, 1.0), (1.0, -1.5, 0.0, 1.2, -0.2, 1.0)]
-    grid = twins.seen_around([*boxes, *room(2.5)], ORIGIN)
-    look(grid, SE2(2.0, 0.0, np.pi), [*boxes, *room(2.5)])
-    before = twins.window(grid, "near").copy()
-    assert grid.state_at(1.1, 0.0) == 100
-    assert grid.squeeze(0.2)
-    assert grid.state_at(1.1, 0.0) == 0
-    assert grid.state_at(1.1, 0.3) == 100, "the box itself"
-    frontiers = twins.frontier_cells(twins.states(grid))
-    assert np.array_equal(twins.window(grid, "frontier").astype(bool), frontiers)
-    assert grid.squeeze(None)
-    assert np.array_equal(twins.window(grid, "near"), before)
-    assert not grid.squeeze(None)
