@@ -96,10 +96,6 @@ class Gain:
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
 
-    def forget(self) -> None:
-        """The detector looks for something else."""
-        self._looked[:] = 0
-
     def _place(self, pose: SE2) -> int:
         """The place that stands for where the robot is, a new one where there is none."""
         away = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m)
