@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -24,10 +25,11 @@ from edge.eval.columns import data_of, merged
 from edge.eval.metrics import REACHED_M
 from edge.host.bars import counted
 from edge.host.files import read_regular, save
-from edge.sim.base import World, WorldObject, free_poses
+from edge.sim.base import World, WorldError, WorldObject, free_poses
 from edge.sim.worlds import load_world
 from edge.text import one_line, read_json_object
 
+log = logging.getLogger("edge.eval.episodes")
 MAX_BYTES = 1 << 28
 
 COMMON = (
@@ -128,6 +130,8 @@ def plan(
 
     Raises:
         UserError: a world cannot be loaded, or there is nothing to do at all.
+
+    Of several worlds, one in whose start no robot fits is left out, and told.
     """
     episodes: list[Episode] = []
     for where in _places(config, worlds):
@@ -135,7 +139,11 @@ def plan(
             return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
         labels = [o.label for o in where.world.objects]
         present = [t for t in targets if any(names.same(label, t) for label in labels)]
-        found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
+        try:
+            found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
+        except WorldError as error:
+            log.warning("left out: %s", error)
+            continue
         episodes += _drawn(found, per_world, seed, where.world.name)
     if targets and not episodes:
         raise UserError(

@@ -22,9 +22,12 @@ FARTHER = 1.2
 """What a surface behind another must have more of, to be the thing's."""
 LEAST_SHARE = 0.15
 """The thing fills at least this share of its box."""
-APART, LEFT, OTHER_M = 0.5, 0.25, 0.1
+APART, LEFT, OTHER_M = 0.5, 0.1, 0.1
 """A box with less overlap (IoU) is of another thing: what lies in it at that one's depths, give or
-take `OTHER_M`, is not this one's, where that fits it better and so much of the box is left."""
+take `OTHER_M`, is not this one's, where that fits it nearly as well and so much of the box is
+left. (Of 6,100 boxes in 70 houses of `procthor_train` 2.0 % keep more than a quarter of another
+thing's surface; 3.2 % where only the better fit counts, 2.4 % where a quarter has to be left.)"""
+NEARLY = 0.8
 MOSTLY = 0.5
 FLOOR_M = 0.06
 """Points lower than this over the ground count only when the box shows nothing else."""
@@ -133,7 +136,7 @@ def drop_floor(samples, n, T, floor_z):
 
 @njit(nogil=True, cache=True)
 def drop_others(samples, n, view, boxes, word, mine, depth, claim):
-    """Move the samples that no box of another word has a better claim on to the front.
+    """Move the samples that no box of another word claims too to the front.
 
     Args:
         view, boxes, word: as in `lift_boxes`; mine: index of the box that was sampled.
@@ -148,7 +151,7 @@ def drop_others(samples, n, view, boxes, word, mine, depth, claim):
     area = (box[2] - box[0]) * (box[3] - box[1])
     left = n
     for j in range(len(boxes)):
-        if claim[j] <= claim[mine] or word[j] == word[mine]:
+        if float(claim[j]) <= NEARLY * float(claim[mine]) or word[j] == word[mine]:
             continue
         u0, v0, u1, v1 = boxes[j]
         wide, high = min(u1, box[2]) - max(u0, box[0]), min(v1, box[3]) - max(v0, box[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.lift_kernels import APART, LEFT, OTHER_M
+from edge.perception.lift_kernels import APART, LEFT, NEARLY, OTHER_M
 from edge.perception.sighting_kernels import (
     FORGET,
     LOOK_MIN_M,
@@ -119,7 +119,7 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
 
 
 def without_others(samples, view, boxes, word, mine, depth, claim):
-    """Samples in no box of another word that fits better, at its depths; all of them where under
+    """Samples in no box of another word that fits nearly as well, at its depths; all of them where under
     `LEFT` would remain."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
@@ -127,7 +127,7 @@ def without_others(samples, view, boxes, word, mine, depth, claim):
     keep = np.ones(len(samples), bool)
     box = boxes[mine]
     for other, (near, far), fits, of in zip(boxes, depth, claim, word, strict=True):
-        if fits <= claim[mine] or of == word[mine]:
+        if fits <= NEARLY * float(claim[mine]) or of == word[mine]:
             continue
         apart = np.minimum(other[2:], box[2:]) <= np.maximum(other[:2], box[:2])
         if apart.any() or iou(other, box) > APART:
