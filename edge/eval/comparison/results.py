@@ -253,7 +253,7 @@ def document(
         f"Made by `edge eval results {path}` with edge {edge.__version__} on {computer}. "
         "SR: success rate; SPL: success weighted by path length (Anderson et al. 2018); soft SPL: "
         "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
-        "episodes.",
+        "episodes, but where it says which ran fewer.",
     ]
     for chapter in book.sections:
         shown = columns_of(chapter, book.sections)
