@@ -158,6 +158,7 @@ def wants_colour(config: Config) -> bool:
     """Whether anything that the configuration names looks at the pictures' colours."""
     perception = config.perception
     scored = perception.similarity is not None or perception.choice.kind == "openai"
+    # One's own may look at the image; those in `edge` (`edge.eval.bounds`) do not.
     own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
     return scored or own or perception.detector.kind != "sim"
 
