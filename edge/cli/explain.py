@@ -34,8 +34,9 @@ def run(args: argparse.Namespace) -> int:
     mission = load(args.config).mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
     brief = prepare(mission, text, formula)
-    plan = make_planner(mission.planner, brief.automaton).plan(0, Knowledge())
     translation = brief.translation
+    planner = make_planner(mission.planner, brief.automaton, translation.instruction)
+    plan = planner.plan(0, Knowledge())
     print(f"understood:  {translation.understood}")
     print(f"formula:     {one_line(translation.formula)}")
     print(f"by:          {translation.backend}, {translation.seconds:.2f} s")

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Union
+from typing import Annotated, Any, Literal, Union
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
-from edge.config.section import Name, NonNegative, Positive, Section
+from edge.config.section import (
+    MODULE_CLASS,
+    Name,
+    NonNegative,
+    OwnKind,
+    Positive,
+    Section,
+    kind_of,
+)
 
 
 class TranslatorLtl(Section):
@@ -71,6 +79,14 @@ class PlannerInOrder(Section):
     kind: Literal["in_order"] = "in_order"
 
 
+class PlannerOwn(Section):
+    """A class of one's own, on Python's path (`edge.mission.planner`); `options` are its arguments.
+    The tick waits for it."""
+
+    kind: OwnKind = MODULE_CLASS
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
 class Mission(Section):
     """What to do, and when to give up. `instruction` takes the place of `target` (which means
     just "reach it") and is read by `translator`; see `edge mission explain`. A target that was
@@ -85,7 +101,13 @@ class Mission(Section):
         Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
     ] = TranslatorGrammar()
     planner: Annotated[
-        Union[PlannerVitl, PlannerExpected, PlannerInOrder], Field(discriminator="kind")
+        Union[
+            Annotated[PlannerVitl, Tag("vitl")],
+            Annotated[PlannerExpected, Tag("expected")],
+            Annotated[PlannerInOrder, Tag("in_order")],
+            Annotated[PlannerOwn, Tag(MODULE_CLASS)],
+        ],
+        Discriminator(kind_of),
     ] = PlannerVitl()
     compiler: Literal["own", "spot"] = "own"
     compile_limit_steps: Annotated[int, Field(ge=1)] = 30_000_000

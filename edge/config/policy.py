@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
-from edge.config.section import Fraction, NonNegative, Positive, Section
-
-MODULE_CLASS = "module:Class"
-
-
-def _names_a_class(kind: str) -> str:
-    module, _, name = kind.partition(":")
-    if not (name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise ValueError(f"expected {MODULE_CLASS}")
-    return kind
+from edge.config.section import (
+    MODULE_CLASS,
+    Fraction,
+    NonNegative,
+    OwnKind,
+    Positive,
+    Section,
+    kind_of,
+)
 
 
 class _Selection(Section):
@@ -105,15 +104,8 @@ class PolicyAdaptive(_Selection):
 class PolicyOwn(_Selection):
     """A class of one's own, on Python's path; `options` are its arguments (docs/policies.md)."""
 
-    kind: Annotated[
-        str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})
-    ] = MODULE_CLASS
+    kind: OwnKind = MODULE_CLASS
     options: dict[str, Any] = Field(default_factory=dict)
-
-
-def _kind_of(policy: Any) -> str | None:
-    kind = policy.get("kind") if isinstance(policy, dict) else getattr(policy, "kind", None)
-    return MODULE_CLASS if isinstance(kind, str) and ":" in kind else kind
 
 
 Policy = Annotated[
@@ -126,5 +118,5 @@ Policy = Annotated[
         Annotated[PolicySearch, Tag("search")],
         Annotated[PolicyOwn, Tag(MODULE_CLASS)],
     ],
-    Discriminator(_kind_of),
+    Discriminator(kind_of),
 ]

@@ -16,10 +16,9 @@ from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.section import Section
 from edge.config.sim import Sim
-from edge.config.yaml_text import parse_yaml
+from edge.config.yaml_text import parse_yaml, read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
-from edge.host.files import read_regular
 from edge.text import without_secrets
 
 ENV_PREFIX = "EDGE__"
@@ -109,12 +108,7 @@ def load(name_or_path: str, environ: dict[str, str] | None = None) -> Config:
         ConfigError: with one line per fault: file, key, what is wrong, what would be right.
     """
     path = resources.find_config(name_or_path)
-    try:
-        data = parse_yaml(read_regular(path))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
+    data = read_yaml(path)
     if data is None:
         data = {}
     if not isinstance(data, dict):

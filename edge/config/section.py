@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -19,6 +19,25 @@ def _named(text: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_named)]
+
+MODULE_CLASS = "module:Class"
+
+
+def _names_a_class(kind: str) -> str:
+    module, _, name = kind.partition(":")
+    if not (name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+        raise ValueError(f"expected {MODULE_CLASS}")
+    return kind
+
+
+OwnKind = Annotated[str, AfterValidator(_names_a_class), Field(json_schema_extra={"pattern": ":"})]
+"""A class of one's own, on Python's path."""
+
+
+def kind_of(section: Any) -> str | None:
+    """The tag of a section among its union: its kind, or `MODULE_CLASS` for one's own."""
+    kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
+    return MODULE_CLASS if isinstance(kind, str) and ":" in kind else kind
 
 
 class Section(BaseModel):

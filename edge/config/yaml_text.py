@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import yaml
 
+from edge.errors import ConfigError
+from edge.host.files import read_regular
 from edge.text import one_line
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file says.
+
+    Raises:
+        ConfigError: it cannot be read, or is not YAML; one line.
+    """
+    try:
+        return parse_yaml(read_regular(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not YAML: {error}") from None
 
 
 def parse_yaml(text: str | bytes) -> Any:

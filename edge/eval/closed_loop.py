@@ -53,6 +53,8 @@ class ClosedLoop:
     What is done when is what `edge sim`, `edge motion` and `edge run` do in lockstep over Zenoh:
     the service's tick, the map and the goal to the controller, its answers to the service, and its
     command to the robot. Scorers and planners answer in the tick where `loop.lockstep` is set.
+    A policy of one's own may ask for the simulator's truth, `world` and `robot_radius_m`
+    (`edge.eval.bounds`).
 
     Args:
         sinks: take each tick's result, as they would in a service.
@@ -83,7 +85,8 @@ class ClosedLoop:
         self.worker = DetectorWorker(detector, inline=True, every=config.loop.detect_every)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
-        policy = make_policy(config.policy, config.path)
+        truth = {"world": world, "robot_radius_m": config.robot.radius_m}
+        policy = make_policy(config.policy, config.path, truth)
         self.service = Service(config, brief, self.worker, policy, sinks, scorers=self.scorers)
         self.controller = Controller(config)
         self._seq = 0
@@ -155,7 +158,8 @@ def wants_colour(config: Config) -> bool:
     """Whether anything that the configuration names looks at the pictures' colours."""
     perception = config.perception
     scored = perception.similarity is not None or perception.choice.kind == "openai"
-    own = isinstance(config.policy, PolicyOwn)
+    # One's own may look at the image; those in `edge` (`edge.eval.bounds`) do not.
+    own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
     return scored or own or perception.detector.kind != "sim"
 
 

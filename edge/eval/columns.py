@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from edge.config import Config, load, parse
-from edge.config.yaml_text import parse_yaml
+from edge.config.yaml_text import parse_yaml, read_yaml
 from edge.errors import ConfigError
-from edge.host.files import read_regular
 from edge.text import one_line
 
 Data = dict[str, Any]
@@ -101,12 +100,7 @@ def read_columns(path: Path) -> dict[str, Data]:
     Raises:
         ConfigError: it cannot be read, or is no such file.
     """
-    try:
-        data = parse_yaml(read_regular(path))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
+    data = read_yaml(path)
     if not isinstance(data, dict) or not data:
         raise ConfigError(f"{path}: expected a section of settings for each column's name")
     for name, settings in data.items():

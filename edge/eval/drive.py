@@ -134,7 +134,7 @@ def _warmed(policy: str, config: Config) -> None:
 
 def _truth_of(loop: ClosedLoop) -> Truth:
     motion = loop.drive.motion
-    where = motion.pose.x_m, motion.pose.y_m
+    where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
     return Truth(*where, motion.path_m, motion.collisions, loop.rig.ids)
 
 
@@ -199,8 +199,7 @@ class TrueMotion:
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
         self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
-        x, y, _ = data["pose"]
-        return Truth(x, y, data["path_m"], data["collisions"], picture.ids)
+        return Truth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
 
 
 # -- the verdict ----------------------------------------------------------------------------------
@@ -244,6 +243,7 @@ def _outcome(
         first_sight_path_m=None if sight is None else sight.path_m,
         wrong_stops=len(witness.wrong_stops),
         false_confirmations=len(witness.mistaken),
+        revisited_m2=witness.revisited_m2,
         goals=len(witness.goals),
         tick_ms={key: getattr(latency.tick, f"{key}_ms") for key in ("p50", "p95", "max")},
         score_ms=score.p95_ms,

@@ -8,6 +8,7 @@ was searched again. Once its place is known, the way driven is held against the 
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,16 +66,16 @@ class Legs:
         self._world, self._radius_m = world, config.robot.radius_m
         self._floor = SeenFloor(world.plan, math.radians(camera.hfov_deg), range_m)
         self._path_m = 0.0
-        self._turn: int | None = None
+        self._turn: Hashable | None = None
 
     def update(
-        self, turn: int, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
+        self, turn: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
         yaw_rad: float, path_m: float,
     ) -> None:  # fmt: skip
         """Take in an instant.
 
         Args:
-            turn: counts how often a target was set out for (`MissionRun.turns`).
+            turn: another one in every leg, such as `MissionRun.turns`.
             known_xy_m: (n, 2) where the robot believes that such things stand.
             yaw_rad: where the camera looks.
             path_m: driven since the start.
@@ -123,6 +124,8 @@ class SeenFloor:
         self._grid = grid
         self._place_m = self._factor * grid.resolution_m
         self._hfov_rad, self._range = hfov_rad, range_m / self._place_m
+        nothing = np.zeros((0, 0), np.bool_), np.zeros((0, 0), np.uint8)
+        cast(*nothing, 0.0, 0.0, 0.0, 1.0, 1.0)  # compiled here, not while a tick is timed
 
     def begin(self) -> None:
         """From here on, what was seen until now counts as seen before."""

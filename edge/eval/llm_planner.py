@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 import threading
 from collections.abc import Callable, Sequence
@@ -25,6 +27,9 @@ from edge.eval.lifted import lift, world_of
 from edge.eval.task_report import LLM
 from edge.eval.task_runs import Results, Settings, empty_results
 from edge.eval.task_templates import SPOKEN, Task
+from edge.mission.automaton import Automaton
+from edge.mission.planner import Knowledge, Plan
+from edge.mission.planning.plan import ACCEPTED, DEAD
 
 NAME = LLM
 
@@ -44,7 +49,7 @@ Output exactly: TARGET: <object> or "DONE".
 Current State:
 • Observed (known location, not yet reached): {{{observed}}}
 • Reached (in order): [{reached}]
-• Failed (unreachable): {{}}"""
+• Failed (unreachable): {{{failed}}}"""
 
 _TARGET = re.compile(r"TARGET\s*:\s*[^\w\n]*([^\n.,;:()<>\"'*`]+)", re.IGNORECASE)
 _DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
@@ -59,6 +64,7 @@ def prompt(task: Task, situation: Situation) -> str:
         task=task.sentence,
         observed=", ".join(word for i, word in enumerate(spoken) if observed >> i & 1),
         reached=", ".join(spoken[i] for i in situation.order),
+        failed="",
     )
 
 
@@ -76,6 +82,79 @@ def parse_answer(text: str, objects: Sequence[str]) -> int:
         return list(objects).index(names.canonical(target[1]))
     except ValueError:
         return INVALID
+
+
+class LlmPlanner:
+    """The LLM-planner in the loop (`mission.planner.kind: edge.eval.llm_planner:LlmPlanner`).
+
+    The model is asked anew when what is seen, reached or failed has changed, and the tick waits for
+    its answer: for evaluations, in lockstep. What it says is done, even if it breaks the mission.
+    Where it names nothing that leads on, or says DONE too early, the mission has failed.
+
+    Args:
+        automaton, instruction: of the mission.
+        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
+
+    Raises:
+        ChatError: the URL or the key cannot be used; from `plan`, no usable answer.
+    """
+
+    def __init__(
+        self,
+        automaton: Automaton,
+        instruction: str,
+        url: str,
+        model: str = "default",
+        api_key_env: str = "OPENAI_API_KEY",
+        time_limit_s: float = 30.0,
+    ) -> None:
+        self._automaton, self._instruction = automaton, instruction
+        self._client = ChatClient(url, model, os.environ.get(api_key_env), time_limit_s)
+        self._reached: list[str] = []
+        self._answers: dict[str, str | None] = {}
+
+    def plan(self, state: int, knowledge: Knowledge, current: str | None = None) -> Plan:
+        """See `Planner.plan`; costs are steps."""
+        a = self._automaton
+        if a.accepting[state]:
+            return ACCEPTED
+        if a.steps_left[state] < 0:
+            return DEAD
+        self._reached += sorted(knowledge.reached - set(self._reached))
+        letter = self._asked(knowledge)
+        if letter is None:
+            return _no_plan("the language model names no target")
+        if letter in knowledge.failed:
+            return _no_plan(f"the language model asks for {letter}, which failed")
+        if a.step(state, letter) == state:
+            return _no_plan(f"the language model asks for {letter}, which leads no further")
+        reason = "the language model says so"
+        return Plan(letter, (letter,), 1.0, True, (), reason, ((letter, 1.0),))
+
+    def _asked(self, knowledge: Knowledge) -> str | None:
+        """What the model names, of the automaton's letters."""
+        question = PROMPT.format(
+            task=self._instruction,
+            observed=_spoken(sorted(knowledge.detected)),
+            reached=_spoken(self._reached),
+            failed=_spoken(sorted(knowledge.failed)),
+        )
+        if question not in self._answers:
+            try:
+                answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
+            except CutOffError as error:
+                answer = error.answer
+            k = parse_answer(answer, self._automaton.letters)
+            self._answers[question] = None if k in (DONE, INVALID) else self._automaton.letters[k]
+        return self._answers[question]
+
+
+def _spoken(letters: Sequence[str]) -> str:
+    return ", ".join(SPOKEN.get(letter, letter) for letter in letters)
+
+
+def _no_plan(reason: str) -> Plan:
+    return Plan(None, (), math.inf, False, (), reason, ())
 
 
 def llm_chooser(task: Task, ask: Callable[[str], str]) -> Choose:

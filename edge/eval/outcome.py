@@ -42,6 +42,8 @@ class Outcome:
         first_sight_s, first_sight_path_m: when a target was first to be seen; None: never.
         wrong_stops: how often something was declared reached that was not.
         false_confirmations: instances that were confirmed and are no such thing.
+        revisited_m2: floor that a mission's searches saw again though an earlier leg had seen it
+            (`edge.eval.legs`); None for one target.
         goals: how many were sent.
         tick_ms: p50, p95 and max of the tick; `score_ms`: p95 of scoring the candidates.
         trail: [x, y] every 0.25 m; `goal_xy`: [x, y, kind] of every goal.
@@ -69,6 +71,7 @@ class Outcome:
     first_sight_path_m: float | None = None
     wrong_stops: int = 0
     false_confirmations: int = 0
+    revisited_m2: float | None = None
     goals: int = 0
     tick_ms: dict[str, float] = field(default_factory=dict)
     score_ms: float | None = None

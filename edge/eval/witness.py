@@ -12,13 +12,15 @@ from numba import njit
 
 from edge import names
 from edge.config import Config
+from edge.eval.legs import Leg, Legs
 from edge.eval.metrics import REACHED_M
 from edge.loop.result import TickResult
 from edge.sim.base import World, WorldObject
-from edge.types import Goal, MissionStatus, Observation
+from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25
 MIN_PX = 40  # of a thing in the picture for it to be seen, where the detector does not say
+SURE = ("confirmed", "reached")
 SAME_M = 0.5  # an instance this near a thing is that thing
 STANDING_M, STANDING_S = 1.0, 60.0  # within this for so long, the robot was stuck
 
@@ -32,6 +34,7 @@ class Truth(NamedTuple):
 
     x_m: float
     y_m: float
+    yaw_rad: float
     path_m: float
     collisions: int
     ids: np.ndarray
@@ -59,6 +62,7 @@ class Witness:
         stops: of each thing that was declared reached: its label, and how far it truly was [m].
         confirmed: of each target, the ids of instances that are such a thing and were confirmed;
             `mistaken` of those that are not.
+        legs: of a mission with several targets, what each search saw anew and again.
     """
 
     def __init__(self, config: Config, world: World, truth: Callable[[int], Truth]) -> None:
@@ -82,6 +86,8 @@ class Witness:
         self.stops: list[tuple[str, float]] = []
         self.confirmed: dict[str, set[int]] = {}
         self.mistaken: set[int] = set()
+        self.legs: list[Leg] = []
+        self._legs = Legs(config, world, self._range_m)
         self._began_ns = 0
         self._anchor = (0.0, 0.0, 0.0)
 
@@ -105,7 +111,10 @@ class Witness:
         self._see(truth, observation.depth_m)
         if result.events:
             self._judge_steps(result, truth)
-        self._judge_instances(result)
+        instances = result.instances()
+        self._judge_instances(instances)
+        if len(result.targets) > 1:
+            self._follow_leg(result.status.target, instances, truth)
 
     def _begin(self, targets: Sequence[str], truth: Truth, stamp_ns: int) -> None:
         self.things = {target: named(self._world, target) for target in targets}
@@ -137,9 +146,9 @@ class Witness:
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.away_m(label, truth.x_m, truth.y_m)))
 
-    def _judge_instances(self, result: TickResult) -> None:
-        for instance in result.instances():
-            if instance.state not in ("confirmed", "reached"):
+    def _judge_instances(self, instances: Sequence[Instance]) -> None:
+        for instance in instances:
+            if instance.state not in SURE:
                 continue
             known = self.confirmed.get(instance.label)
             if known is None or instance.id in known or instance.id in self.mistaken:
@@ -148,7 +157,20 @@ class Witness:
             right = self.away_m(instance.label, x, y) <= SAME_M
             (known if right else self.mistaken).add(instance.id)
 
+    def _follow_leg(self, target: str, instances: Sequence[Instance], truth: Truth) -> None:
+        """A leg ends where the target turns, or is reached: then the same may be next again."""
+        known = [i.center_m[:2] for i in instances if i.label == target and i.state in SURE]
+        where = truth.x_m, truth.y_m, truth.yaw_rad
+        turn, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
+        self._legs.update(turn, target, known_xy_m, *where, truth.path_m)
+        self.legs = self._legs.legs
+
     # -- the verdict ------------------------------------------------------------------------------
+
+    @property
+    def revisited_m2(self) -> float | None:
+        """Floor that a search saw again though an earlier leg had seen it; None: of one target."""
+        return sum(leg.again_m2 for leg in self.legs) if self.legs else None
 
     def away_m(self, target: str, x_m: float, y_m: float) -> float:
         """From a place to the nearest footprint of a target; inf where there is none."""

@@ -16,7 +16,7 @@ from edge.geometry import SE2, Grid
 from edge.host.worker import Worker
 from edge.mapping import regions
 from edge.mapping.grid import RollingMap
-from edge.mapping.points import HEIGHT_CODES, LOWEST_OBSTACLE
+from edge.mapping.points import TALL
 from edge.mapping.view import MapView
 from edge.perception.prior import cooccurrence, rooms
 from edge.perception.prior.cooccurrence import NEAR_M
@@ -27,8 +27,6 @@ from edge.perception.sightings import Sightings
 
 PERIOD_NS = 1_000_000_000
 CELL_M = 0.1
-TALL = 0.85
-"""What is so much of `mapping.obstacle_max_m` high is wall."""
 REGION_M = 0.7
 """How far from a region's cells a thing may be that is in it: it may be part of a wall."""
 SURE = 0.15
@@ -191,8 +189,7 @@ def make_prior(config: Config) -> Prior | None:
         return None
     table = load()
     words = make_words(table, perception.detector)
-    tall_code = LOWEST_OBSTACLE + int(TALL * HEIGHT_CODES)
-    return Prior(perception.prior, table, words, tall_code, config.loop.lockstep)
+    return Prior(perception.prior, table, words, TALL, config.loop.lockstep)
 
 
 def warm_up(config: Config) -> None:
@@ -200,7 +197,7 @@ def warm_up(config: Config) -> None:
     grid, sightings = RollingMap(config.mapping), Sightings(1)
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
     table = load()
-    prior = Prior("both", table, Words(table), LOWEST_OBSTACLE, inline=True)
+    prior = Prior("both", table, Words(table), TALL, inline=True)
     sightings.words.append(table.things[0])
     sightings.n = 1
     prior.step(MapView(grid), sightings.read_only(), 0)

@@ -18,6 +18,8 @@ from edge.geometry import FARTHEST_M
 FLOOR = 1
 # `seen` and `top` hold 2 + height in units of obstacle_max_m / HEIGHT_CODES above the ground.
 LOWEST_OBSTACLE, HEIGHT_CODES = 2, 250
+TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
+"""`Layers.top` from which an obstacle is wall, or as good as one: nobody sees over it."""
 # Ground that wobbles by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
 # Rings near enough to tell the height of the floor that the robot stands on.

@@ -10,7 +10,7 @@ from numba import njit
 
 from edge.geometry import SE2
 from edge.mapping.layers import FREE, OCCUPIED, Layers, bit_get, on_trail
-from edge.mapping.points import HEIGHT_CODES, LOWEST_OBSTACLE
+from edge.mapping.points import TALL
 from edge.mapping.window import Window
 
 # Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
@@ -23,8 +23,6 @@ _UNREACHED = np.int32(0)
 # Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 _CLEAR_PER_CELL = 16
-TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
-"""`Layers.top` of what nobody sees over: a share of `mapping.obstacle_max_m`."""
 # What stands so near to a point of a thing's surface is the thing.
 _OWN_CELLS = 4
 

@@ -98,7 +98,9 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
         )
     targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
     automaton = _narrowed(automaton, targets)
-    make_planner(config.planner, automaton)  # refuses what it cannot take on
+    make_planner(
+        config.planner, automaton, translation.instruction
+    )  # refuses what it cannot take on
     return Brief(translation, automaton, diagnosis, targets)
 
 

@@ -1,7 +1,8 @@
 """Planners by name, and what they are asked and answer.
 
 A new planner is a file with a class that plans, a section in `edge/config/mission.py` and a line
-in `REGISTRY`.
+in `REGISTRY`; or one's own, named as `module:Class`, which is called with its options, and with
+the mission's `automaton` and `instruction` where it has such parameters.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
+from edge.config import PlannerExpected, PlannerInOrder, PlannerOwn, PlannerVitl
+from edge.config.named import find_named
 from edge.mission.automaton import Automaton
 from edge.mission.ltl import Formula
 from edge.mission.planning import distances
@@ -29,16 +31,26 @@ REGISTRY: dict[str, Any] = {
 
 
 def make_planner(
-    config: PlannerVitl | PlannerExpected | PlannerInOrder, automaton: Automaton, **keywords: Any
+    config: PlannerVitl | PlannerExpected | PlannerInOrder | PlannerOwn,
+    automaton: Automaton,
+    instruction: str = "",
+    **keywords: Any,
 ) -> Planner:
     """The planner that a configuration's `mission.planner` section names.
 
     Args:
+        instruction: that the automaton is of, for one's own.
         keywords: `known_reached` of `VitlPlanner`, `universe_extra` of `ExpectedPlanner`.
 
     Raises:
         PlannerError: the automaton is too large for the expected-cost planner.
+        ConfigError: one's own cannot be made.
     """
+    if isinstance(config, PlannerOwn):
+        given = {"automaton": automaton, "instruction": instruction}
+        where, needs = "mission.planner", ("plan()",)
+        own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
+        return find_named("planner", *own)(**given)
     return REGISTRY[config.kind](config, automaton, **keywords)
 
 

@@ -66,7 +66,8 @@ class MissionRun:
         self._instruction = one_line(brief.translation.instruction)
         self._config = config
         self._tell = tell
-        self._planner = make_planner(config.planner, brief.automaton)
+        translation = brief.translation
+        self._planner = make_planner(config.planner, brief.automaton, translation.instruction)
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}

@@ -7,8 +7,9 @@ and a line in `REGISTRY`. Nothing here sends a goal or knows who asks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from edge.config import PolicyOwn
@@ -25,24 +26,30 @@ REGISTRY = {
 }
 
 
-def find_policy(config: Any, path: str = "<defaults>") -> Callable[[], Policy]:
+def find_policy(
+    config: Any, path: str = "<defaults>", given: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[[], Policy]:
     """What makes the policy that a configuration's `policy` section names.
 
     One of ours is given the section, one's own its options.
 
     Args:
         path: of the configuration, for errors.
+        given: what one's own may ask for besides its options, by the name of the parameter.
 
     Raises:
         ConfigError: see `edge.config.named.find_named`.
     """
     where, needs = f"{path}: policy", ("score()", "reset()")
     if isinstance(config, PolicyOwn):
-        return find_named("policy", config.kind, config.options, REGISTRY, where, needs)
+        own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
+        return partial(find_named("policy", *own), **given)
     make = find_named("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
     return partial(make, config=config)
 
 
-def make_policy(config: Any, path: str = "<defaults>") -> Policy:
+def make_policy(
+    config: Any, path: str = "<defaults>", given: Mapping[str, Any] = MappingProxyType({})
+) -> Policy:
     """See `find_policy`."""
-    return find_policy(config, path)()
+    return find_policy(config, path, given)()

@@ -17,6 +17,10 @@ from edge.geometry import SE2, CameraModel, Grid
 FLOOR_CLEARANCE_M = 0.05
 
 
+Room = tuple[tuple[float, float, float, float], ...]
+"""Rectangles (x0, y0, x1, y1) [m] that make up its floor."""
+
+
 class WorldError(UserError):
     """A world that cannot be used; the message names file, place and what to do."""
 
@@ -122,11 +126,11 @@ class World(Protocol):
     """A place for the simulated robot; see `edge.sim.worlds.load_world`.
 
     Attributes:
-        rooms: how many it has; None where nobody knows.
+        rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; none where nobody knows.
     """
 
     name: str
-    rooms: int | None
+    rooms: tuple[Room, ...]
     objects: list[WorldObject]
     start: SE2
     plan: FloorPlan

@@ -9,7 +9,7 @@ import numpy as np
 
 from edge.geometry import SE2, CameraModel, Grid
 from edge.sim import kernels, shading
-from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
+from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
 
 CELL_M = 0.025
 _MARGIN_M = 0.5
@@ -53,7 +53,7 @@ class BoxWorld:
         start: SE2,
         robot_height_m: float,
         depth_range_m: tuple[float, float],
-        rooms: int | None = None,
+        rooms: tuple[Room, ...] = (),
     ) -> None:
         self.name = name
         self.rooms = rooms

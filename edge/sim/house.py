@@ -143,7 +143,7 @@ def build_house(house: House, config: Config) -> BoxWorld:
         SE2(house.start[0], house.start[1], math.radians(house.start[2])),
         config.robot.height_m,
         (camera.depth_min_m, camera.depth_max_m),
-        len(house.rooms) or None,
+        tuple((room.rect,) for room in house.rooms),
     )
 
 

@@ -17,7 +17,7 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.host import resources
 from edge.host.files import read_regular
 from edge.sim import kernels, mesh_kernels
-from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, WorldError, WorldObject
+from edge.sim.base import FLOOR_CLEARANCE_M, Fan, FloorPlan, Room, WorldError, WorldObject
 
 CELL_M = 0.025
 _MARGIN_M = 0.5
@@ -208,7 +208,7 @@ class MeshWorld:
         from embreex.rtcore_scene import EmbreeScene
 
         self.name = name
-        self.rooms: int | None = None
+        self.rooms: tuple[Room, ...] = ()
         self._faces = faces
         self._depth_range_m = (
             config.sensors.camera.depth_min_m,

@@ -75,7 +75,8 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
     camera = config.sensors.camera
     depths = (camera.depth_min_m, camera.depth_max_m)
     start = SE2(*(float(v) for v in house["start"]))
-    height_m, rooms = config.robot.height_m, len(house["rooms"])
+    rooms = tuple(tuple(rectangles(room["polygon"])) for room in house["rooms"])
+    height_m = config.robot.height_m
     return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms)
 
 

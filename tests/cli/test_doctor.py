@@ -13,7 +13,7 @@ from simulated import simulated
 
 from edge import config
 from edge.bus.session import open_session
-from edge.cli import doctor
+from edge.cli import doctor, machine_checks
 from edge.cli.parsers import make_parser
 from edge.host import calibration, machine, resources
 from edge.host.ports import free_port
@@ -29,7 +29,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def levels(check: doctor.Check, settings: config.Config = SIM) -> list[str]:
+def levels(check: machine_checks.Check, settings: config.Config = SIM) -> list[str]:
     return [finding.level for finding in check(settings)]
 
 
@@ -53,7 +53,7 @@ def test_this_machine_runs_the_embedded_default(capsys):
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 0), ("fail", 1)])
 def test_only_a_failure_gives_exit_code_1(monkeypatch, capsys, level, code):
-    finding = doctor.Finding(level, "a thing", "do this")
+    finding = machine_checks.Finding(level, "a thing", "do this")
     monkeypatch.setattr(doctor, "CHECKS", (lambda _: iter([finding]),))
     args = command()
     assert args.handler(args) == code
@@ -74,24 +74,24 @@ def test_a_check_that_breaks_is_a_finding(monkeypatch):
     [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")],
 )
 def test_python(monkeypatch, version, level):
-    monkeypatch.setattr(doctor.sys, "version_info", version)
-    assert levels(doctor.check_python) == [level]
+    monkeypatch.setattr(machine_checks.sys, "version_info", version)
+    assert levels(machine_checks.check_python) == [level]
 
 
 def test_how_fast_this_computer_is(cache):
-    (unknown,) = doctor.check_speed(SIM)
+    (unknown,) = machine_checks.check_speed(SIM)
     assert (unknown.level, "edge bench --calibrate" in unknown.todo) == ("warn", True)
     cache.mkdir()
     calibration.save(calibration.Calibration(machine.identity(), 1.8, {}))
-    (known,) = doctor.check_speed(SIM)
-    assert known == doctor.Finding(
+    (known,) = machine_checks.check_speed(SIM)
+    assert known == machine_checks.Finding(
         "ok", f"{machine.identity()}: 1.8 times slower than the reference computer"
     )
 
 
 def test_a_package_that_cannot_be_loaded(monkeypatch):
-    monkeypatch.setattr(doctor, "CORE_MODULES", ("numpy", "no_such_module"))
-    failed, found = doctor.check_packages(SIM)
+    monkeypatch.setattr(machine_checks, "CORE_MODULES", ("numpy", "no_such_module"))
+    failed, found = machine_checks.check_packages(SIM)
     assert (failed.level, found.level) == ("fail", "ok")
     assert "no_such_module" in failed.what
 
@@ -113,16 +113,16 @@ def test_a_package_that_cannot_be_loaded(monkeypatch):
 def test_packages_of_opencv_that_overwrite_each_other(monkeypatch, installed, expected):
     def find(name):
         if name not in installed:
-            raise doctor.metadata.PackageNotFoundError(name)
+            raise machine_checks.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(doctor.metadata, "distribution", find)
-    assert [f"{f.what} — {f.todo}" for f in doctor.check_opencv(SIM)] == expected
+    monkeypatch.setattr(machine_checks.metadata, "distribution", find)
+    assert [f"{f.what} — {f.todo}" for f in machine_checks.check_opencv(SIM)] == expected
 
 
 @pytest.mark.parametrize(("cores", "level"), [(1, "warn"), (2, "ok")])
 def test_cores(monkeypatch, cores, level):
-    monkeypatch.setattr(doctor.os, "sched_getaffinity", lambda _: set(range(cores)))
-    assert levels(doctor.check_cores) == [level]
+    monkeypatch.setattr(machine_checks.os, "sched_getaffinity", lambda _: set(range(cores)))
+    assert levels(machine_checks.check_cores) == [level]
 
 
 @pytest.mark.parametrize(
@@ -137,30 +137,32 @@ def test_jetson(monkeypatch, tmp_path, release, providers, expected):
     path = tmp_path / "nv_tegra_release"
     if release is not None:
         path.write_text(release)
-    monkeypatch.setattr(doctor, "TEGRA_RELEASE", path)
-    monkeypatch.setattr(doctor, "_providers", lambda: providers)
-    findings = list(doctor.check_jetson(SIM))
+    monkeypatch.setattr(machine_checks, "TEGRA_RELEASE", path)
+    monkeypatch.setattr(machine_checks, "onnx_providers", lambda: providers)
+    findings = list(machine_checks.check_jetson(SIM))
     assert [f.level for f in findings] == expected
     assert all("R36 (release), REVISION: 4.3" in f.what for f in findings)
 
 
 def test_shared_memory(monkeypatch, tmp_path):
-    usage = doctor.shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(doctor, "SHM", tmp_path)
+    usage = machine_checks.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(machine_checks, "SHM", tmp_path)
     for size_mb, level in ((63, "warn"), (64, "ok")):
         total = size_mb << 20
-        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, t=total: usage._replace(total=t))
-        assert levels(doctor.check_shared_memory) == [level]
-    monkeypatch.setattr(doctor, "SHM", tmp_path / "none")
-    assert levels(doctor.check_shared_memory) == ["warn"]
+        monkeypatch.setattr(
+            machine_checks.shutil, "disk_usage", lambda _, t=total: usage._replace(total=t)
+        )
+        assert levels(machine_checks.check_shared_memory) == [level]
+    monkeypatch.setattr(machine_checks, "SHM", tmp_path / "none")
+    assert levels(machine_checks.check_shared_memory) == ["warn"]
 
 
 def test_a_cache_that_cannot_be_written(cache):
-    assert levels(doctor.check_cache) == ["ok"]
+    assert levels(machine_checks.check_cache) == ["ok"]
     assert list(cache.iterdir()) == []
     cache.rmdir()
     cache.write_text("a file in the way")
-    (finding,) = doctor.check_cache(SIM)
+    (finding,) = machine_checks.check_cache(SIM)
     assert finding.level == "warn"
     assert "EDGE_CACHE_DIR" in finding.todo
 
@@ -195,7 +197,7 @@ def test_onnxruntime(monkeypatch, installed, providers, settings, expected):
     if providers:
         pytest.importorskip("onnxruntime")
     monkeypatch.setattr(doctor, "_installed", lambda package: package in installed)
-    monkeypatch.setattr(doctor, "_providers", lambda: providers)
+    monkeypatch.setattr(doctor, "onnx_providers", lambda: providers)
     assert levels(doctor.check_onnxruntime, settings) == expected
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -107,9 +108,60 @@ def test_what_was_seen_while_another_thing_was_searched_for_is_driven_to_straigh
     assert rest.driven_m < 1.3 * rest.direct_m + 1.0
 
 
-def test_the_second_search_does_not_explore_again_what_the_first_saw():
-    loop, (first, second) = driven("Reach a toilet, then a refrigerator.", 2)
+def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tuple]]:
+    """Of each tick of a mission: its turn, whether the target is known, and the true pose."""
+    found = []
+    sim = {"world": {"kind": "generated", "seed": seed}, "start": start, "lockstep": True}
+    mission = {"instruction": instruction}
+    config = simulated({"mission": mission, "sim": sim, "loop": {"lockstep": True}})
+    loop = ClosedLoop(config, colour=False)
+    while not loop.service.status.done:
+        loop.step()
+        run, pose = loop.service.mission, loop.drive.motion.pose
+        known = len(loop.service.tracker.of(run.target, sure=True)) > 0
+        found.append((run.turns, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
     assert loop.service.status.phase == "reached"
-    assert not second.known
-    assert first.new_m2 > 20.0
-    assert second.again_m2 < 0.3 * first.new_m2
+    return found
+
+
+def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
+    """Floor that a search saw, until its target was known, of what was seen before."""
+    config = simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
+    hfov_rad = math.radians(config.sensors.camera.hfov_deg)
+    floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
+    for pose in before:
+        floor.look(*pose)
+    floor.begin()
+    until_known = takewhile(lambda look: not look[1], search)
+    return sum(floor.look(*pose)[1] for _, _, pose in until_known)
+
+
+def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, float]:
+    """What a mission's second search saw again, and what a robot would that begins there, and does
+    not know what the other had seen."""
+    mission = looks(f"Reach a {first}, then a {second}.", seed)
+    turn = mission[0][0]
+    before = [pose for t, _, pose in mission if t == turn]
+    after = [look for look in mission if look[0] != turn]
+    forgetful = looks(f"Reach a {second}.", seed, list(before[-1]))
+    return again_m2(seed, before, after), again_m2(seed, before, forgetful)
+
+
+def test_a_mission_that_turns_to_another_target_does_not_explore_again_what_it_saw():
+    again, forgetful = again_and_forgetful_m2(5, "bed", "toilet")
+    assert forgetful > 8.0
+    assert again < 0.5 * forgetful
+
+
+@pytest.mark.slow
+def test_in_no_house_does_a_mission_explore_more_than_a_robot_that_forgets():
+    """The way to the next frontier leads through what was seen: so it is not nothing."""
+    found = [
+        again_and_forgetful_m2(2, "toilet", "refrigerator"),
+        again_and_forgetful_m2(5, "bed", "toilet"),
+        again_and_forgetful_m2(8, "sofa", "bed"),
+        again_and_forgetful_m2(11, "refrigerator", "toilet"),
+        again_and_forgetful_m2(14, "toilet", "bed"),
+    ]
+    assert all(again <= forgetful + 0.5 for again, forgetful in found)
+    assert sum(again for again, _ in found) < 0.6 * sum(forgetful for _, forgetful in found)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import threading
 
 import pytest
+from chat_server import completion, send, serving
+from small_house import small_house
 
 from edge.chat import ChatError, CutOffError
+from edge.eval.columns import make_columns
+from edge.eval.drive import in_process, run_episode
+from edge.eval.episodes import make_episode, sensing_of
 from edge.eval.executor import (
     COMPLETE,
     DONE,
@@ -18,12 +24,22 @@ from edge.eval.executor import (
     Problem,
     Situation,
 )
-from edge.eval.lifted import lift
-from edge.eval.llm_planner import MAX_QUESTIONS, llm_chooser, merged, parse_answer, prompt, run_llm
+from edge.eval.lifted import compiled, lift
+from edge.eval.llm_planner import (
+    MAX_QUESTIONS,
+    LlmPlanner,
+    llm_chooser,
+    merged,
+    parse_answer,
+    prompt,
+    run_llm,
+)
 from edge.eval.task_planners import PLANNERS
 from edge.eval.task_runs import NOT_RUN, Settings, run_tasks
 from edge.eval.task_templates import SPOKEN, Task, generate
+from edge.host.ports import free_port
 from edge.mission.ltl import parse, propositions
+from edge.mission.planner import Knowledge
 
 FORMULA = parse("F (bed & F houseplant) & G !sofa")
 SENTENCE = "Reach a bed and then a potted plant. Never reach a couch."
@@ -203,3 +219,89 @@ def test_whatever_ends_the_runs_leaves_the_results_until_then(error):
     assert failure is error
     assert (results.outcome == COMPLETE).sum() == 2
     assert (results.outcome == NOT_RUN).sum() == 4
+
+
+# -- in the loop ----------------------------------------------------------------------------------
+
+MISSION = "Reach a bed and a couch in any order."
+AUTOMATON = compiled(parse("F bed & F sofa"))
+
+
+@contextlib.contextmanager
+def planning(*rules: tuple[str, str]):
+    """A planner, and its server, which answers by what its question has in it."""
+
+    def behave(handler):
+        (question,) = (m["content"] for m in server.requests[-1][2]["messages"])
+        send(handler, completion(next(text for words, text in rules if words in question)))
+
+    with serving(behave) as server:
+        yield LlmPlanner(AUTOMATON, MISSION, server.url), server
+
+
+@pytest.mark.parametrize(
+    ("said", "knowledge", "target", "reason"),
+    [
+        ("TARGET: couch", Knowledge(), "sofa", "the language model says so"),
+        ("DONE", Knowledge(), None, "names no target"),
+        ("TARGET: piano", Knowledge(), None, "names no target"),
+        ("TARGET: bed", Knowledge(failed=frozenset({"bed"})), None, "asks for bed, which failed"),
+    ],
+)
+def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
+    with planning(("", said)) as (planner, server):
+        plan = planner.plan(0, knowledge)
+        assert planner.plan(0, knowledge) == plan
+        assert len(server.requests) == 1  # the same question is asked once
+    assert (plan.target, plan.feasible) == (target, target is not None)
+    assert reason in plan.reason
+
+
+def test_the_model_is_told_what_is_so():
+    with planning(("", "TARGET: bed")) as (planner, server):
+        planner.plan(0, Knowledge(frozenset({"bed"}), frozenset({"sofa"}), frozenset({"desk"})))
+        (question,) = (m["content"] for m in server.requests[0][2]["messages"])
+    assert question.endswith(
+        "yet reached): {bed}\n• Reached (in order): [couch]\n• Failed (unreachable): {desk}"
+    )
+    assert f"Task: {MISSION}" in question
+
+
+def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():
+    with planning(("", "TARGET: bed")) as (planner, server):
+        bed = AUTOMATON.step(0, "bed")
+        assert "leads no further" in planner.plan(bed, Knowledge(reached=frozenset({"bed"}))).reason
+        assert planner.plan(AUTOMATON.step(bed, "sofa"), Knowledge()).feasible
+        assert len(server.requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("rules", "success", "reason"),
+    [
+        ([("[couch]", "TARGET: bed"), ("", "TARGET: couch")], True, "sofa, then bed"),
+        ([("[bed]", "TARGET: couch"), ("", "TARGET: bed")], True, "bed, then sofa"),
+        ([("[bed]", "DONE"), ("", "TARGET: bed")], False, "names no target"),
+    ],
+)
+def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success, reason):
+    config = small_house(tmp_path, mission={"time_limit_s": 90.0})
+    with planning(*rules) as (_, server):
+        planner = {"kind": "edge.eval.llm_planner:LlmPlanner", "options": {"url": server.url}}
+        (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
+        start = (1.0, 2.0, 0.0)
+        world = config.sim.world.model_dump(mode="json")
+        episode = make_episode(world, "small", start, 5.0, sensing_of(config), instruction=MISSION)
+        outcome = run_episode(column, episode, in_process)
+    assert (outcome.success, reason in outcome.reason) == (success, True), outcome.reason
+
+
+def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
+    config = small_house(tmp_path)
+    options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
+    planner = {"kind": "edge.eval.llm_planner:LlmPlanner", "options": options}
+    (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
+    world = config.sim.world.model_dump(mode="json")
+    episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, {}, instruction=MISSION)
+    outcome = run_episode(column, episode, in_process)
+    assert outcome.failure == "crashed"
+    assert options["url"] in outcome.reason

@@ -21,7 +21,8 @@ SECOND_NS = 1_000_000_000
 class Stage:
     """Lets a witness see ticks that a test makes up."""
 
-    def __init__(self, tmp_path):
+    def __init__(self, tmp_path, targets=("bed",)):
+        self.targets = targets
         config = small_house(tmp_path)
         self.world = load_world(config)
         self.witness = Witness(config, self.world, lambda stamp_ns: self._truth)
@@ -30,21 +31,21 @@ class Stage:
 
     def tick(
         self, at_s, xy=(1.0, 2.0), *, shown=(), near_m=2.0, phase="searching", reason="",
-        reached=None, instances=(),
+        reached=None, instances=(), target="bed",
     ):  # fmt: skip
         """One tick; `shown` are the labels in the picture, `near_m` away."""
         ids = np.zeros((20, 20), np.uint16)
         for k, label in enumerate(shown):
             ids[10 * k : 10 * k + 10] = next(o.id for o in self.world.objects if o.label == label)
-        self._truth = Truth(*xy, at_s, 0, ids)
+        self._truth = Truth(*xy, 0.0, at_s, 0, ids)
         if reached is not None:
             self._steps.append(Step(0, "reached", reached, 0, ""))
         seen = Observation(0, int(at_s * SECOND_NS), np.eye(4), depth_m=np.full((20, 20), near_m))
         self.witness.tick(
             SimpleNamespace(
-                targets=("bed",),
+                targets=self.targets,
                 goals=(Goal(0, None, "frontier", 0, (0.0, 0.0), 0.0, "bed"),),
-                status=MissionStatus("bed", phase, reason),
+                status=MissionStatus(target, phase, reason),
                 observation=seen,
                 events=() if reached is None else ("reached",),
                 mission=lambda: SimpleNamespace(steps=tuple(self._steps)),
@@ -170,3 +171,27 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     mine = rng.random(5) < 0.5
     expected = int((mine[ids] & (depth <= range_m)).sum())
     assert visible_px(ids, depth, mine, range_m) == expected
+
+
+def test_a_single_target_is_never_searched_for_again(stage):
+    stage.tick(1.0)
+    assert stage.witness.revisited_m2 is None
+
+
+def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
+    stage = Stage(tmp_path, ("bed", "sofa"))
+    (first,) = stage.witness.legs
+    assert first.new_m2 > 1.0
+    assert stage.witness.revisited_m2 == 0.0
+    stage.tick(1.0, target="sofa")
+    assert stage.witness.revisited_m2 == pytest.approx(first.new_m2)
+    stage.tick(2.0, target="sofa")
+    assert stage.witness.revisited_m2 == pytest.approx(first.new_m2)
+
+
+def test_what_is_known_already_is_not_searched_for(tmp_path):
+    stage = Stage(tmp_path, ("sofa", "bed"))
+    stage.tick(1.0, target="sofa")
+    stage.tick(2.0, target="bed", instances=[instance(1, BED)])
+    assert [leg.known for leg in stage.witness.legs] == [False, False, True]
+    assert stage.witness.legs[-1].again_m2 == 0.0

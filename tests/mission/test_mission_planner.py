@@ -22,7 +22,8 @@ from mission_plan_twins import (
     table_automaton,
 )
 
-from edge.config import PlannerExpected, PlannerVitl
+from edge.config import PlannerExpected, PlannerOwn, PlannerVitl
+from edge.errors import ConfigError
 from edge.mission import planner as planners
 from edge.mission.planner import Knowledge, Plan, make_planner
 from edge.mission.planning.vitl import working_order
@@ -391,3 +392,35 @@ def test_names_outside_the_formula_do_not_matter():
 
 def test_warm_up_runs():
     planners.warm_up()
+
+
+class Alphabetical:
+    """A planner of one's own."""
+
+    def __init__(self, automaton, instruction, last=False):
+        self.letters, self.instruction, self.last = automaton.letters, instruction, last
+
+    def plan(self, state, knowledge, current=None):
+        target = sorted(self.letters, reverse=self.last)[0]
+        return Plan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
+
+
+def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
+    own = PlannerOwn(kind=f"{__name__}:Alphabetical", options={"last": True})
+    plan = make_planner(own, compiled("F a & F b"), "Reach a and b.").plan(0, Knowledge())
+    assert (plan.target, plan.reason) == ("b", "Reach a and b.")
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "words"),
+    [
+        ("nowhere:Planner", {}, "mission.planner.kind: 'nowhere:Planner'"),
+        (f"{__name__}:Alphabetical", {"first": True}, "mission.planner.options: got an unexpected"),
+        ("edge.mission.ltl:Formula", {"op": "true"}, "it has no plan()"),
+    ],
+)
+def test_what_is_no_planner_is_told_in_a_line(kind, options, words):
+    with pytest.raises(ConfigError) as told:
+        make_planner(PlannerOwn(kind=kind, options=options), compiled("F a"), "Reach a.")
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)

@@ -241,6 +241,7 @@ def test_procthor_houses_start_free_and_have_reachable_rooms(shared_dir: Path):
     assert len(houses) == 75
     for name in ("procthor-val-0", "procthor-val-7", "procthor-val-31", "procthor-val-74"):
         world = build_procthor(houses[name], simulated())
+        assert len(world.rooms) == len(houses[name]["rooms"])
         assert not collides(world, world.start.x_m, world.start.y_m, 0.2), name
         area = world.plan.reachable(world.start.x_m, world.start.y_m, 0.2).sum() * CELL_M**2
         assert area > 10.0, name

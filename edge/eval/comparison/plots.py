@@ -22,28 +22,31 @@ if TYPE_CHECKING:
 
 DPI = 150
 WIDTH_IN = 7.6
-MAX_NAME = 28
+MAX_NAME = 32
 BINS = 5
 MIN_A_BIN = 8
 BUDGETS = 8.0  # times the shortest way, the end of the axis
 
 
 class Style(NamedTuple):
-    """A column's look: Okabe and Ito's colours, which colour-blind readers can tell apart, and a
-    mark and a dash of its own for where colour is missing."""
+    """A column's look: Okabe and Ito's colours, which colour-blind readers can tell apart, then
+    four more; and a mark and a dash of its own for where colour is missing."""
 
     colour: str
     mark: str
     dash: str | tuple
 
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a")
+_COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a",
+    "#882255", "#5d3a9b", "#7f4f1c", "#a6b51e",
+)  # fmt: skip
 _MARKS = "osD^vP*X"
 _DASHES: tuple[str | tuple, ...] = ("-", (0, (5, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 
 
 def style_of(index: int) -> Style:
-    """The look of a column by its place; colours come again after eight, with another dash."""
+    """The look of a column by its place; colours come again after twelve, with another dash."""
     k, turn = index % len(_COLOURS), index // len(_COLOURS)
     return Style(_COLOURS[k], _MARKS[(k + turn) % len(_MARKS)], _DASHES[(k + turn) % len(_DASHES)])
 

@@ -19,15 +19,16 @@ from pydantic import Field, ValidationError, field_validator
 import edge
 from edge.config import ConfigError, Section
 from edge.config.explain import explain
-from edge.config.yaml_text import parse_yaml
+from edge.config.yaml_text import read_yaml
 from edge.errors import FileError, UserError
+from edge.eval.comparison import outcomes as records
 from edge.eval.comparison import plots, tables
 from edge.eval.comparison.run import compare_folders
 from edge.eval.comparison.statistics import Comparison
 from edge.eval.comparison.tables import TABLES
 from edge.eval.outcome import NAME as OUTCOMES_NAME
 from edge.host.children import python_module
-from edge.host.files import read_regular, write_atomically
+from edge.host.files import write_atomically
 from edge.report.recorder import machine
 
 
@@ -40,7 +41,7 @@ class Chapter(Section):
         episodes: words after `edge eval episodes`, a run each: configuration, worlds, targets.
         columns: by name, what is changed in the configuration, as `--column` has it.
         of: other sections, whose outcomes it is made of; then it runs nothing itself.
-        show: the only columns of these to show; none: all.
+        show: the only columns to show, its own or those that `of` has; none: all.
         baseline: the column that the others are held against; None: the first.
         tables, plots: which, in their order.
     """
@@ -86,7 +87,21 @@ class Book(Section):
             for other in chapter.of:
                 if other not in running:
                     raise ValueError(f"{chapter.name}: of: no section {other!r} runs episodes")
+            _check_columns(chapter, columns_of(chapter, sections))
         return sections
+
+
+def columns_of(chapter: Chapter, sections: Sequence[Chapter]) -> tuple[str, ...]:
+    """The columns that a section is to show, in their order; none: whatever there is."""
+    named = [s for s in sections if s.name in chapter.of] if chapter.of else [chapter]
+    return chapter.show or tuple(dict.fromkeys(name for s in named for name in s.columns))
+
+
+def _check_columns(chapter: Chapter, shown: tuple[str, ...]) -> None:
+    if shown and chapter.baseline is not None and chapter.baseline not in shown:
+        raise ValueError(
+            f"{chapter.name}: baseline: {chapter.baseline!r} is no column that it shows"
+        )
 
 
 def _known(names: tuple[str, ...], choices: Sequence[str]) -> tuple[str, ...]:
@@ -101,12 +116,7 @@ def read(path: Path) -> Book:
     Raises:
         ConfigError: it cannot be read, or is no such file; one line a fault.
     """
-    try:
-        data = parse_yaml(read_regular(path))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
+    data = read_yaml(path)
     try:
         return Book.model_validate(data)
     except ValidationError as error:
@@ -124,9 +134,9 @@ def run(args: argparse.Namespace) -> int:
         if not args.no_run:
             _run_episodes(chapter, args)
     found = {
-        chapter.name: compare_folders(folders, chapter.baseline, chapter.show)[0]
+        chapter.name: comparison
         for chapter in book.sections
-        if (folders := _folders(chapter, args.out))
+        if (comparison := _comparison(chapter, book, args.out)) is not None
     }
     path = args.file.with_suffix(".md")
     try:
@@ -194,10 +204,17 @@ def _settings(settings: Mapping[str, Any], above: str = "") -> list[str]:
     return found
 
 
-def _folders(chapter: Chapter, out: Path) -> list[Path]:
-    """Where a section's outcomes are; none unless all of them have been run."""
+def _comparison(chapter: Chapter, book: Book, out: Path) -> Comparison | None:
+    """What a section's outcomes say; None where it has none, or lacks its baseline's."""
     folders = [out / name for name in chapter.of or (chapter.name,)]
-    return folders if all((f / OUTCOMES_NAME).exists() for f in folders) else []
+    if not all((folder / OUTCOMES_NAME).exists() for folder in folders):
+        return None
+    ran = {r["column"] for folder in folders for r in records.read(folder / OUTCOMES_NAME)}
+    shown = columns_of(chapter, book.sections) or tuple(sorted(ran))
+    there = [name for name in shown if name in ran]
+    if not there or (chapter.baseline or there[0]) not in there:
+        return None
+    return compare_folders(folders, chapter.baseline, there)[0]
 
 
 def _write_plots(book: Book, found: Mapping[str, Comparison], folder: Path) -> list[Path]:
@@ -236,21 +253,28 @@ def document(
         f"Made by `edge eval results {path}` with edge {edge.__version__} on {computer}. "
         "SR: success rate; SPL: success weighted by path length (Anderson et al. 2018); soft SPL: "
         "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
-        "episodes.",
+        "episodes, but where it says which ran fewer.",
     ]
     for chapter in book.sections:
-        parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
+        shown = columns_of(chapter, book.sections)
+        parts += _chapter(chapter, found.get(chapter.name), shown, path.stem, out)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _chapter(chapter: Chapter, comparison: Comparison | None, folder: str, out: Path) -> list[str]:
+def _chapter(
+    chapter: Chapter,
+    comparison: Comparison | None,
+    shown: Sequence[str],
+    folder: str,
+    out: Path,
+) -> list[str]:
     parts = [f"## {chapter.title}", chapter.text.strip()]
     lines = [f"edge {shlex.join(words)}" for words in commands(chapter, out)]
     if lines:
         parts.append("\n".join(["```sh", *lines, "```"]))
     if comparison is None:
         return [*parts, "Not run yet."]
-    parts.append(_counted(comparison))
+    parts.append(_counted(comparison, shown))
     there = {table.name: table for table in tables.tables(comparison)}
     for wanted in chapter.tables:
         if wanted in there:
@@ -260,8 +284,8 @@ def _chapter(chapter: Chapter, comparison: Comparison | None, folder: str, out: 
     return parts
 
 
-def _counted(comparison: Comparison) -> str:
-    """How many episodes; and of which columns fewer."""
+def _counted(comparison: Comparison, shown: Sequence[str]) -> str:
+    """How many episodes; of which columns fewer, and of which none."""
     outcomes = comparison.outcomes
     n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
     text = f"{n} episode{'s' * (n != 1)} in {worlds} world{'s' * (worlds != 1)}."
@@ -270,4 +294,6 @@ def _counted(comparison: Comparison) -> str:
         for name, ran in zip(outcomes.columns, outcomes.ran.sum(axis=1).tolist(), strict=True)
         if ran < n
     ]
-    return f"{text} Of these ran fewer: {', '.join(short)}." if short else text
+    text += f" Of these ran fewer: {', '.join(short)}." if short else ""
+    none = [name for name in shown if name not in outcomes.columns]
+    return f"{text} Not run yet: {', '.join(none)}." if none else text

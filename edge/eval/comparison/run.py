@@ -141,7 +141,7 @@ def look(
         world, radius_m = world_list.load(configs[name]), configs[name].robot.radius_m
         inside = np.flatnonzero(outcomes.world == name).tolist()
         targets = sorted({str(outcomes.target[e]) for e in inside} - {""})
-        rooms[name] = world.rooms
+        rooms[name] = len(world.rooms) or None
         drawings[name] = worlds.draw(world, targets, radius_m)
         worlds.left_at_sight_m(world, inside, outcomes, radius_m, left_m)
     return records.with_rooms(outcomes, rooms), left_m, drawings

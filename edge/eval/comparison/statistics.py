@@ -88,7 +88,10 @@ METRICS: dict[str, Metric] = {
         "false conf.", 2, "things confirmed that are no target, an episode",
         _of("false_confirmations"),
     ),
-    "revisited_m2": Metric("seen again, m²", 1, "explored though known", _of("revisited_m2")),
+    "revisited_m2": Metric(
+        "seen again, m²", 1, "floor that a search saw though an earlier one of the mission had",
+        _of("revisited_m2"),
+    ),
     "tick_p95_ms": Metric(
         "tick p95, ms", 2, "of an episode, the median of all", _of("tick_p95_ms"), how="median"
     ),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
+from edge.config import PlannerExpected, PlannerInOrder, PlannerOwn, PlannerVitl
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.mission.planning.distances import distances
@@ -81,7 +81,7 @@ class Surveyor:
 
 
 def make_surveyor(
-    planner: PlannerVitl | PlannerExpected | PlannerInOrder, inline: bool
+    planner: PlannerVitl | PlannerExpected | PlannerInOrder | PlannerOwn, inline: bool
 ) -> Surveyor | None:
     """A surveyor, where driving distances are what the planner weighs by; else None."""
     by_distance = isinstance(planner, PlannerVitl) and planner.weights == "distance"

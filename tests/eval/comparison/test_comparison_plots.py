@@ -54,7 +54,7 @@ def test_any_outcomes_can_be_drawn(tmp_path, records):
 def test_looks_differ():
     looks = [plots.style_of(k) for k in range(24)]
     assert len(set(looks)) == 24
-    assert len({look.colour for look in looks[:8]}) == 8
+    assert len({look.colour for look in looks[:12]}) == 12
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,12 @@ def file(tmp_path):
     return path
 
 
-def outcomes_in(folder: Path) -> None:
+def outcomes_in(folder: Path, columns=("slow", "fast")) -> None:
     planned = eps.make_episode(DEMO, "demo", (1.5, 1.5, 0.0), 5.0, {}, "bed")
     folder.mkdir(parents=True)
     eps.write(folder / "episodes.jsonl", [planned])
-    lines = [record(planned.id, c, world="demo", path_m=p) for c, p in (("slow", 9), ("fast", 6))]
+    path_m = {"slow": 9, "fast": 6, "old": 7}
+    lines = [record(planned.id, c, world="demo", path_m=path_m[c]) for c in columns]
     text = "".join(f"{json.dumps(line)}\n" for line in lines)
     (folder / "outcomes.jsonl").write_text(text)
 
@@ -74,6 +75,7 @@ def made(tmp_path, *options) -> list[str]:
         (("of: [first]", "of: [both]"), "both: of: no section 'both' runs"),
         (("name: alone", "name: first"), "first: there are two of that name"),
         (("name: alone", "name: ../up"), "should match pattern"),
+        (("baseline: slow", "baseline: quick"), "first: baseline: 'quick' is no column that it"),
         (("    of: [first]\n", ""), "both: give it either `episodes` or `of`"),
         (("sections:", "sections: {"), "not YAML"),
         ((BOOK, ""), "expected a section"),
@@ -164,6 +166,26 @@ def test_columns_that_ran_fewer_episodes_are_named(file):
         Path("out"), "a machine",
     )  # fmt: skip
     assert "8 episodes in 2 worlds. Of these ran fewer: fast 7." in text
+
+
+@pytest.mark.parametrize(
+    ("ran", "words"),
+    [
+        (("fast", "slow"), "1 episode in 1 world.\n"),
+        (("slow", "old"), "1 episode in 1 world. Not run yet: fast."),
+        (("fast",), "Not run yet."),  # for lack of the baseline
+        (("old",), "Not run yet."),
+    ],
+)
+def test_what_is_there_of_a_broken_off_run_is_shown(file, tmp_path, ran, words):
+    """In the order of the YAML, whoever came first; what it does not name is not shown."""
+    outcomes_in(tmp_path / "out" / "first", ran)
+    assert main(made(tmp_path, "--no-run")) == 0
+    chapter = (tmp_path / "results.md").read_text().split("## ")[1]
+    assert words in chapter
+    assert "| old |" not in chapter
+    if "slow" in ran and "fast" in ran:
+        assert chapter.index("| slow |") < chapter.index("| fast |")
 
 
 def test_the_one_that_we_ship_is_right():

@@ -1,0 +1,175 @@
+"""What `edge doctor` checks of the machine, whatever runs on it.
+
+Each check is a function of the configuration that yields findings.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module, metadata, util
+from pathlib import Path
+from typing import Literal
+
+from edge.config import Config
+from edge.host import calibration, machine, resources
+from edge.host.files import make_writable
+
+PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
+MIN_CORES = 2
+MIN_SHM_MB = 64
+MIN_FREE_MB = 500
+CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap")
+OPENCV = (
+    "opencv-python-headless", "opencv-python", "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+)  # fmt: skip
+TEGRA_RELEASE = Path("/etc/nv_tegra_release")
+SHM = Path("/dev/shm")
+_MB = 1 << 20
+
+Level = Literal["ok", "warn", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line: how it stands, what it is about, and what to do (empty when all is well)."""
+
+    level: Level
+    what: str
+    todo: str = ""
+
+
+Check = Callable[[Config], Iterator[Finding]]
+
+
+def check_python(config: Config) -> Iterator[Finding]:
+    version = sys.version_info[:2]
+    what = f"Python {platform.python_version()} on {platform.machine()}"
+    if PYTHON_FROM <= version < PYTHON_BELOW:
+        yield Finding("ok", what)
+    else:
+        low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
+        yield Finding("fail", what, f"install Python >= {low}, < {high}")
+
+
+def check_cores(config: Config) -> Iterator[Finding]:
+    cores = len(os.sched_getaffinity(0))
+    if cores >= MIN_CORES:
+        yield Finding("ok", f"{cores} CPU cores")
+    else:
+        todo = f"budgets are for {MIN_CORES}: expect missed deadlines with a detector on the CPU"
+        yield Finding("warn", f"{cores} CPU core", todo)
+
+
+def check_speed(config: Config) -> Iterator[Finding]:
+    kept = calibration.load()
+    if kept is not None:
+        yield Finding("ok", f"{kept.machine}: {kept}")
+    else:
+        todo = f"stages are held to the reference computer's budgets; {calibration.HINT}"
+        yield Finding("warn", "how fast this computer is was never measured", todo)
+
+
+def check_packages(config: Config) -> Iterator[Finding]:
+    """Core dependencies whose binaries may not load (missing libGL, wrong NumPy, …)."""
+    versions = []
+    for module in CORE_MODULES:
+        try:
+            versions.append(f"{module} {import_module(module).__version__}")
+        except ImportError as error:
+            todo = "reinstall edge-vln and its dependencies"
+            yield Finding("fail", f"{module} cannot be imported: {error}", todo)
+    if versions:
+        yield Finding("ok", ", ".join(versions))
+
+
+def check_opencv(config: Config) -> Iterator[Finding]:
+    """Its packages hold the same folder `cv2`: the last one installed overwrites the others."""
+    found = [name for name in OPENCV if _is_installed(name)]
+    if len(found) > 1:
+        todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
+        yield Finding("warn", f"{' and '.join(found)} overwrite each other", todo)
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def check_jetson(config: Config) -> Iterator[Finding]:
+    name = machine.tegra_release(TEGRA_RELEASE)
+    if name is None:
+        return
+    if "CUDAExecutionProvider" in onnx_providers():
+        yield Finding("ok", f"Jetson: {name}")
+    else:
+        todo = "onnxruntime cannot use its GPU: install NVIDIA's onnxruntime-gpu for this JetPack"
+        yield Finding("warn", f"Jetson: {name}", todo)
+
+
+def check_shared_memory(config: Config) -> Iterator[Finding]:
+    if not SHM.is_dir():
+        yield Finding("warn", f"{SHM} is not there", "Zenoh then copies images over TCP")
+        return
+    size_mb = shutil.disk_usage(SHM).total // _MB
+    if size_mb >= MIN_SHM_MB:
+        yield Finding("ok", f"shared memory: {size_mb} MB in {SHM}")
+    else:
+        todo = "images may not fit: docker run --shm-size=256m (or --ipc=host)"
+        yield Finding("warn", f"shared memory: {size_mb} MB in {SHM}", todo)
+
+
+def check_cache(config: Config) -> Iterator[Finding]:
+    path = resources.cache_dir()
+    try:
+        make_writable(path)
+    except OSError as error:
+        todo, reason = "name another with EDGE_CACHE_DIR", error.strerror or error
+        yield Finding("warn", f"cache {path} cannot be written: {reason}", todo)
+        return
+    free_mb = shutil.disk_usage(path).free // _MB
+    level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
+    todo = "" if level == "ok" else f"models and recordings want {MIN_FREE_MB} MB: make room"
+    yield Finding(level, f"cache {path}: writable, {free_mb} MB free", todo)
+
+
+def _probe(a: int, b: int) -> int:
+    """What `check_numba` compiles."""
+    return a + b
+
+
+def check_numba(config: Config) -> Iterator[Finding]:
+    import numba
+
+    before = time.perf_counter()
+    kernel = numba.njit(nogil=True)(_probe)
+    if kernel(2, 3) != 5:
+        yield Finding("fail", f"numba {numba.__version__} computes wrongly", "reinstall numba")
+        return
+    took_s = time.perf_counter() - before
+    yield Finding("ok", f"numba {numba.__version__} compiles ({took_s:.1f} s)")
+    try:
+        path = Path(numba.njit(cache=True)(_probe).stats.cache_path)
+    except RuntimeError:
+        todo = "every start compiles anew: name a writable directory with NUMBA_CACHE_DIR"
+        yield Finding("warn", "numba has nowhere to keep compiled kernels", todo)
+        return
+    yield Finding("ok", f"numba keeps compiled kernels in {path}")
+
+
+def onnx_providers() -> tuple[str, ...]:
+    """Execution providers of the installed onnxruntime; empty without one."""
+    if util.find_spec("onnxruntime") is None:
+        return ()
+    import onnxruntime
+
+    return tuple(onnxruntime.get_available_providers())
