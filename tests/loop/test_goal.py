@@ -37,7 +37,9 @@ class Map:
             return None
         return x, y, math.hypot(x, y)
 
-    def approach(self, surface_m: np.ndarray, within_m: float) -> tuple[float, float, float] | None:
+    def approach(
+        self, surface_m: np.ndarray, within_m: float, points: int
+    ) -> tuple[float, float, float] | None:
         nearest = min(surface_m.tolist(), key=lambda p: self.here.distance_to(p[0], p[1]))
         return self.nearest(nearest[0], nearest[1], within_m)
 
