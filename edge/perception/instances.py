@@ -28,7 +28,7 @@ FORGET_VIEWS = 100
 """Every so many views the counts that confirm are halved, so that old ones fade."""
 REFUTE_VIEWS = 30
 """After so many views, what something else explains better on average is not the target."""
-SURER = 2.0
+SURER = 1.6
 """So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
 is seen in part, and what stands before it fills the image."""
 PARTIAL_VIEW = 0.25
