@@ -152,13 +152,16 @@ class ReachField:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
 
-    def approach(self, surface_m: np.ndarray, within_m: float) -> tuple[float, float, float] | None:
+    def approach(
+        self, surface_m: np.ndarray, within_m: float, points: int = 1
+    ) -> tuple[float, float, float] | None:
         """Where to stop on the way to a thing: the free cell with the shortest way there from
-        which a point of its surface is near, with no wall in between.
+        which points of its surface are near, with no wall in between.
 
         Args:
             surface_m: (k, 2 or more) float32 in `map`.
             within_m: how near; the centre of the cell to the point.
+            points: how many at least are to be near; > 0.
 
         Returns:
             (x_m, y_m, geodesic_m) of the cell's centre; None when there is none.
@@ -167,7 +170,9 @@ class ReachField:
             return None
         res = self._window.resolution_m
         distance, common = self.field
-        x, y, steps = first_in_sight(self._layers, distance, *common, res, surface_m, within_m)
+        x, y, steps = first_in_sight(
+            self._layers, distance, *common, res, surface_m, within_m, points
+        )
         if steps == _UNREACHED:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
@@ -373,29 +378,49 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
 
 
 @njit(nogil=True, cache=True)
-def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within):
+def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
     """See `ReachField.approach`; results as of `nearest_reached`."""
-    n, radius = layers.raw.shape[0], within / res
+    n, k, radius = layers.raw.shape[0], len(surface), within / res
+    at = np.empty((k, 2))  # in cells, from the middle of a cell
+    first_x, first_y, last_x, last_y = x1, y1, x0, y0
+    for i in range(k):
+        at[i, 0], at[i, 1] = surface[i, 0] / res - 0.5, surface[i, 1] / res - 0.5
+        first_x = min(first_x, int(np.ceil(at[i, 0] - radius)))
+        first_y = min(first_y, int(np.ceil(at[i, 1] - radius)))
+        last_x = max(last_x, int(np.floor(at[i, 0] + radius)) + 1)
+        last_y = max(last_y, int(np.floor(at[i, 1] + radius)) + 1)
     best_x, best_y, found = 0, 0, np.int32(0)
-    for i in range(len(surface)):
-        px, py = surface[i, 0] / res, surface[i, 1] / res
-        left, right = int(np.floor(px - radius)), int(np.floor(px + radius)) + 1
-        for y in range(
-            max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)
-        ):
-            sy = y % n
-            for x in range(max(left, x0), min(right, x1)):
-                sx = x % n
-                steps = distance[sy, sx]
-                if steps == 0 or (found != 0 and steps >= found):
-                    continue
-                if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
-                    continue
-                dx, dy = px - x - 0.5, py - y - 0.5
-                if dx * dx + dy * dy > radius * radius or not _in_sight(layers, x, y, dx, dy):
-                    continue
+    for y in range(max(first_y, y0), min(last_y, y1)):
+        sy = y % n
+        for x in range(max(first_x, x0), min(last_x, x1)):
+            sx = x % n
+            steps = distance[sy, sx]
+            if steps == 0 or (found != 0 and steps >= found):
+                continue
+            if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+                continue
+            if _sees(layers, x, y, at, radius, points):
                 best_x, best_y, found = x, y, steps
     return best_x, best_y, found
+
+
+@njit(nogil=True, cache=True)
+def _sees(layers, x, y, at, radius, points):
+    """Whether so many points, (k, 2) in cells, are within the radius of a cell and in sight."""
+    near, seen = 0, 0
+    for i in range(len(at)):
+        dx, dy = at[i, 0] - x, at[i, 1] - y
+        near += dx * dx + dy * dy <= radius * radius
+    for i in range(len(at)):
+        if seen + near < points:
+            return False
+        dx, dy = at[i, 0] - x, at[i, 1] - y
+        if dx * dx + dy * dy <= radius * radius:
+            near -= 1
+            seen += _in_sight(layers, x, y, dx, dy)
+            if seen >= points:
+                return True
+    return False
 
 
 @njit(nogil=True, cache=True)

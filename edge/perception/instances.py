@@ -28,6 +28,9 @@ FORGET_VIEWS = 100
 """Every so many views the counts that confirm are halved, so that old ones fade."""
 REFUTE_VIEWS = 30
 """After so many views, what something else explains better on average is not the target."""
+SURER = 1.6
+"""So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
+is seen in part, and what stands before it fills the image."""
 PARTIAL_VIEW = 0.25
 """What a look in vain counts where an instance lies at the rim of the image or too near."""
 _LOOK_MIN_M = 0.8
@@ -213,7 +216,8 @@ class InstanceTracker:
             if view == "partly" or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
-            if instance.score < GONE * self.config.tau_det:
+            # Some looks in vain do not undo what many confirmed: it is behind a chair, or too near.
+            if instance.score < GONE * self.config.tau_det and not self.confirmed(instance):
                 gone.append(instance.id)
         for instance_id in gone:
             self._tracks.pop(instance_id, None)
@@ -419,7 +423,7 @@ class InstanceTracker:
         sure = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
-            and track.target_sum >= c.confirm_lead * track.rival_sum
+            and _surer(instance) * track.target_sum >= c.confirm_lead * track.rival_sum
             and not self._doubt(track)
         )
         instance.state = "confirmed" if sure else "seen"
@@ -429,8 +433,9 @@ class InstanceTracker:
     def _doubt(self, track: _Track) -> bool:
         """Whether something else is surer to stand there, by all that was seen."""
         if self._sightings is not None:
+            instance = track.instance
             track.doubted = self._sightings.doubts(
-                track.name, track.instance.points_m, track.radius_m
+                track.name, instance.points_m, track.radius_m, _surer(instance)
             )
         return track.doubted
 
@@ -483,3 +488,8 @@ class InstanceTracker:
         for instance in free[:excess]:
             del self._tracks[instance.id]
             self.dropped += 1
+
+
+def _surer(instance: Instance) -> float:
+    """How much surer than the target something else must be for an instance to be in doubt."""
+    return SURER if instance.state == "confirmed" else 1.0

@@ -144,7 +144,7 @@ class SightingTracker:
                 int(s.hits[at]), int(s.near_hits[at]), int(s.last_seen_ns[at]),
             )  # fmt: skip
 
-    def doubts(self, name: str, surface_m: np.ndarray, radius_m: float) -> bool:
+    def doubts(self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0) -> bool:
         """Whether something else is surer to stand where a thing was seen: of what the detector
         looks for, since what it does not could never be found wanting.
 
@@ -152,6 +152,7 @@ class SightingTracker:
             name: canonical, of the thing.
             surface_m: (k, 3) float32 in `map`; k > 0.
             radius_m: how far it reaches from its middle.
+            surer: so many times as sure must something else be.
         """
         s, merge_m = self._all, self.config.merge_m
         x_m, y_m, _ = surface_m.mean(axis=0).tolist()
@@ -165,7 +166,7 @@ class SightingTracker:
             surface_m, s.xyz_m, s.points_m, s.n_points, s.word, s.confidence, s.n,
             self._rivals_of(name) * self._asked, merge_m + radius_m,
         )  # fmt: skip
-        return rival > mine
+        return rival > surer * mine
 
     def _rivals_of(self, name: str) -> np.ndarray:
         """(words,) float32: what the confidence of each word counts against a thing."""

@@ -23,6 +23,9 @@ STOP_M = (0.7, 0.85)
 not get nearer to."""
 # A goal's cell may move so far, or by this share of the way there, before it is chosen anew.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
+ENOUGH, MOST_POINTS = 0.2, 10
+"""So many points of its surface, as a share and at most, are to be so near: a few may be another
+thing's, that stands before it."""
 
 _GOAL_KIND = {FRONTIER: "frontier", INSTANCE: "instance", LOOK: "look"}
 
@@ -158,13 +161,15 @@ def _cell(context: Context, index: int, instance_of: InstanceOf) -> Cell | None:
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "refuted":  # since they were gathered
             return None
-        for within_m in STOP_M:
-            found = context.map.approach(instance.points_m, within_m)
-            if found is not None:
-                return found[0], found[1]
-        points = instance.points_m[:, :2]
-        away = np.hypot(points[:, 0] - pose.x_m, points[:, 1] - pose.y_m)
-        xy_m = points[int(np.argmin(away))]
+        enough = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
+        for points in (enough, 1):
+            for within_m in STOP_M:
+                found = context.map.approach(instance.points_m, within_m, points)
+                if found is not None:
+                    return found[0], found[1]
+        surface_m = instance.points_m[:, :2]
+        away = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
+        xy_m = surface_m[int(np.argmin(away))]
         through = _way_through(candidates, xy_m)
         if through >= 0:
             xy_m, kind = candidates.xy_m[through], FRONTIER

@@ -23,7 +23,12 @@ Entry = tuple[int, int, float, float, float]
 
 
 class Map:
-    """All cells are free and can be reached, but for those near to a point in `walled`."""
+    """All cells are free and can be reached, but for those near to a point in `walled`.
+
+    Attributes:
+        asked: where to stop for an instance: how near, to how many points; nowhere is nearer than
+            `least_m`, nor near to more than `most_points`.
+    """
 
     def __init__(self) -> None:
         self.walled: list[tuple[float, float]] = []
@@ -31,13 +36,20 @@ class Map:
         self.generation, self.opened = 7, False
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.reach = self.coverage = self.bumps = self
+        self.asked: list[tuple[float, int]] = []
+        self.least_m, self.most_points = 0.0, 64
 
     def nearest(self, x: float, y: float, within_m: float) -> tuple[float, float, float] | None:
         if any(math.hypot(x - wx, y - wy) < 0.5 for wx, wy in self.walled):
             return None
         return x, y, math.hypot(x, y)
 
-    def approach(self, surface_m: np.ndarray, within_m: float) -> tuple[float, float, float] | None:
+    def approach(
+        self, surface_m: np.ndarray, within_m: float, points: int
+    ) -> tuple[float, float, float] | None:
+        self.asked.append((within_m, points))
+        if within_m < self.least_m or points > self.most_points:
+            return None
         nearest = min(surface_m.tolist(), key=lambda p: self.here.distance_to(p[0], p[1]))
         return self.nearest(nearest[0], nearest[1], within_m)
 
@@ -283,6 +295,30 @@ def test_what_cannot_be_reached_is_passed_over():
 def test_an_instance_is_approached_at_its_nearest_point():
     goal = Case().choose(chair(9, 3.0, 0.5), pose=SE2(6.0, 0.0, 0.0))
     assert goal.pose.x_m == 4.0
+
+
+@pytest.mark.parametrize(
+    ("k", "least_m", "most_points", "asked"),
+    [
+        (2, 0.0, 64, [(0.7, 1)]),
+        (20, 0.0, 64, [(0.7, 4)]),
+        (64, 0.0, 64, [(0.7, 10)]),
+        (64, 0.8, 64, [(0.7, 10), (0.85, 10)]),
+        (64, 0.0, 3, [(0.7, 10), (0.85, 10), (0.7, 1)]),
+        (64, 0.8, 3, [(0.7, 10), (0.85, 10), (0.7, 1), (0.85, 1)]),
+    ],
+)
+def test_enough_of_an_instance_is_near_where_the_robot_stops_else_any(
+    k, least_m, most_points, asked
+):
+    case = Case()
+    case.map.least_m, case.map.most_points = least_m, most_points
+    goal = case.choose(chair(9, 3.0, 0.5))
+    surface_m = np.zeros((k, 3), np.float32) + np.float32([3.0, 0.0, 0.5])
+    case.things[9].points_m = surface_m
+    case.map.asked.clear()
+    assert case.goals.choose(case.context(), case.map, case.score, 0) is goal
+    assert case.map.asked == asked
 
 
 @pytest.mark.parametrize("gone", ["refuted", "forgotten"])

@@ -163,3 +163,20 @@ def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
     # Of several points the one with the shortest way.
     more_m = np.array([[1.5, 0.5, 0.4], [1.5, -1.0, 0.4]], np.float32)
     assert grid.reach.approach(more_m, 0.7)[2] < way_m
+
+
+def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
+    grid = RollingMap(SMALL)
+    for x, y in ((0.0, 0.0), (-1.0, 0.0)):
+        for yaw in np.arange(0, 6.4, 0.3):
+            look(grid, SE2(x, y, yaw), [(1.7, -0.5, 0.0, 2.1, 0.5, 0.7), *room(2.5)])
+    complete(grid, SE2(0.0, 0.0, 0.0))
+    desk_m = np.column_stack([np.full(10, 1.7), np.linspace(-0.4, 0.4, 10), np.full(10, 0.7)])
+    chair_m = np.array([[1.0, 0.0, 0.5], [1.05, 0.1, 0.5]])
+    surface_m = np.concatenate([desk_m, chair_m]).astype(np.float32)
+    x, y, one_m = grid.reach.approach(surface_m, 0.7)
+    assert np.hypot(*(desk_m[:, :2] - (x, y)).T).min() > 0.85, "near to the chair alone"
+    x, y, three_m = grid.reach.approach(surface_m, 0.7, 3)
+    assert np.hypot(*(desk_m[:, :2] - (x, y)).T).min() <= 0.7
+    assert three_m > one_m
+    assert grid.reach.approach(surface_m, 0.7, len(surface_m) + 1) is None

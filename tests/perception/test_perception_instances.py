@@ -374,6 +374,16 @@ def test_without_context_a_thing_is_confirmed_as_ever(memory):
     assert desk.state == "confirmed"
 
 
+def test_what_was_confirmed_outlives_some_looks_in_vain(scene):
+    s = scene()
+    for _ in range(10):
+        (chair,) = s.see(("chair", 2, 0, 0.6))
+        s.expire(s.last)
+    assert chair.state == "confirmed"
+    gone = [s.expire(s.frame()) for _ in range(60)]
+    assert 20 < gone.index([chair.id]) < 60, "as its mean score over all looks falls"
+
+
 def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     s = memory()
     for _ in range(10):
@@ -386,6 +396,24 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     for _ in range(60):  # it was a mistake, and as the looks go on it is seen to be one
         s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 3, 0.7)])
     assert tracker.of("desk", sure=True, doubted=False) == [desk]
+
+
+@pytest.mark.parametrize(
+    ("first", "desk_score", "sofa_score", "sure"),
+    [
+        (0, 0.5, 0.7, False),
+        (20, 0.5, 0.7, True),
+        (20, 0.1, 0.9, False),
+    ],
+    ids=["never confirmed", "confirmed before", "confirmed before, but far surer another"],
+)
+def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_score, sure):
+    s = memory()
+    for _ in range(first):
+        s.look(("desk", 2, 0, 0.6), around=[("lamp", 2, 3, 0.7), ("sofa", 2, 3, 0.7)])
+    for _ in range(80):
+        tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
+    assert bool(tracker.of("desk", sure=True, doubted=False)) == sure
 
 
 def test_what_is_not_looked_for_any_more_is_no_look_alike(memory):
