@@ -33,7 +33,7 @@ class Mapping(Section):
     extent_m: Annotated[float, Field(gt=0, le=MAX_CELLS)] = 50.0
     range_m: Positive = 5.0
     min_range_m: NonNegative = 0.1
-    inflation_m: NonNegative = 0.25
+    inflation_m: NonNegative = 0.22
     obstacle_min_m: Positive = 0.10
     obstacle_max_m: Positive = 1.0
     ground_slope: NonNegative = 0.3
