@@ -285,14 +285,17 @@ class InstanceTracker:
 
     def recall(self, labels: Sequence[str]) -> None:
         """What was seen as context becomes an instance of the label that it answers to, with all
-        that was counted for it, so that it need not be found again."""
+        that was counted for it, so that it need not be found again; what would be given up at
+        once does not."""
         if self._sightings is None:
             return
+        least = GONE * self.config.tau_det
         for label in labels:
             name = names.canonical(label)
             for seen in self._sightings.answering(label):
                 known = self._match(name, *seen.center_m[:2].tolist())
-                if known is not None or seen.hits < self.config.min_hits:
+                weak = seen.confidence < least or seen.hits < self.config.min_hits
+                if weak or known is not None:
                     continue
                 track = self._found(label, seen.points_m, seen.confidence, seen.last_seen_ns)
                 track.instance.hits = seen.hits

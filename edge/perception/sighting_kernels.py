@@ -48,6 +48,29 @@ def match(centers, points, n_points, word, n, of_word, x, y, merge_m):
 
 
 @njit(nogil=True, cache=True)
+def drifted(centers, word, n, now, near_m):
+    """Two records of one word whose middles have come within `near_m`: of one thing, seen from
+    either end before from the middle.
+
+    Args:
+        centers, word, n: see `match`; now: (cap,) float32, over 0 where this image showed it.
+
+    Returns:
+        (older, younger) indices by place in the arrays, of which one was seen now; (-1, -1).
+    """
+    for i in range(n):
+        if now[i] <= 0.0:
+            continue
+        for j in range(n):
+            if j == i or word[j] != word[i]:
+                continue
+            dx, dy = centers[i, 0] - centers[j, 0], centers[i, 1] - centers[j, 1]
+            if dx * dx + dy * dy < near_m * near_m:
+                return min(i, j), max(i, j)
+    return -1, -1
+
+
+@njit(nogil=True, cache=True)
 def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
     """Add some points of a new view to record `i`: one a voxel; over POINTS the oldest go.
 

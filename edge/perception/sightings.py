@@ -127,6 +127,7 @@ class SightingTracker:
         for lifted, numbers in zip((targets, around), self._columns, strict=True):
             if lifted is not None:
                 self._take(lifted, numbers, observation)
+        self._unite()
         if observation.camera is not None:
             self._fuse(observation)
         self._forget()
@@ -231,6 +232,25 @@ class SightingTracker:
                 s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
                 c.voxel_m,
             )  # fmt: skip
+
+    def _unite(self) -> None:
+        """Make one of two sightings of one thing."""
+        s, near_m = self._all, 0.5 * self.config.merge_m
+        while True:
+            kept, gone = kernels.drifted(s.xyz_m, s.word, s.n, self._now, near_m)
+            if kept < 0:
+                return
+            share = s.hits[gone] / max(s.hits[kept] + s.hits[gone], 1)
+            s.xyz_m[kept] += share * (s.xyz_m[gone] - s.xyz_m[kept])
+            for array in (self._weight, self._total, s.hits, s.near_hits):
+                array[kept] += array[gone]
+            for array in (self._now, s.confidence, s.last_seen_ns):
+                array[kept] = max(array[kept], array[gone])
+            kernels.take_up(
+                s.points_m, s.n_points, self._cursor, kept, s.points_m[gone].copy(),
+                s.n_points[gone], self.config.voxel_m,
+            )  # fmt: skip
+            self._drop(gone)
 
     def _found(self, word: int, xyz_m: tuple[float, float, float]) -> int:
         s = self._all

@@ -27,7 +27,8 @@ def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
     loop = found_a_bed
     assert loop.service.status.phase == "reached"
     assert loop.service.tracker.of("sofa") == []
-    assert len(loop.service.sightings.shown.of("sofa")) == 1
+    seen = loop.service.sightings.shown
+    assert (seen.confidence[seen.of("sofa")] > loop.config.perception.tau_det).sum() == 1
     begin(loop, "F sofa")
     (sofa,) = loop.service.tracker.of("sofa")
     assert sofa.state == "confirmed"

@@ -134,6 +134,18 @@ def test_places_of_one_word_merge_where_they_are_near(scene, apart_m, count):
     assert s.seen.n == count
 
 
+@pytest.mark.parametrize(("apart_m", "count"), [(0.2, 1), (0.5, 2)])
+def test_two_whose_middles_drift_together_become_one(scene, apart_m, count):
+    s = scene().see(("chair", NEAR, 0, 0.6), ("chair", NEAR, 1.2, 0.6), ("sofa", NEAR, 1.2, 0.6))
+    s.tracker._all.xyz_m[1, 1] = apart_m  # as views of either end's middle move it
+    s.see(("chair", NEAR, 0, 0.6))
+    chairs = s.seen.of("chair")
+    assert len(chairs) == count and len(s.seen.of("sofa")) == 1
+    assert int(s.seen.hits[chairs].sum()) == 3
+    middle = np.average(s.seen.xyz_m[chairs, 1], weights=s.seen.hits[chairs])
+    assert middle == pytest.approx(apart_m / 3, abs=1e-5)
+
+
 def test_a_word_may_be_target_then_context_and_stays_the_same_thing(scene):
     s = scene().see(("bed", NEAR, 0, 0.6))
     first = int(s.seen.id[0])
