@@ -33,7 +33,18 @@ class Search:
                 self._lift = np.ones(len(candidates.id), np.float32)
             context.prior.lift(context.target, candidates.xy_m, frontiers, self._lift)
             score[:frontiers] *= self._lift[:frontiers] ** c.prior_weight
-        return np.where(kind == INSTANCE, candidates.confidence[:n], score)
+        return np.where(kind == INSTANCE, self._of_instances(context), score)
+
+    def _of_instances(self, context: Context) -> np.ndarray:
+        """(n,) how sure each candidate is, over the way there: of two that are confirmed the nearer
+        will do."""
+        candidates, pose = context.candidates, context.pose
+        n = candidates.n
+        xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
+        straight_m = np.hypot(xy_m[:, 0] - pose.x_m, xy_m[:, 1] - pose.y_m)
+        way_m = np.where(np.isfinite(path_m), path_m, straight_m)
+        surety = np.where(candidates.sure[:n], 1.0, candidates.confidence[:n])
+        return surety / (self.config.start_m + way_m)
 
     def reset(self, why: Why) -> None:
         """It remembers nothing."""

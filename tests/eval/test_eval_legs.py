@@ -71,7 +71,8 @@ def driven(instruction: str, seed: int, start=None, **more) -> tuple[ClosedLoop,
     world = {"kind": "generated", "seed": seed}
     sim = {"world": world, "start": start, "lockstep": True}
     mission = {"instruction": instruction, **more}
-    config = simulated({"mission": mission, "sim": sim, "loop": {"lockstep": True}})
+    loop_section, policy = {"lockstep": True}, {"kind": "search"}
+    config = simulated({"mission": mission, "sim": sim, "loop": loop_section, "policy": policy})
     loop = ClosedLoop(config, colour=False)
     legs = Legs(config, loop.world, RANGE_M)
     while not loop.service.status.done:
