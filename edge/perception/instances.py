@@ -31,8 +31,9 @@ REFUTE_VIEWS = 30
 SURER = 1.6
 """So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
 is seen in part, and what stands before it fills the image."""
-PARTIAL_VIEW = 0.25
-"""What a look in vain counts where an instance lies at the rim of the image or too near."""
+PARTIAL_VIEW, WHOLE = 0.25, 0.7
+"""What a look counts where an instance lies at the rim of the image or too near, or less than so
+much of its surface in the image."""
 _LOOK_MIN_M = 0.8
 """Nearer things do not fit into the image, so not finding them says nothing."""
 _LOOK_RIM = 0.1
@@ -193,7 +194,8 @@ class InstanceTracker:
         camera = observation.camera
         if camera is None or not self._tracks:
             return []
-        T = invert(observation.T_map_base @ observation.T_base_camera).tolist()
+        T = invert(observation.T_map_base @ observation.T_base_camera)
+        rows = T.tolist()
         pose, near_m = observation.pose, self.config.confirm_range_m
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
@@ -201,17 +203,16 @@ class InstanceTracker:
             instance = track.instance
             if instance.state in ("refuted", "reached") or track.name not in asked:
                 continue
-            view = self._view(track, observation, camera, T)
+            view = self._view(track, observation, camera, rows)
             if view == "hidden":
                 track.now_target = track.now_rival = 0.0
                 continue
             self._doubt(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
-                # A miss in a partial view says less than one in a full view; saying nothing
-                # would leave hits alone to speak, those by mistake too.
-                full = view == "well" or track.now_target > 0.0
-                self._count_view(track, 1.0 if full else PARTIAL_VIEW)
+                # A partial view says less, of what it is as of what it is not.
+                whole = view == "well" and self._in_view(track, camera, T) >= WHOLE
+                self._count_view(track, 1.0 if whole else PARTIAL_VIEW)
             track.now_target = track.now_rival = 0.0
             if view == "partly" or track.evidence_ns >= observation.stamp_ns:
                 continue
@@ -248,6 +249,15 @@ class InstanceTracker:
         rim_u, rim_v = _LOOK_RIM * camera.width_px, _LOOK_RIM * camera.height_px
         inside = rim_u < u < camera.width_px - rim_u and rim_v < v < camera.height_px - rim_v
         return "well" if inside and z > _LOOK_MIN_M else "partly"
+
+    @staticmethod
+    def _in_view(track: _Track, camera: CameraModel, T: np.ndarray) -> float:
+        """Share of an instance's surface that lies in the image."""
+        points = track.instance.points_m
+        return kernels.share_in_view(
+            points, len(points), T, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+            camera.width_px, camera.height_px,
+        )  # fmt: skip
 
     def confirmed(self, instance: Instance) -> bool:
         """Whether it was seen well enough, often enough, from near enough to be the target."""
@@ -403,8 +413,8 @@ class InstanceTracker:
 
     def _count_view(self, track: _Track, weight: float) -> None:
         track.views += weight
-        track.target_sum += track.now_target
-        track.rival_sum += track.now_rival
+        track.target_sum += weight * track.now_target
+        track.rival_sum += weight * track.now_rival
         if track.views >= FORGET_VIEWS:
             track.views *= 0.5
             track.good_hits //= 2
@@ -418,15 +428,17 @@ class InstanceTracker:
         and context's, say is nothing else.
 
         A mistake now and then is no confirmation when most looks find nothing, nor is a bed that
-        is also a fair sofa.
+        is also a fair sofa. What was confirmed stays so while nothing else does better: from near
+        by a thing is seen in part, and the lead shrinks.
         """
         c, instance = self.config, track.instance
         if instance.state not in ("seen", "confirmed"):
             return
+        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead
         sure = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
-            and _surer(instance) * track.target_sum >= c.confirm_lead * track.rival_sum
+            and track.target_sum >= lead * track.rival_sum
             and not self._doubt(track)
         )
         instance.state = "confirmed" if sure else "seen"
@@ -437,8 +449,9 @@ class InstanceTracker:
         """Whether something else is surer to stand there, by all that was seen."""
         if self._sightings is not None:
             instance = track.instance
+            surer = SURER if instance.state == "confirmed" else 1.0
             track.doubted = self._sightings.doubts(
-                track.name, instance.points_m, track.radius_m, _surer(instance)
+                track.name, instance.points_m, track.radius_m, surer
             )
         return track.doubted
 
@@ -491,8 +504,3 @@ class InstanceTracker:
         for instance in free[:excess]:
             del self._tracks[instance.id]
             self.dropped += 1
-
-
-def _surer(instance: Instance) -> float:
-    """How much surer than the target something else must be for an instance to be in doubt."""
-    return SURER if instance.state == "confirmed" else 1.0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from edge.perception.instance_kernels import share_in_view
+
 POINTS = 32
 """Surface points kept of each sighting."""
 _TAKEN = 6
@@ -12,8 +14,8 @@ _TAKEN = 6
 LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 0.8, 0.1, 0.4
 """What a look says little about: things nearer than that, or in that share of the image at its
 edge; and a return so much nearer hides what is behind it."""
-PARTIAL = 0.25
-"""What a look there counts."""
+PARTIAL, WHOLE = 0.25, 0.7
+"""What a look there counts, or one that has less than so much of a thing's surface in it."""
 FORGET = 40.0
 """Weight at which what was seen is halved, so that the old fades."""
 SAME_M = 0.2
@@ -98,12 +100,15 @@ def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
 
 
 @njit(nogil=True, cache=True)
-def weight_of(x, y, z, T_camera_map, fx, fy, cx, cy, depth, width, height, near_m, far_m):
-    """What a look counts for a place: 1 near by and well inside the image, less with the square of
-    the distance, as the share of the image that a thing fills; 0 where it is not in view.
+def weight_of(
+    x, y, z, points, n_points, T_camera_map, fx, fy, cx, cy, depth, width, height, near_m, far_m
+):
+    """What a look counts for a thing: 1 near by and whole in the image, less with the square of
+    the distance, as the share of the image that a thing fills; 0 where its middle is not in view.
 
     Args:
-        x, y, z: in `map`.
+        x, y, z: its middle in `map`; points: (k, 3) float32, of which the first `n_points` count,
+            of its surface.
         T_camera_map: (4, 4) float64, optical frame from `map`.
         depth: (h, w) float32, registered; (1, 1) where there is none.
         near_m, far_m: full weight up to there; none from there.
@@ -122,16 +127,21 @@ def weight_of(x, y, z, T_camera_map, fx, fy, cx, cy, depth, width, height, near_
             return 0.0
     rim_u, rim_v = LOOK_RIM * width, LOOK_RIM * height
     whole = rim_u < u < width - rim_u and rim_v < v < height - rim_v and zc > LOOK_MIN_M
+    if n_points > 0 and whole:
+        whole = share_in_view(points, n_points, T, fx, fy, cx, cy, width, height) >= WHOLE
     share = min(1.0, (near_m / zc) ** 2)
     return share if whole else PARTIAL * share
 
 
 @njit(nogil=True, cache=True)
-def fuse(centers, word, n, now, asked, T_camera_map, view, depth, weight, total, confidence):
+def fuse(
+    centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, weight, total,
+    confidence,
+):  # fmt: skip
     """One look at every record: what was detected is its evidence, what was not speaks against it.
 
     Args:
-        centers, word, n: see `match`.
+        centers, points, n_points, word, n: see `match`.
         now: (cap,) float32, the score of each record in this image, 0 where not detected; zeroed.
         asked: (words,) bool, what the detector looked for.
         view: (fx, fy, cx, cy, width, height, near_m, far_m) float64, see `weight_of`.
@@ -143,8 +153,8 @@ def fuse(centers, word, n, now, asked, T_camera_map, view, depth, weight, total,
             now[i] = 0.0
             continue
         w = weight_of(
-            centers[i, 0], centers[i, 1], centers[i, 2], T_camera_map, view[0], view[1], view[2],
-            view[3], depth, view[4], view[5], view[6], view[7],
+            centers[i, 0], centers[i, 1], centers[i, 2], points[i], n_points[i], T_camera_map,
+            view[0], view[1], view[2], view[3], depth, view[4], view[5], view[6], view[7],
         )  # fmt: skip
         if now[i] > 0.0:  # it was seen, whatever hides its middle
             w = max(w, PARTIAL * PARTIAL)

@@ -273,7 +273,7 @@ class SightingTracker:
         )  # fmt: skip
         depth = _NO_DEPTH if observation.depth_m is None else observation.depth_m
         kernels.fuse(
-            s.xyz_m, s.word, s.n, self._now, self._asked,
+            s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,
             invert(observation.T_map_base @ observation.T_base_camera), view, depth,
             self._weight, self._total, s.confidence,
         )  # fmt: skip

@@ -225,7 +225,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
         for _ in range(19):
             s.expire(s.frame())
     assert chair.state == "seen"
-    for _ in range(20):
+    for _ in range(40):
         s.see(("chair", x_m, y_m, 0.4))
         s.expire(s.last)
     assert chair.state == "confirmed"

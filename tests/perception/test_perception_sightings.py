@@ -140,7 +140,7 @@ def test_two_whose_middles_drift_together_become_one(scene, apart_m, count):
     s.tracker._all.xyz_m[1, 1] = apart_m  # as views of either end's middle move it
     s.see(("chair", NEAR, 0, 0.6))
     chairs = s.seen.of("chair")
-    assert len(chairs) == count and len(s.seen.of("sofa")) == 1
+    assert (len(chairs), len(s.seen.of("sofa"))) == (count, 1)
     assert int(s.seen.hits[chairs].sum()) == 3
     middle = np.average(s.seen.xyz_m[chairs, 1], weights=s.seen.hits[chairs])
     assert middle == pytest.approx(apart_m / 3, abs=1e-5)
@@ -288,6 +288,8 @@ def test_match_and_fuse_agree_with_their_twins(seed, n):
     ours = [a.astype(np.float32) for a in random.random((4, n)) * ((1,), (30,), (20,), (1,))]
     ours[0][random.random(n) < 0.5] = 0.0
     twin = [a.copy() for a in ours]
-    kernels.fuse(centers, word, n, ours[0], asked, invert(T), view, depth, *ours[1:])
-    fuse(centers, word, twin[0], asked, invert(T), view, depth, *twin[1:])
+    kernels.fuse(
+        centers, points, n_points, word, n, ours[0], asked, invert(T), view, depth, *ours[1:]
+    )
+    fuse(centers, points, n_points, word, twin[0], asked, invert(T), view, depth, *twin[1:])
     np.testing.assert_allclose(ours, twin, atol=1e-5)

@@ -13,6 +13,7 @@ from edge.perception.sighting_kernels import (
     PARTIAL,
     PRIOR,
     SAME_M,
+    WHOLE,
     WITHIN,
 )  # fmt: skip
 
@@ -119,8 +120,8 @@ def sample_depth(depth, fx, fy, cx, cy, box, max_range, side):
 
 
 def without_others(samples, view, boxes, word, mine, depth, claim):
-    """Samples in no box of another word that fits nearly as well, at its depths; all of them where under
-    `LEFT` would remain."""
+    """Samples in no box of another word that fits nearly as well, at its depths; all of them where
+    under `LEFT` would remain."""
     fx, fy, cx, cy = view[4:]
     u = fx * samples[:, 0] / samples[:, 2] + cx
     v = fy * samples[:, 1] / samples[:, 2] + cy
@@ -221,8 +222,17 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, agains
     return (against * cover.mean(axis=1)).max()
 
 
-def look_weight(xyz, T, view, depth):
-    """What a look counts for a place."""
+def share_in_view(points, T, view):
+    """Share of points in the image."""
+    fx, fy, cx, cy, width, height = view[:6]
+    x, y, z = T[:3, :3] @ points.astype(np.float64).T + T[:3, 3:]
+    z = np.where(z > 0, z, np.nan)
+    u, v = fx * x / z + cx, fy * y / z + cy
+    return ((u >= 0) & (u < width) & (v >= 0) & (v < height)).mean() if len(points) else 0.0
+
+
+def look_weight(xyz, points, T, view, depth):
+    """What a look counts for a thing."""
     fx, fy, cx, cy, width, height, near_m, far_m = view
     x, y, z = T[:3, :3] @ xyz + T[:3, 3]
     if not 0.1 < z < far_m:
@@ -232,13 +242,14 @@ def look_weight(xyz, T, view, depth):
         return 0.0
     across, down = u / width, v / height
     whole = LOOK_RIM < across < 1 - LOOK_RIM and LOOK_RIM < down < 1 - LOOK_RIM and z > LOOK_MIN_M
+    whole &= not len(points) or share_in_view(points, T, view) >= WHOLE
     return min(1.0, (near_m / z) ** 2) * (1.0 if whole else PARTIAL)
 
 
-def fuse(centers, word, now, asked, T, view, depth, weight, total, confidence):
+def fuse(centers, points, n_points, word, now, asked, T, view, depth, weight, total, confidence):
     """One look at every record."""
     for i in range(len(word)):
-        w = look_weight(centers[i].astype(np.float64), T, view, depth)
+        w = look_weight(centers[i].astype(np.float64), points[i, : n_points[i]], T, view, depth)
         w = max(w, PARTIAL**2) if now[i] > 0 else w
         if asked[word[i]] and w > 0:
             half = 0.5 if weight[i] + w > FORGET else 1.0
