@@ -34,7 +34,7 @@ is seen in part, and what stands before it fills the image."""
 PARTIAL_VIEW, WHOLE = 0.25, 0.7
 """What a look counts where an instance lies at the rim of the image or too near, or less than so
 much of its surface in the image."""
-_LOOK_MIN_M = 0.8
+_LOOK_MIN_M = 1.0
 """Nearer things do not fit into the image, so not finding them says nothing."""
 _LOOK_RIM = 0.1
 """Share of the image at each edge where not finding says nothing."""

@@ -11,7 +11,7 @@ POINTS = 32
 """Surface points kept of each sighting."""
 _TAKEN = 6
 """Points of a view that are taken up at most: later views bring others."""
-LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 0.8, 0.1, 0.4
+LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 1.0, 0.1, 0.4
 """What a look says little about: things nearer than that, or in that share of the image at its
 edge; and a return so much nearer hides what is behind it."""
 PARTIAL, WHOLE = 0.25, 0.7

@@ -71,3 +71,4 @@ def _lift() -> None:
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
     instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)
+    instance_kernels.share_in_view(points_m, 1, np.eye(4), 1.0, 1.0, 0.0, 0.0, 16, 16)

@@ -15,6 +15,7 @@ from edge.eval.bounds import FAR_M, KnownPlace, KnownRoom
 from edge.eval.columns import make_columns
 from edge.eval.drive import in_process, run_episode
 from edge.eval.episodes import plan
+from edge.geometry import SE2
 from edge.policies import find_policy, make_policy
 from edge.policies.base import FRONTIER, INSTANCE, LOOK, Candidates
 from edge.sim.worlds import load_world
@@ -35,7 +36,9 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
     c.n = len(candidates)
     for k, (kind, x, y, path_m, gain_m2) in enumerate(candidates):
         c.kind[k], c.xy_m[k], c.path_m[k], c.gain_m2[k] = kind, (x, y), path_m, gain_m2
-    return SimpleNamespace(candidates=c.read_only(), target=target, prior=None)
+    return SimpleNamespace(
+        candidates=c.read_only(), target=target, prior=None, pose=SE2(0.0, 0.0, 0.0)
+    )
 
 
 @pytest.mark.parametrize("kind", [PLACE, ROOM])
