@@ -36,15 +36,14 @@ class Search:
         return np.where(kind == INSTANCE, self._of_instances(context), score)
 
     def _of_instances(self, context: Context) -> np.ndarray:
-        """(n,) how sure each candidate is, over the way there: of two that are confirmed the nearer
-        will do."""
+        """(n,) the root of how sure each candidate is, over the way there: the nearer will do,
+        unless it is much less sure."""
         candidates, pose = context.candidates, context.pose
         n = candidates.n
         xy_m, path_m = candidates.xy_m[:n], candidates.path_m[:n]
         straight_m = np.hypot(xy_m[:, 0] - pose.x_m, xy_m[:, 1] - pose.y_m)
         way_m = np.where(np.isfinite(path_m), path_m, straight_m)
-        surety = np.where(candidates.sure[:n], 1.0, candidates.confidence[:n])
-        return surety / (self.config.start_m + way_m)
+        return np.sqrt(candidates.confidence[:n]) / (self.config.start_m + way_m)
 
     def reset(self, why: Why) -> None:
         """It remembers nothing."""

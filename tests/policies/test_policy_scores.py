@@ -201,8 +201,8 @@ def context(
     [
         (PolicyNearest(), [0.2, 1 / 3, 0.0, 0.6, 0.5]),
         (PolicyNearest(distance="straight"), [0.2, 1 / 3, 0.5, 0.6, 0.5]),
-        (PolicySearch(), [0.4, 1.0, 0.0, 0.06, 1.0]),
-        (PolicySearch(start_m=2.0, look_weight=0.5), [1 / 3, 0.75, 0.0, 0.6 / 11, 1 / 3]),
+        (PolicySearch(), [0.4, 1.0, 0.0, 0.6**0.5 / 10, 1.0]),
+        (PolicySearch(start_m=2.0, look_weight=0.5), [1 / 3, 0.75, 0.0, 0.6**0.5 / 11, 1 / 3]),
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )
@@ -217,13 +217,12 @@ def test_what_a_policy_makes_of_way_and_gain(policy, expected):
     assert got.dtype == np.float32
 
 
-def test_of_two_confirmed_things_the_nearer_comes_first_and_of_two_others_what_the_way_is_worth():
-    candidates = candidates_of(*[(INSTANCE, x, 0) for x in (1, 9, 2, 9)])
-    candidates.confidence[:4] = 0.3, 0.9, 0.2, 0.9
-    candidates.sure[:2] = True
-    candidates.path_m[:4] = 1.0, 9.0, math.inf, 9.0
+def test_of_two_things_the_nearer_comes_first_unless_it_is_much_less_sure():
+    candidates = candidates_of(*[(INSTANCE, x, 0) for x in (1, 4, 2)])
+    candidates.confidence[:3] = 0.25, 0.81, 0.04
+    candidates.path_m[:3] = 1.0, 4.0, math.inf
     got = scores_of(make_policy(PolicySearch()), context(candidates))
-    assert got == pytest.approx([1 / 2, 1 / 10, 0.2 / 3, 0.9 / 10])
+    assert got == pytest.approx([0.5 / 2, 0.9 / 5, 0.2 / 3])
 
 
 # By S_VL alone: what is remembered of a frontier is its score.
