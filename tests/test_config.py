@@ -265,6 +265,13 @@ def test_a_folder_is_no_file(tmp_path):
 
 OVERRIDES = [
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.radius_m, 0.3),
+    ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.mapping.inflation_m, 0.32),
+    ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.22),
+    (
+        {"EDGE__ROBOT__RADIUS_M": "0.3", "EDGE__MAPPING__INFLATION_M": "0.3"},
+        lambda c: c.mapping.inflation_m,
+        0.3,
+    ),
     ({"EDGE__POLICY__KIND": "nearest_frontier"}, lambda c: c.policy.kind, "nearest_frontier"),
     ({"EDGE__LOOP__LOCKSTEP": "true"}, lambda c: c.loop.lockstep, True),
     ({"EDGE__SENSORS__CAMERA__WIDTH_PX": "64"}, lambda c: c.sensors.camera.width_px, 64),

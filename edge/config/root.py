@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any, Literal
 
-from pydantic import ValidationError
+from pydantic import ValidationError, model_validator
 
 from edge.config.explain import explain
 from edge.config.loop import Loop, Report, Sink, Sinks, Source, Zenoh
@@ -21,6 +22,8 @@ from edge.errors import ConfigError
 from edge.host import resources
 from edge.text import without_secrets
 
+MARGIN_M = 0.02
+"""Obstacles are inflated by so much more than the robot's radius, unless told otherwise."""
 ENV_PREFIX = "EDGE__"
 
 ValueSource = Literal["similarity", "choice"]
@@ -48,6 +51,20 @@ class Config(Section):
     sim: Sim = Sim()
     report: Report = Report()
     sinks: Sinks = (Sink(kind="zenoh"),)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _inflated_for_the_robot(cls, data: Any) -> Any:
+        """A wider robot inflates obstacles by more, where `mapping.inflation_m` is not set."""
+        if not isinstance(data, dict):
+            return data
+        robot, mapping = (data.get(key) or {} for key in ("robot", "mapping"))
+        radius_m = robot.get("radius_m") if isinstance(robot, dict) else None
+        if isinstance(radius_m, (int, float)) and isinstance(mapping, dict):
+            inflation_m = max(Mapping().inflation_m, round(radius_m + MARGIN_M, 3))
+            if math.isfinite(inflation_m):
+                return {**data, "mapping": {"inflation_m": inflation_m, **mapping}}
+        return data
 
     @property
     def observed_hz(self) -> float:

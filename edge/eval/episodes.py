@@ -124,14 +124,13 @@ def plan(
 
     Args:
         worlds: sections `sim.world`; empty: the configuration's own world, which must have every
-            target and as many starts. In several, what one lacks is left out there.
+            target and as many starts. In several, what one lacks is left out there, and told is
+            one that is left out since no robot fits where it starts.
         starts: of each target in each world, at least `min_distance_m` of driving from it.
         per_world: at most so many episodes a world, of targets drawn at random.
 
     Raises:
         UserError: a world cannot be loaded, or there is nothing to do at all.
-
-    Of several worlds, one in whose start no robot fits is left out, and told.
     """
     episodes: list[Episode] = []
     for where in _places(config, worlds):

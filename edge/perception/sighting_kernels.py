@@ -58,7 +58,7 @@ def drifted(centers, word, n, now, near_m):
         centers, word, n: see `match`; now: (cap,) float32, over 0 where this image showed it.
 
     Returns:
-        (older, younger) indices by place in the arrays, of which one was seen now; (-1, -1).
+        (lower, higher) index, of which one was seen now; (-1, -1): there are none.
     """
     for i in range(n):
         if now[i] <= 0.0:

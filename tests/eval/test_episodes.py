@@ -58,6 +58,13 @@ def test_a_blocked_start_is_told_and_another_takes_its_place(tmp_path):
     assert [e.target for e in planned] == ["bed"]
 
 
+def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_path, caplog):
+    worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
+    planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
+    assert [e.world["house"] for e in planned] == ["demo"]
+    assert "left out: blocked: no free space" in caplog.text
+
+
 def test_planning_says_how_far_it_is(monkeypatch, capsys):
     monkeypatch.setattr("edge.host.bars.LOG_PERIOD_S", 0.0)
     plan(HOUSE, [], ["bed", "sofa"], 1, 0, 2.0)

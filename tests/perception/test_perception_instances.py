@@ -384,6 +384,29 @@ def test_what_was_confirmed_outlives_some_looks_in_vain(scene):
     assert 20 < gone.index([chair.id]) < 60, "as its mean score over all looks falls"
 
 
+@pytest.mark.parametrize(
+    ("first", "rival", "state"),
+    [(0, 0.5, "seen"), (6, 0.5, "confirmed"), (6, 0.9, "seen")],
+    ids=["never confirmed", "confirmed before", "confirmed before, but another does better"],
+)
+def test_what_was_confirmed_stays_so_while_nothing_does_better(scene, first, rival, state):
+    s = scene(confirm_lead=2.0)
+    for k in range(first + 20):
+        (chair,) = s.see(("chair", 2, 0, 0.6), rival=0.0 if k < first else rival)
+        s.expire(s.last)
+    assert chair.state == state
+
+
+@pytest.mark.parametrize(("size_m", "views"), [(0.1, 1.0), (3.0, 0.25)], ids=["whole", "in part"])
+def test_a_look_that_shows_a_part_counts_less(scene, size_m, views):
+    s = scene()
+    s.see(("chair", 2, 0, 0.6), size_m=size_m)
+    s.expire(s.last)
+    (track,) = s.tracker._tracks.values()
+    assert track.views == views
+    assert track.target_sum == pytest.approx(0.6 * views)
+
+
 def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     s = memory()
     for _ in range(10):

@@ -269,6 +269,17 @@ def test_the_strongest_rival_agrees_with_its_twin(seed, n):
     )
 
 
+@pytest.mark.parametrize(("spread_m", "weight"), [(0.0, 1.0), (0.2, 1.0), (3.0, 0.25)])
+def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
+    points = np.zeros((kernels.POINTS, 3), np.float32)
+    points[:] = 2.0, 0.0, 0.6
+    points[:, 1] += np.linspace(-spread_m, spread_m, kernels.POINTS, dtype=np.float32)
+    T = invert(optical(se3(0.0, 0.0, 0.6)))
+    look = (T, 20.0, 20.0, 16.0, 12.0, np.zeros((1, 1), np.float32), 32, 24, 3.0, 6.0)
+    assert kernels.weight_of(2.0, 0.0, 0.6, points, kernels.POINTS, *look) == weight
+    assert kernels.weight_of(2.0, 0.0, 0.6, points, 0, *look) == 1.0
+
+
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
 @settings(max_examples=40, deadline=None)
 def test_match_and_fuse_agree_with_their_twins(seed, n):
