@@ -21,6 +21,7 @@ log = logging.getLogger("edge.host.pages")
 
 MOST_OPEN = 16
 _PATIENCE_S = 5.0
+_LOOK_S = 0.1  # for the end of the block
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,9 @@ def serve(pages: Pages, host: str, port: int | None) -> Iterator[int | None]:
             f"http.port: cannot listen on {one_line(host)} port {port}: "
             f"{error.strerror or one_line(error)}; set http.port to a free one, or to null"
         ) from None
-    thread = threading.Thread(target=server.serve_forever, name="pages", daemon=True)
+    thread = threading.Thread(
+        target=server.serve_forever, args=(_LOOK_S,), name="pages", daemon=True
+    )
     thread.start()
     try:
         yield server.server_address[1]
