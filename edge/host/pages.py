@@ -81,6 +81,7 @@ class _Server(ThreadingMixIn, HTTPServer):
     so that whoever keeps connections open, or sends a byte now and then, locks nobody out."""
 
     daemon_threads, block_on_close = True, False
+    request_queue_size = 4 * MOST_OPEN
 
     def __init__(self, host: str, port: int, pages: Pages) -> None:
         self.pages = pages

@@ -45,7 +45,7 @@ def test_pages_are_made_when_they_are_asked_for():
         assert ask(port, "/down", "POST")[0] == 501
         status, text = ask(port, "/else")
         assert (status, b"/count" in text) == (404, True)
-        with pytest.raises(OSError, match="closed|reset"):  # RemoteDisconnected is one
+        with pytest.raises(OSError, match=r"closed|reset"):  # RemoteDisconnected is one
             ask(port, "/broken")
         assert ask(port, "/down")[0] == 503
     with pytest.raises(ConnectionRefusedError):

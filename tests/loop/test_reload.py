@@ -9,7 +9,7 @@ import pytest
 from patience import eventually
 from simulated import simulated
 
-from edge.config import Config, ConfigError, Section
+from edge.config import Config, ConfigError, Section, load, parse
 from edge.eval.closed_loop import ClosedLoop
 from edge.loop.reload import LIVE, Reloader, differing
 from edge.perception.swap import swapper
@@ -166,6 +166,30 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
     assert bench.reloader.outcome == "switched: perception.detector, perception.tau_det"
     assert bench.service.tracker.config.tau_det == 0.4
     assert bench.service.swapper.perception is new.perception
+
+
+def test_a_real_detector_is_made_anew_beside_the_one_at_work():
+    first = load("demo").model_dump(exclude={"path"})
+    first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
+    first["perception"]["isolation"] = "thread"
+    first["perception"]["swap"] = {"images": 2, "probation": 4, "budget_ms": 1e6}
+    bench = Bench(parse(first))
+    before = bench.service.swapper._worker.detector
+    first["perception"]["detector"]["threads"] = 1
+    new = parse(first)
+    bench.reads = lambda: new
+    bench.asked.set()
+    for _ in range(1000):
+        bench.closed.step()
+        bench.service.swapper.step(0)
+        bench.reloader.step(0)
+        if bench.reloader.outcome:
+            break
+    assert bench.reloader.outcome == "switched: perception.detector.threads"
+    after = bench.service.swapper._worker.detector
+    assert after is not before
+    assert (after.name, after.config.threads) == (before.name, 1)
+    bench.service.close()
 
 
 def test_every_live_key_is_there():
