@@ -21,7 +21,7 @@ from edge.text import one_line
 STEP_S = 300.0
 """No step of the start takes longer without saying that it goes on."""
 HANGS_S = 10.0
-"""A loop without a beat for so long hangs."""
+"""A loop without a beat for so long hangs, and so does a detector at one image."""
 _LOOK_S = 1.0
 _UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
 
@@ -48,6 +48,7 @@ class Vitals:
         self._said = ""
         self._beat_s = self._ping_s = self._look_s = clock()
         self._stamp_ns, self._seen_s = 0, -math.inf
+        self._images, self._detected_s = 0, clock()
 
     # -- for those who start, run and stop the service ---------------------------------------
 
@@ -85,7 +86,11 @@ class Vitals:
         self._manager.stopping()
 
     def _look(self, running: Running, now_s: float) -> None:
-        self._amiss = tuple(_amiss(running, now_s - self._seen_s))
+        stats = running.worker.stats
+        images = stats.done + stats.failed
+        if images != self._images or running.worker.idle:
+            self._images, self._detected_s = images, now_s
+        self._amiss = tuple(_amiss(running, now_s - self._seen_s, now_s - self._detected_s))
         status = running.service.status
         said = f"{status.phase}: {one_line(status.instruction, 100)}"
         if self._amiss:
@@ -121,7 +126,7 @@ class Vitals:
         return json_page({"ok": not why, "state": self.state, "why": why}, status)
 
 
-def _amiss(running: Running, unseen_s: float) -> Iterator[str]:
+def _amiss(running: Running, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
     service = running.service
     if unseen_s > service.blind_s:
         yield _UNSEEN
@@ -130,3 +135,5 @@ def _amiss(running: Running, unseen_s: float) -> Iterator[str]:
     detector = detector_health(running.worker)
     if detector.state != "ok":
         yield f"the detector is {detector.state}: {one_line(detector.detail)}"
+    elif at_one_image_s > HANGS_S:
+        yield "the detector hangs at an image"

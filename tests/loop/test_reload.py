@@ -175,7 +175,7 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
     first["perception"]["swap"] = {"images": 2, "probation": 4, "budget_ms": 1e6}
     bench = Bench(parse(first))
     before = bench.service.swapper._worker.detector
-    first["perception"]["detector"]["threads"] = 1
+    first["perception"]["detector"]["max_detections"] = 9
     new = parse(first)
     bench.reads = lambda: new
     bench.asked.set()
@@ -185,10 +185,10 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
         bench.reloader.step(0)
         if bench.reloader.outcome:
             break
-    assert bench.reloader.outcome == "switched: perception.detector.threads"
+    assert bench.reloader.outcome == "switched: perception.detector.max_detections"
     after = bench.service.swapper._worker.detector
     assert after is not before
-    assert (after.name, after.config.threads) == (before.name, 1)
+    assert (after.name, after.config.max_detections) == (before.name, 9)
     bench.service.close()
 
 

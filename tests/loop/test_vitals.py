@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -15,6 +16,8 @@ from edge.host.service_manager import ServiceManager
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
 from edge.loop.vitals import HANGS_S, Vitals
+from edge.perception.detector import Health
+from edge.perception.worker import DetectorWorker
 
 WATCHDOG_S = 8.0
 
@@ -112,6 +115,43 @@ def test_a_loop_or_a_detector_that_fails_again_and_again_is_not_ready(watched):
     assert "the detector is degraded" in said
     assert watched.page("/readyz")[0] == 503
     assert watched.page("/healthz")[0] == 200, "it goes on, and what fails may come back"
+
+
+class Stuck:
+    """A detector that never comes back from its first image, until the test is over."""
+
+    name, prompts, invalid_boxes = "stuck", ("bed",), 0
+
+    def __init__(self) -> None:
+        self.over = threading.Event()
+
+    def detect(self, observation):
+        self.over.wait()
+        raise ValueError("let go")
+
+    def health(self) -> Health:
+        return Health()
+
+    def close(self) -> None: ...
+
+
+def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
+    detector = Stuck()
+    worker = DetectorWorker(detector)
+    watched.running = running_of(watched.closed, [], worker=worker)
+    watched.vitals.ready()
+    (seen,) = blanks(watched.closed, 1)
+    watched.beat()
+    worker.submit(seen)
+    for _ in range(int(HANGS_S)):
+        watched.beat(1.0)
+    assert watched.vitals.amiss() == ("nothing to be seen",)
+    watched.beat(1.0)
+    assert "the detector hangs at an image" in watched.vitals.amiss()
+    detector.over.set()
+    worker.close()
+    watched.beat(1.0)
+    assert watched.vitals.amiss() == ("nothing to be seen",)
 
 
 def test_a_status_is_told_when_it_changes(watched):
