@@ -1,7 +1,7 @@
 """The service as systemd sees it: a process, a socket that it tells how it is, and signals.
 
-No systemd takes part, for it wants a machine of its own; the socket is real, the process is, and what
-hangs does hang.
+No systemd takes part, for it wants a machine of its own; the socket is real, the process is, and
+what hangs does hang.
 """
 
 from __future__ import annotations
