@@ -17,6 +17,8 @@ EXIT_CODES = {
     os.EX_CONFIG: "the configuration or the environment is wrong",
 }
 """What each code means. Besides these 128 + N: broken off by signal N before it could stop."""
+WILL_NOT_MEND = (os.EX_USAGE, os.EX_DATAERR, os.EX_CONFIG)
+"""Of these, those that the same command would end with again: a service is not restarted."""
 
 
 class UserError(Exception):

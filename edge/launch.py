@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -33,7 +33,7 @@ from edge.loop.service import Service
 from edge.loop.warmup import warm_up
 from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
-from edge.perception.detector import Detector
+from edge.perception.detector import Detector, Health, log_progress
 from edge.perception.factory import make_detector
 from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
@@ -62,6 +62,7 @@ def open_service(
     asked: str | None = None,
     formula: str | None = None,
     stop: threading.Event | None = None,
+    progress: Callable[[str], None] = lambda what: None,
 ) -> Iterator[Launched]:
     """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
 
@@ -75,6 +76,8 @@ def open_service(
             unfinished mission goes on, whatever the configuration says.
         stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
             (`edge.host.interruptible`).
+        progress: told what is begun, by any thread: each takes minutes at most, and what takes
+            longer is told again and again.
 
     Raises:
         Stopped: `stop` was set before the service was ready.
@@ -96,19 +99,22 @@ def open_service(
             stack.callback(keeper.close)
             brief = keeper.brief()
         if brief is None:
+            progress("understanding the mission")
             brief = prepare(mission, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
             zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
         )
         policy = unless_stopped(make_policy, stop)
-        detector = _load(config, brief.targets, make_truth(config, session), stop)
+        progress("loading the detector")
+        detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
         worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
         stack.callback(worker.close)
+        progress("loading the scorers")
         scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)
         if scorers is not None:
             stack.callback(scorers.close)
-        unless_stopped(partial(warm_up, config), stop)
+        unless_stopped(partial(warm_up, config, progress), stop)
         raise_if_stopped(stop)
         source = make_source(config=config, session=session)
         stack.callback(source.close)
@@ -144,10 +150,19 @@ def open_service(
 
 
 def _load(
-    config: Config, targets: Sequence[str], truth: TruthAt | None, stop: threading.Event
+    config: Config,
+    targets: Sequence[str],
+    truth: TruthAt | None,
+    stop: threading.Event,
+    progress: Callable[[str], None],
 ) -> Detector:
     """See `make_detector`; raises Stopped once `stop` is set."""
-    make = partial(make_detector, config.perception, targets, cancelled=stop, truth=truth)
+
+    def tell(health: Health) -> None:
+        log_progress(health)
+        progress(f"{health.state}: {health.detail}")
+
+    make = partial(make_detector, config.perception, targets, tell, cancelled=stop, truth=truth)
     if config.perception.isolation == "thread":
         return unless_stopped(make, stop)
     try:

@@ -5,20 +5,35 @@ from __future__ import annotations
 import logging
 import os
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from edge.cli.console import ConsoleSink
 from edge.config import Config
 from edge.errors import FAILED, Stopped
+from edge.host.pages import serve
+from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
+from edge.loop.reload import Reloader
 from edge.loop.runner import loop
+from edge.loop.vitals import Vitals
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
 from edge.text import one_line
 from edge.types import MissionStatus
 
 log = logging.getLogger("edge")
+
+
+@dataclass(frozen=True)
+class Reload:
+    """How the service's configuration is reloaded; see `edge.loop.reload.Reloader`."""
+
+    reread: Callable[[], Config]
+    asked: threading.Event
 
 
 def run_service(
@@ -28,18 +43,20 @@ def run_service(
     report: str | None,
     asked: str | None = None,
     formula: str | None = None,
+    reload: Reload | None = None,
 ) -> int:
     """Run the service; the exit code, see `edge.errors`.
 
     Args:
         asked, formula: the mission as given on the command line; see `open_service`.
+        reload: None: the configuration stays.
 
     Raises:
         UserError: no report can be written there (said before the run).
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(report)
-    return _conclude(_serve(config, stop, once, asked, formula), report)
+    return _conclude(_serve(config, stop, once, asked, formula, reload), report)
 
 
 def _prepare(report: str | None) -> None:
@@ -50,13 +67,26 @@ def _prepare(report: str | None) -> None:
 
 
 def _serve(
-    config: Config, stop: threading.Event, once: bool, asked: str | None, formula: str | None
+    config: Config,
+    stop: threading.Event,
+    once: bool,
+    asked: str | None,
+    formula: str | None,
+    reload: Reload | None = None,
 ) -> RunRecord:
-    recorder = Recorder(config)
-    with open_service(config, [ConsoleSink(), recorder], asked, formula, stop) as running:
+    recorder, vitals = Recorder(config), Vitals(ServiceManager())
+    sinks = [ConsoleSink(), recorder]
+    with (
+        serve(vitals.pages(), config.http.host, config.http.port),
+        open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
+    ):
+        if reload is not None:
+            running.reloader = Reloader(running.service, reload.reread, reload.asked)
         instruction = running.service.mission.brief.translation.instruction
         log.info("ready: %s, on %s", one_line(instruction), config.zenoh.endpoint)
-        loop(running, stop, once)
+        vitals.ready()
+        loop(running, stop, once, partial(vitals.beat, running))
+        vitals.stopping()
         return recorder.record(running.service.result(), running.source.counters)
 
 

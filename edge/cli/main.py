@@ -11,12 +11,18 @@ import logging
 import os
 import signal
 import sys
+from functools import partial
 
 from edge.cli.parsers import make_parser
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_unjoined
 from edge.host.kernel_cache import kernel_cache
-from edge.host.signals import break_off_on_signals, show_stacks_on_signals, stop_on_signals
+from edge.host.signals import (
+    break_off_on_signals,
+    reload_on_hang_up,
+    show_stacks_on_signals,
+    stop_on_signals,
+)
 from edge.logs import setup
 from edge.text import printable_lines, without_secrets
 
@@ -92,10 +98,12 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 def _run(args: argparse.Namespace) -> int:
     stop = stop_on_signals()  # first of all: it takes seconds to import what follows
-    from edge.cli.commands import run_service
+    hung_up = reload_on_hang_up()
+    from edge.cli.commands import Reload, run_service
 
     config, asked = load_config(args), args.target or args.mission
-    return run_service(config, stop, args.once, args.report, asked, args.formula)
+    reload = Reload(partial(load_config, args), hung_up)
+    return run_service(config, stop, args.once, args.report, asked, args.formula, reload)
 
 
 def _demo(args: argparse.Namespace) -> int:

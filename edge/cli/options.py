@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Callable
 from importlib import import_module
 
@@ -51,6 +52,13 @@ def seed(text: str) -> int:
     if not 0 <= value < 1 << 63:
         raise argparse.ArgumentTypeError(f"must be between 0 and 2**63 - 1, got {text}")
     return value
+
+
+def unit_name(text: str) -> str:
+    """A name that a systemd unit and its folders may have."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", text):
+        raise argparse.ArgumentTypeError(f"expected letters, digits, - and _, got {text!r}")
+    return text
 
 
 def cores() -> int:

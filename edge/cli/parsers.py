@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from edge import __version__
 from edge.cli import model_parsers, requests
-from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares
+from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares, unit_name
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
 
@@ -36,7 +36,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, add in _OWN.items():
         add(commands).set_defaults(handler=handlers.get(name))
-    for add in (_mission, model_parsers.add, _record, _bench, _eval, _doctor):
+    for add in (_mission, model_parsers.add, _record, _bench, _eval, _install_service, _doctor):
         add(commands)
     return parser
 
@@ -315,6 +315,25 @@ def _eval_results(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
     results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
+
+
+def _install_service(commands) -> None:  # type: ignore[no-untyped-def]
+    install = commands.add_parser(
+        "install-service", help="write a systemd unit that runs the service with a configuration"
+    )
+    install.add_argument("config", help=CONFIG)
+    install.add_argument(
+        "--name", type=unit_name, default="edge", help="of the unit (default: %(default)s)"
+    )
+    install.add_argument(
+        "--user", help="run as this user; default: one that systemd makes up, and who can read "
+        "no one's home folder"
+    )  # fmt: skip
+    install.add_argument(
+        "--out", metavar="FILE", help="write it there; `-` prints it (default: "
+        "/etc/systemd/system/NAME.service, which takes root)"
+    )  # fmt: skip
+    install.set_defaults(handler=lazy("edge.cli.install_service", "run"))
 
 
 def _doctor(commands) -> None:  # type: ignore[no-untyped-def]

@@ -5,7 +5,7 @@
 Everything is checked here, once; the loop checks nothing.
 """
 
-from edge.config.loop import Loop, Report, Source, Zenoh
+from edge.config.loop import Http, Loop, Report, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import (
     Mission,
@@ -53,6 +53,7 @@ __all__ = [
     "ConfigError",
     "DetectorOnnx",
     "DetectorSim",
+    "Http",
     "Lidar",
     "Loop",
     "Mapping",

@@ -83,6 +83,14 @@ class Report(Section):
     map_hz: Positive = 2.0
 
 
+class Http(Section):
+    """Pages about the service, such as `/readyz` (docs/service.md), on `port`; null: none. Whoever
+    reaches `host` may read them, so by default that is this machine alone."""
+
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+
+
 class Sink(Section):
     """Where results go: a short name (`edge/sinks/__init__.py`), or `module:Class` of one's own.
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import ValidationError, model_validator
 
 from edge.config.explain import explain
-from edge.config.loop import Loop, Report, Sink, Sinks, Source, Zenoh
+from edge.config.loop import Http, Loop, Report, Sink, Sinks, Source, Zenoh
 from edge.config.mapping import Mapping
 from edge.config.mission import Mission
 from edge.config.perception import Perception
@@ -50,6 +50,7 @@ class Config(Section):
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
+    http: Http = Http()
     sinks: Sinks = (Sink(kind="zenoh"),)
 
     @model_validator(mode="before")

@@ -59,6 +59,19 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
     return stop
 
 
+def reload_on_hang_up() -> threading.Event:
+    """An event that SIGHUP sets, in place of what `stop_on_signals` has it do.
+
+    A process with a terminal is hung up on when that is closed, and `nohup` has SIGHUP ignored:
+    in both cases it goes on to mean what it meant, and the event is never set.
+    """
+    asked = threading.Event()
+    if not _has_terminal() and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        _act({signal.SIGHUP: lambda signum: asked.set()})
+        signal.signal(signal.SIGHUP, lambda signum, frame: None)
+    return asked
+
+
 def show_stacks_on_signals() -> None:
     """Have any signal of `SHOW` write to stderr where every thread is, and change nothing else."""
     _act(dict.fromkeys(SHOW, _show_stacks))
@@ -104,6 +117,15 @@ def _show_stacks(_signum: int) -> None:
         parts += traceback.format_stack(frame)
     sys.stderr.write("".join(parts))
     sys.stderr.flush()
+
+
+def _has_terminal() -> bool:
+    """Whether there is one that controls this process."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
+    except OSError:
+        return False
+    return True
 
 
 def _watch_parent(parent: int, stop: threading.Event) -> None:

@@ -33,6 +33,7 @@ class CandidatePool:
         candidates: refreshed in place by every update.
         shown: the same, read-only.
         anchor_m: (capacity, 2) float32, where each frontier was first seen.
+        r_assoc_m: how far a frontier may move and be the same; may be set.
     """
 
     def __init__(self, capacity: int, r_assoc_m: float) -> None:
@@ -41,7 +42,7 @@ class CandidatePool:
         self.anchor_m = np.zeros((capacity, 2), np.float32)
         self._lasting = (c.xy_m, self.anchor_m, c.id, c.first_seen_ns, c.gain_m2)
         self._before = tuple(np.empty_like(array) for array in self._lasting)
-        self._r_assoc_m = r_assoc_m
+        self.r_assoc_m = r_assoc_m
         self._next_id = 1
         self._measure_next = 0
         self._measured = np.zeros(capacity, np.int32)
@@ -76,7 +77,7 @@ class CandidatePool:
         old_xy_m, *before = self._before
         _associate(
             old_xy_m, before[0], n_old, frontiers.xy_m, n_new,
-            self._r_assoc_m, self._match, self._claim,
+            self.r_assoc_m, self._match, self._claim,
         )  # fmt: skip
         c.xy_m[:n_new] = frontiers.xy_m[:n_new]
         c.kind[:n_new] = FRONTIER
@@ -102,7 +103,7 @@ class CandidatePool:
         _mark_blocked(
             c.xy_m, c.kind, c.id, c.n,
             self._discarded_xy_m, self._discarded_kind, self._discarded_id,
-            self._discarded_until_ns, now_ns, self._r_assoc_m, c.blocked,
+            self._discarded_until_ns, now_ns, self.r_assoc_m, c.blocked,
         )  # fmt: skip
         self.shown.n, self.shown.stamp_ns = c.n, c.stamp_ns
 
@@ -146,7 +147,7 @@ class CandidatePool:
         _mark_blocked(
             c.xy_m[last], c.kind[last], c.id[last], 1,
             self._discarded_xy_m, self._discarded_kind, self._discarded_id,
-            self._discarded_until_ns, now_ns, self._r_assoc_m, c.blocked[last],
+            self._discarded_until_ns, now_ns, self.r_assoc_m, c.blocked[last],
         )  # fmt: skip
 
     def discard(

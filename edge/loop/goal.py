@@ -421,6 +421,11 @@ class GoalTracker:
         self.drop()
         self._next_view.start_over()
 
+    def reconfigure(self, config: Config) -> None:
+        """Go by another configuration; see `edge.loop.reload.LIVE` for what may differ."""
+        self._config = config
+        self._next_view.enough = config.perception.confirm_hits
+
     def forget_places(self) -> None:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
         self.rest()

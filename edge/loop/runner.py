@@ -13,6 +13,7 @@ from typing import Protocol
 from edge.config import Config
 from edge.host.priority import real_time
 from edge.loop.faults import IDLE, TICK
+from edge.loop.reload import Reloader
 from edge.loop.service import DETECT, INGEST, Service
 from edge.loop.source import NO_DROPS, Source
 from edge.loop.stages import STAGES
@@ -33,7 +34,13 @@ class Server(Protocol):
 
 @dataclass
 class Running:
-    """A service, what it listens to, and what is asked of it."""
+    """A service, what it listens to, and what is asked of it.
+
+    Attributes:
+        config: of the start.
+        epoch: of the source, as the service knows it.
+        reloader: changes the service's configuration when it is asked to; None: nobody asks.
+    """
 
     config: Config
     service: Service
@@ -41,6 +48,7 @@ class Running:
     source: Source
     servers: Mapping[str, Server]
     epoch: int = field(default=0, init=False)
+    reloader: Reloader | None = field(default=None, init=False)
 
 
 def loop(
@@ -111,7 +119,6 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
     taken as long, in real time, as the mission may, it is over all the same. Where it was set
     anew, the loop's time goes on from where it was.
     """
-    limit_s = running.config.mission.time_limit_s
     seen_s, now_ns, stamp_ns = time.monotonic(), 0, 0
     while not stop.is_set():
         observation = _hear(running, now_ns) if _wait(running, now_ns) else None
@@ -122,7 +129,7 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
         _obey(running, now_ns)
         if observation is not None:
             _tick(running, observation, now_ns)
-        elif time.monotonic() - seen_s > limit_s:
+        elif time.monotonic() - seen_s > (limit_s := running.service.config.mission.time_limit_s):
             running.service.mission.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
@@ -163,12 +170,16 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next requests from outside, if there are any, and the next step of a swap."""
+    """Take the next requests from outside, if there are any, and the next step of a swap or of a
+    reload."""
     service = running.service
     for key, server in running.servers.items():
         service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
     with service.faults.outlived("swap", now_ns):
         service.swapper.step(now_ns)
+    if running.reloader is not None:
+        with service.faults.outlived("reload", now_ns):
+            running.reloader.step(now_ns)
 
 
 def _idle(running: Running, now_ns: int, dropped: Observation | None = None) -> None:

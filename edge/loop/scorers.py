@@ -119,6 +119,7 @@ class Scorers:
 
     Attributes:
         answers: the newest ones.
+        feeds: which of the two the value maps are written from; may be set.
     """
 
     def __init__(
@@ -137,12 +138,12 @@ class Scorers:
             score_of: what it makes of them.
             rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
-            feeds: which of the two the value maps are written from.
+            feeds: see the attribute.
         """
         self.answers = Answers()
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
-        self._feeds = feeds
+        self.feeds = feeds
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
@@ -178,14 +179,14 @@ class Scorers:
         """
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
-            sight = values.sight(observation) if self._feeds == "similarity" else None
+            sight = values.sight(observation) if self.feeds == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))
         if choice is not None and choice.idle:
             c = candidates
             open_ = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
             marks = visible_marks(observation, c.xy_m[open_], c.id[open_])
             if marks:
-                sight = values.sight(observation) if self._feeds == "choice" else None
+                sight = values.sight(observation) if self.feeds == "choice" else None
                 about = self._asked_about(targets, target)
                 xy_m, lift = _places_m(observation.pose, marks), None
                 if self._by_prior and prior is not None:
@@ -201,7 +202,7 @@ class Scorers:
             self._detector = detections.model
             score = self._score_of(detections)
             said = Similarity(seen.stamp_ns, seen.pose, detections.prompts, score)
-            sight = values.sight(seen) if self._feeds == "similarity" else None
+            sight = values.sight(seen) if self.feeds == "similarity" else None
             self._take_similarity(said, sight, values)
 
     def take_up(self, values: ValueMap) -> None:
@@ -231,7 +232,7 @@ class Scorers:
         Every other one is about the active target; where the value maps are written from the
         answers, the rest go to the other targets in turn (ViTL keeps a channel for each).
         """
-        others = [t for t in targets if t != target] if self._feeds == "choice" else []
+        others = [t for t in targets if t != target] if self.feeds == "choice" else []
         self._turn += 1
         if not others or self._turn % 2:
             return target

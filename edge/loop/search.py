@@ -116,6 +116,7 @@ class NextBestView:
         enough: images of the detector, for which the robot stays at a view.
 
     Attributes:
+        enough: the same; may be set.
         done: there is nothing left that could be seen better.
         views: how many views the robot has seen, from where they are or on the way there.
     """
@@ -123,7 +124,7 @@ class NextBestView:
     def __init__(self, enough: int) -> None:
         self.done = False
         self.views = 0
-        self._enough = enough
+        self.enough = enough
         self._view: Viewpoint | None = None
         self._searching = self._given_up = False
         self._came_at: int | None = None  # the detector's count of images when the robot came
@@ -162,7 +163,7 @@ class NextBestView:
         self.done = self._searching = self._given_up = False
 
     def _over(self, images: int) -> bool:
-        stayed = self._came_at is not None and images - self._came_at >= self._enough
+        stayed = self._came_at is not None and images - self._came_at >= self.enough
         return stayed or self._given_up
 
     def _search(self, grid: RollingMap) -> None:

@@ -66,6 +66,7 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
+        blind_s: so long without an observation no one drives on.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
@@ -117,7 +118,7 @@ class Service:
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
         self._looked_ns = 0  # when the last observation was dealt with
-        self._blind_ns = int(1e9 * max(BLIND_S, 3.0 / config.observed_hz))
+        self.blind_s = max(BLIND_S, 3.0 / config.observed_hz)
         self._newest_seq = self._void_seq = -1
         if keeper is not None:
             keeper.resume(self.mission)
@@ -356,6 +357,26 @@ class Service:
         self.goals.forget_mission()
         self.mission.start(now_ns)
 
+    def reconfigure(self, config: Config, policy: Policy) -> None:
+        """Go by another configuration from the next tick on.
+
+        Args:
+            config: differs from the present one in what `edge.loop.reload.LIVE` names only; its
+                detector runs already.
+            policy: of this configuration; the present one where its settings are the same.
+        """
+        if config.value_source != self.config.value_source:
+            self.grid.values.begin(())  # what another scorer said means something else
+        self.config, self.policy = config, policy
+        self.tracker.config = self.sightings.config = self._lifter.config = config.perception
+        self.swapper.perception = config.perception
+        self.mission.config = config.mission
+        self.pool.r_assoc_m = config.policy.r_assoc_m
+        self.goals.reconfigure(config)
+        if self._scorers is not None:
+            self._scorers.feeds = config.value_source
+        self._keep_values()
+
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
         self._publisher.answers.append(answer)
@@ -369,7 +390,7 @@ class Service:
             dropped: the observation that a stage failed on, if one came. It is dealt with, which
                 a simulator in lockstep waits to hear.
         """
-        blind = self.pose is not None and now_ns - self._looked_ns > self._blind_ns
+        blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
         if blind and pose is not None:
             self.pose = pose
         looking = self.pose is not None and not blind

@@ -31,8 +31,11 @@ log = logging.getLogger("edge.loop.warmup")
 _SLOW_S = 3.0
 
 
-def warm_up(config: Config) -> float:
+def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None) -> float:
     """Run every kernel once on made-up data.
+
+    Args:
+        progress: told what is begun.
 
     Returns:
         Seconds it took.
@@ -41,14 +44,16 @@ def warm_up(config: Config) -> float:
         ("mapping", lambda: warm_mapping(config.mapping)),
         ("perception", lambda: warm_perception()),
         ("prior", lambda: warm_prior(config)),
-        ("policy", lambda: _warm_policy(config)),
+        ("policy", lambda: warm_policy(config)),
         ("planner", warm_planners),
         ("messages", warm_messages),
     ]
     started = perf_counter()
     for i, (name, step) in enumerate(steps, start=1):
         before = perf_counter()
-        log.info("preparing kernels %d/%d: %s", i, len(steps), name)
+        what = f"preparing kernels {i}/{len(steps)}: {name}"
+        log.info(what)
+        progress(what)
         step()
         if perf_counter() - before > _SLOW_S:
             log.info("compiled %s kernels in %.0f s; the next start finds them in the cache",
@@ -56,7 +61,7 @@ def warm_up(config: Config) -> float:
     return perf_counter() - started
 
 
-def _warm_policy(config: Config) -> None:
+def warm_policy(config: Config) -> None:
     """One scoring pass over a map with one frontier and one box in the image.
 
     One's own policy compiles what it needs when it is made.

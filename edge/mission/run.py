@@ -39,6 +39,7 @@ class MissionRun:
         paused: time and path do not count, nothing is pursued.
         turns: counts how often a target was set out for.
         changes: counts everything that a checkpoint should hold.
+        config: its limits; may be set to one with others.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class MissionRun:
         self.reason = ""
         self.steps: tuple[Step, ...] = ()
         self._instruction = one_line(brief.translation.instruction)
-        self._config = config
+        self.config = config
         self._tell = tell
         translation = brief.translation
         self._planner = make_planner(config.planner, brief.automaton, translation.instruction)
@@ -151,7 +152,7 @@ class MissionRun:
 
     def check_limits(self, now_ns: int) -> None:
         """Fail at the time or path limit; a target sought for too long counts as failed."""
-        c = self._config
+        c = self.config
         if self.done or self.paused:
             return
         if self.elapsed_s > c.time_limit_s:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -90,3 +93,71 @@ def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "stopped\n"
     assert process.poll() is None, "SIGTERM was the first, not the second"
+
+
+# Says "again" when it is asked to reload, "stopped" when it is to stop.
+RELOADS = """
+import signal, sys, threading
+signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
+from edge.host.signals import break_off_on_signals, reload_on_hang_up, stop_on_signals
+break_off_on_signals()
+stop, again = stop_on_signals(), reload_on_hang_up()
+print("ready", flush=True)
+while not stop.wait(0.01):
+    if again.is_set():
+        again.clear()
+        print("again", flush=True)
+print("stopped", flush=True)
+"""
+
+
+@pytest.fixture
+def reloads() -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts it without a terminal, as a service manager does."""
+    started = []
+
+    def start(*words: str) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, "-c", RELOADS, *words], text=True, stdout=subprocess.PIPE,
+            start_new_session=True,
+        )  # fmt: skip
+        started.append(process)
+        assert process.stdout.readline() == "ready\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_without_a_terminal_a_hang_up_asks_for_a_reload_each_time_and_stops_nothing(reloads):
+    process = reloads()
+    for _ in range(2):
+        process.send_signal(signal.SIGHUP)
+        assert process.stdout.readline() == "again\n"
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "stopped\n"
+    assert process.wait() == 0, "the hang-ups did not count as first signals to stop"
+
+
+def test_a_hang_up_that_nohup_has_ignored_asks_for_no_reload(reloads):
+    process = reloads("nohup")
+    process.send_signal(signal.SIGHUP)
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "stopped\n"
+
+
+def test_a_terminal_that_is_closed_stops_what_runs_in_it():
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", RELOADS])
+    said = b""
+    while b"ready" not in said:
+        said += os.read(terminal, 1024)
+    os.kill(pid, signal.SIGHUP)
+    while b"stopped" not in said:
+        said += os.read(terminal, 1024)
+    assert b"again" not in said
+    assert os.waitpid(pid, 0)[1] == 0
+    os.close(terminal)

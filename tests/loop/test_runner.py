@@ -136,7 +136,7 @@ def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeyp
 
         return note
 
-    monkeypatch.setattr(launch, "warm_up", lambda config: None)
+    monkeypatch.setattr(launch, "warm_up", lambda config, progress: None)
     for name in STEPS:
         monkeypatch.setattr(launch, name, noting(name, getattr(launch, name)))
     with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):

@@ -189,7 +189,7 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
 def test_rare_frames_are_waited_for():
     loop = driving()
     slow = config(sensors={"camera": {"rate_hz": 1.0}}, mission={"target": "surfboard"})
-    loop.service._blind_ns = ClosedLoop(slow).service._blind_ns
+    loop.service.blind_s = ClosedLoop(slow).service.blind_s
     seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(loop.notes.goals)
     loop.service.idle(seen_ns + 29 * TICK_NS, loop.service.pose)
     assert len(loop.notes.goals) == before

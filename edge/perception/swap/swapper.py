@@ -48,6 +48,9 @@ class Swapper:
         tell: called with a line for everything that happens, and the loop's time.
         make: makes the new detector.
         clock: seconds, for `load_timeout_s`.
+
+    Attributes:
+        perception: what models are made and judged by, but for their name; may be set.
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class Swapper:
         make: Make = make_detector,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._perception, self._worker, self._tell = perception, worker, tell
+        self.perception, self._worker, self._tell = perception, worker, tell
         self._make, self._clock = make, clock
         self._attempt: _Attempt | None = None
         self._ended: list[_Attempt] = []
@@ -66,12 +69,16 @@ class Swapper:
         self._number = 0
         self._over = {"state": "idle", "model": worker.detector.name, "previous": "", "detail": ""}
 
-    def request(self, model: str, force: bool, now_ns: int) -> None:
+    def request(
+        self, model: str, force: bool, now_ns: int, perception: Perception | None = None
+    ) -> None:
         """Begin to swap a model in.
 
         Args:
             model: a detector's card.
             force: too slow or too different is told, not held against it.
+            perception: to make and judge it by, in the place of `self.perception`; the model may
+                then be the one that runs, made anew.
 
         Raises:
             SwapError: it runs already, another swap is under way, or a model that was refused
@@ -80,13 +87,14 @@ class Swapper:
         if self._attempt is not None:
             raise SwapError(f"{self._attempt.model} is still {self.state}; wait until that is over")
         running = self._worker.detector.name
-        if model == running:
+        if model == running and perception is None:
             raise SwapError(f"{model} runs already")
         if late := next((one.model for one in self._ended if one.trying), None):
             raise SwapError(f"{late}, which was refused, is still being loaded; try again later")
         self._number += 1
-        self._until_s = self._clock() + self._perception.swap.load_timeout_s
-        self._attempt = _Attempt(model, force, self._perception, self._worker, self._make)
+        attempt = _Attempt(model, force, perception or self.perception, self._worker, self._make)
+        self._attempt = attempt
+        self._until_s = self._clock() + attempt.perception.swap.load_timeout_s
         self._worker.watch = self._attempt.see
         self._tell(f"model {model}: loading beside {running}", now_ns)
 
@@ -105,11 +113,16 @@ class Swapper:
             elif verdict:
                 self._end(attempt, "kept", verdict, now_ns)
         elif not attempt.fault and attempt.switch():
-            n, finding = self._perception.swap.probation, attempt.finding
+            n, finding = attempt.perception.swap.probation, attempt.finding
             line = f"switched to, on probation for {n} images; {finding}"
             self._tell(f"model {attempt.model}: {line}", now_ns)
         elif fault := attempt.fault or self._overdue(attempt):
             self._end(attempt, "refused", f"{fault}; {previous.name} goes on", now_ns)
+
+    @property
+    def running(self) -> str:
+        """The model at work."""
+        return self._worker.detector.name
 
     @property
     def state(self) -> str:
@@ -141,7 +154,7 @@ class Swapper:
 
     def _overdue(self, attempt: _Attempt) -> str:
         """Why a model is not waited for any longer; empty while it is."""
-        limit_s = self._perception.swap.load_timeout_s
+        limit_s = attempt.perception.swap.load_timeout_s
         if self._clock() <= self._until_s:
             return ""
         what = attempt.progress or ("not loaded" if attempt.detector is None else "not ready")
@@ -170,6 +183,7 @@ class _Attempt:
 
     Attributes:
         model: the card's name.
+        perception: what it is made and judged by.
         previous: the detector that runs when the attempt begins.
         detector: the model once it is loaded.
         busy: what loading takes its time with, in one line; empty when it is nothing special.
@@ -189,7 +203,7 @@ class _Attempt:
         self.busy = self.finding = self.fault = ""
         self.trying, self.switched, self._won = True, False, False
         self.over = threading.Event()
-        self._perception, self._worker, self._make = perception, worker, make
+        self.perception, self._worker, self._make = perception, worker, make
         self._samples = deque(maxlen=perception.swap.images)
         self._latencies_ns: list[int] = []
         self._invalid = 0
@@ -199,7 +213,7 @@ class _Attempt:
     @property
     def progress(self) -> str:
         """How far it is, for a person; changes with every image."""
-        swap, n = self._perception.swap, len(self._samples)
+        swap, n = self.perception.swap, len(self._samples)
         if self.switched:
             return f"{len(self._latencies_ns)} of {swap.probation} images"
         if self.detector is None or self.finding:
@@ -240,7 +254,7 @@ class _Attempt:
 
     def verdict(self) -> str:
         """How it did on probation, once that is over; a fault is set where it did badly."""
-        swap, health = self._perception.swap, self.detector.health()
+        swap, health = self.perception.swap, self.detector.health()
         if health.state in ("restarting", "degraded"):
             self.fault = self.fault or f"{health.state}: {health.detail}"
         if self.fault or len(self._latencies_ns) < swap.probation:
@@ -300,17 +314,17 @@ class _Attempt:
     def _try(self) -> None:
         prompts = self._worker.detector.prompts
         self.detector = self._make(
-            variant(self._perception, self.model), prompts, self._loading, cancelled=self.over
+            variant(self.perception, self.model), prompts, self._loading, cancelled=self.over
         )
         self.busy = ""
-        while len(self._samples) < self._perception.swap.images and not self.over.is_set():
+        while len(self._samples) < self.perception.swap.images and not self.over.is_set():
             time.sleep(_LOOK_S)
         if self.over.is_set():  # given up, perhaps while it was loaded
             return
         self._follow_prompts()
         running = self.previous.name
         self.finding = judge(
-            self.detector, tuple(self._samples), self._perception, running,
+            self.detector, tuple(self._samples), self.perception, running,
             related(self.model, running), self._force,
         )  # fmt: skip
         self.trying = False

@@ -1,0 +1,202 @@
+"""`edge install-service`: a systemd unit with the paths, user and groups of this installation.
+
+The unit is hardened as far as numba (which compiles), Zenoh's shared memory, cameras and GPUs
+allow: no `MemoryDenyWriteExecute`, no `PrivateIPC`, no `PrivateDevices`. Neither is `PrivateUsers`
+set, under which groups mean nothing, nor `ProcSubset=pid`, under which no CPU is found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import grp
+import os
+import pwd
+import stat
+import sys
+from pathlib import Path
+
+from edge.config import Config, DetectorOnnx, load
+from edge.errors import WILL_NOT_MEND, UnavailableError, UserError
+from edge.host import resources
+from edge.host.files import save
+from edge.loop.vitals import HANGS_S
+
+UNITS = Path("/etc/systemd/system")
+_GROUPS = ("video", "render")
+_HOMES = ("/home", "/root", "/run/user")
+_UNREADABLE = "{path}: user {user} cannot read it; put it where all can (such as /opt), {instead}"
+_DEVICES = (
+    "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
+    "/dev/nvhost-gpu", "/dev/nvhost-as-gpu", "/dev/nvhost-prof-gpu", "char-drm",
+    "char-video4linux",
+)  # fmt: skip
+
+_UNIT = """\
+# Written by `edge install-service`; write it again after a move, or change it by `systemctl edit`.
+[Unit]
+Description=edge: vision-language navigation ({name})
+Wants=network-online.target
+After=network-online.target
+StartLimitIntervalSec=300
+StartLimitBurst=10
+
+[Service]
+Type=notify
+ExecStart={command}
+ExecReload=/bin/kill -HUP $MAINPID
+EnvironmentFile=-/etc/default/{name}
+Environment=EDGE_CACHE_DIR=%C/{name}
+StateDirectory={name}
+CacheDirectory={name}
+WorkingDirectory=%S/{name}
+{user}
+TimeoutStopSec=30
+WatchdogSec={watchdog_s:g}
+# Says in the journal where every thread is, before SIGKILL ends it.
+WatchdogSignal=SIGUSR1
+TimeoutAbortSec=2
+Restart=on-failure
+RestartSec=2
+RestartPreventExitStatus={no_restart}
+{real_time}
+
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+UMask=0077
+ProtectSystem=strict
+ProtectHome={homes}
+PrivateTmp=yes
+PrivateMounts=yes
+ProtectProc=invisible
+ProtectClock=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+ProtectControlGroups=yes
+LockPersonality=yes
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+KeyringMode=private
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallFilter=~@privileged
+SystemCallErrorNumber=EPERM
+DevicePolicy=closed
+{devices}
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge install-service CONFIG`.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        UserError: the user is not there, or could not read what it is to run.
+        FileError: the unit cannot be written.
+    """
+    config = load(args.config)
+    config = config.model_copy(update={"path": str(Path(config.path).resolve())})
+    text = unit(config, args.name, args.user)
+    if args.out == "-":
+        print(text, end="")
+        return 0
+    out = Path(args.out) if args.out else UNITS / f"{args.name}.service"
+    save(out, text.encode())
+    print(f"{out}: written; then:")
+    if isinstance(detector := config.perception.detector, DetectorOnnx):
+        cache = f"EDGE_CACHE_DIR=/var/cache/{args.name}"
+        print(f"  sudo {cache} {_edge()} models check {detector.model}")
+    print(f"  sudo systemctl daemon-reload\n  sudo systemctl enable --now {args.name}")
+    return 0
+
+
+def unit(config: Config, name: str, user: str | None) -> str:
+    """The unit's text.
+
+    Args:
+        config: `path` is absolute.
+        name: of the unit, and of its folders below /var/lib and /var/cache.
+        user: None: one that systemd makes up (`DynamicUser`).
+
+    Raises:
+        UserError: see `run`.
+    """
+    needed = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
+    _check_readable(needed, user)
+    words = (sys.executable, "-m", "edge.cli", "run", config.path)
+    priority = config.loop.priority
+    return _UNIT.format(
+        name=name,
+        command=" ".join(map(_word, words)),
+        user=_user(user),
+        homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
+        # The loop is known to hang before it is killed, so that `/healthz` says so first.
+        watchdog_s=2 * HANGS_S,
+        no_restart=" ".join(map(str, WILL_NOT_MEND)),
+        real_time=f"LimitRTPRIO={priority}" if priority else "RestrictRealtime=yes",
+        devices="\n".join(f"DeviceAllow={device} rw" for device in _DEVICES),
+    )
+
+
+def _user(user: str | None) -> str:
+    lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
+    known = {group.gr_name for group in grp.getgrall()}  # an unknown one would end the start
+    if groups := [group for group in _GROUPS if group in known]:
+        lines.append(f"SupplementaryGroups={' '.join(groups)}")
+    return "\n".join(lines)
+
+
+def _word(text: str) -> str:
+    """A word of `ExecStart=`, whatever is in it."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{escaped}"' if any(c in " \t'\"\\;" for c in text) else escaped
+
+
+def _edge() -> str:
+    beside = Path(sys.executable).with_name("edge")
+    return str(beside) if beside.exists() else f"{sys.executable} -m edge.cli"
+
+
+def _in_a_home(path: Path) -> bool:
+    return any(place.is_relative_to(home) for home in _HOMES for place in (path, path.resolve()))
+
+
+def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
+    """Raises UserError for the first path that the service's user could not read."""
+    uid, gids = None, frozenset[int]()
+    if user is not None:
+        try:
+            found = pwd.getpwnam(user)
+        except KeyError:
+            raise UserError(f"--user: {user!r:.80}: there is no such user here") from None
+        uid, gids = found.pw_uid, frozenset(os.getgrouplist(user, found.pw_gid))
+    instead = "or run it as yourself by --user" if user is None else "or let that user read it"
+    for path in paths:
+        for place in (path, path.resolve()):
+            for step in (*place.parents, place):
+                if not _may_read(step, uid, gids):
+                    raise UserError(_UNREADABLE.format(
+                        path=step, user=user or "of systemd's making", instead=instead
+                    ))  # fmt: skip
+
+
+def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:
+    """By the file's mode alone; folders on the way need only be gone through."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise UnavailableError(f"{path}: {error.strerror}") from None
+    need = stat.S_IXOTH if stat.S_ISDIR(found.st_mode) else stat.S_IROTH
+    if uid == 0:
+        return True
+    if uid is not None and found.st_uid == uid:
+        need <<= 6
+    elif found.st_gid in gids:
+        need <<= 3
+    return bool(found.st_mode & need)

@@ -1,0 +1,230 @@
+"""Another configuration in the running service: read and made ready beside, then switched to.
+
+All of it or nothing: where any key that has changed cannot be switched while the service runs, or
+anything of the new configuration is not to be had, the service goes on as it was, and says why.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+from edge.config import Config, DetectorOnnx, Perception, Section
+from edge.errors import UserError
+from edge.host.interruptible import start_unjoined
+from edge.loop.service import Service
+from edge.loop.warmup import warm_policy
+from edge.perception.similarity import is_running_detector, similarity_card
+from edge.perception.swap.swapper import OVER
+from edge.policies import make_policy
+from edge.policies.base import Policy
+from edge.text import one_line
+
+log = logging.getLogger("edge.loop.reload")
+
+_DETECTOR = ("perception.detector", "perception.isolation", "perception.process")
+LIVE = (
+    "policy",
+    *_DETECTOR,
+    "perception.swap",
+    "perception.tau_det",
+    "perception.lift_min_points",
+    "perception.lift_max_range_m",
+    "perception.voxel_m",
+    "perception.merge_m",
+    "perception.min_hits",
+    "perception.confirm_score",
+    "perception.confirm_range_m",
+    "perception.confirm_hits",
+    "perception.confirm_mean",
+    "perception.confirm_lead",
+    "perception.refute_radius_m",
+    "mission.search_limit_s",
+    "mission.time_limit_s",
+    "mission.path_limit_m",
+    "mission.reach_m",
+    "mission.verify_s",
+    "mission.discard_s",
+)
+"""Keys that can be switched while the service runs, with all that is below them."""
+_INSTEAD = {
+    "mission.target": "give the running service another mission by `edge mission new`",
+    "mission.instruction": "give the running service another mission by `edge mission new`",
+}
+_MOST_CHARS = 600
+
+
+class ReloadError(UserError):
+    """Why a configuration cannot be switched to; one line."""
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """A configuration that can be switched to.
+
+    Attributes:
+        changed: its keys that differ from the present one's.
+        policy: made for it; None: the present one stays.
+        model: of a detector that must be put in the place of the present one; None: it stays.
+    """
+
+    config: Config
+    changed: tuple[str, ...]
+    policy: Policy | None
+    model: str | None
+
+
+class Reloader:
+    """Reloads the configuration of a service, one reload after another.
+
+    `step` is for the loop's thread. A new detector goes through the swapper's trial and probation
+    first; the rest is switched once that is kept.
+
+    Args:
+        reread: reads the configuration again, as it was read at the start.
+        asked: set, by any thread, to ask for a reload.
+
+    Attributes:
+        outcome: of the newest reload, in one line; empty before the first.
+    """
+
+    def __init__(
+        self, service: Service, reread: Callable[[], Config], asked: threading.Event
+    ) -> None:
+        self.outcome = ""
+        self._service, self._reread, self._asked = service, reread, asked
+        self._preparing: Future[_Ready] | None = None
+        self._swapping: _Ready | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a reload is under way."""
+        return self._preparing is not None or self._swapping is not None
+
+    def step(self, now_ns: int) -> None:
+        """Take the next step, if it is time for one: between two ticks, and never waiting."""
+        try:
+            if self._swapping is not None:
+                self._wait_for_model(self._swapping, now_ns)
+            elif self._preparing is not None:
+                self._take_up(self._preparing, now_ns)
+            elif self._asked.is_set():
+                self._begin()
+        except Exception as error:
+            self._preparing = self._swapping = None
+            known = isinstance(error, UserError)
+            why = str(error) if known else f"{type(error).__name__}: {error}"
+            log.debug("reload", exc_info=True)
+            self._end(f"refused, nothing has changed: {_lines(why)}", now_ns)
+
+    def _begin(self) -> None:
+        self._asked.clear()
+        log.info("reload: reading the configuration")
+        present, worker = self._service.config, self._service.swapper.running
+        preparing: Future[_Ready] = Future()
+        self._preparing = preparing
+
+        def prepare() -> None:
+            try:
+                preparing.set_result(_prepare(present, self._reread(), worker))
+            except BaseException as error:
+                preparing.set_exception(error)
+
+        start_unjoined("reload", prepare)
+
+    def _take_up(self, preparing: Future[_Ready], now_ns: int) -> None:
+        if not preparing.done():
+            return
+        self._preparing = None
+        ready = preparing.result()
+        if not ready.changed:
+            self._end("nothing has changed", now_ns)
+        elif ready.model is None:
+            self._switch(ready, now_ns)
+        else:
+            new = ready.config.perception
+            self._service.swapper.request(ready.model, False, now_ns, new)
+            self._swapping = ready
+
+    def _wait_for_model(self, ready: _Ready, now_ns: int) -> None:
+        swap = self._service.swapper.status()
+        if swap["state"] not in OVER:
+            return
+        self._swapping = None
+        if swap["state"] != "kept":
+            raise ReloadError(f"perception.detector: {swap['state']}: {swap['detail']}")
+        self._switch(ready, now_ns)
+
+    def _switch(self, ready: _Ready, now_ns: int) -> None:
+        service = self._service
+        policy = service.policy if ready.policy is None else ready.policy
+        service.reconfigure(ready.config, policy)
+        self._end(f"switched: {', '.join(ready.changed)}", now_ns)
+
+    def _end(self, outcome: str, now_ns: int) -> None:
+        self.outcome = one_line(outcome, _MOST_CHARS)
+        self._service.event(f"reload: {self.outcome}", now_ns)
+
+
+def _prepare(present: Config, new: Config, running: str) -> _Ready:
+    """What has changed, and what must be made for it.
+
+    Args:
+        running: the model of the detector at work.
+
+    Raises:
+        ReloadError: a key has changed that needs a restart.
+        UserError: the policy cannot be made.
+    """
+    changed = tuple(key for key in differing(present, new) if key != "path")
+    if stays := [key for key in changed if not _below(key, LIVE)]:
+        raise ReloadError("; ".join(f"{key}: {_advice(key)}" for key in stays))
+    policy = None
+    if new.policy != present.policy:
+        warm_policy(new)
+        policy = make_policy(new.policy, new.path)
+    return _Ready(new, changed, policy, _model(present.perception, new.perception, running))
+
+
+def _model(present: Perception, new: Perception, running: str) -> str | None:
+    """The model to be loaded; None where the detector at work is as the configuration wants it."""
+    changed = [key for key in differing(present, new, "perception.") if _below(key, _DETECTOR)]
+    if not changed:
+        return None
+    if not isinstance(new.detector, DetectorOnnx):
+        raise ReloadError(f"{changed[0]}: {_advice(changed[0])}")
+    card = similarity_card(new)
+    if card is not None and is_running_detector(card, present) != is_running_detector(card, new):
+        raise ReloadError(
+            f"perception.detector.model: perception.similarity: {card.name} would be asked in "
+            f"another way: {_advice('perception.detector.model')}"
+        )
+    only_the_name = changed == ["perception.detector.model"]
+    return None if only_the_name and new.detector.model == running else new.detector.model
+
+
+def differing(one: Section, other: Section, prefix: str = "") -> Iterator[str]:
+    """The keys, with dots, in which two sections of one class differ; where a section is of
+    another kind, or a list is another, that is one key."""
+    for name in type(one).model_fields:
+        a, b = getattr(one, name), getattr(other, name)
+        if isinstance(a, Section) and type(a) is type(b):
+            yield from differing(a, b, f"{prefix}{name}.")
+        elif a != b:
+            yield f"{prefix}{name}"
+
+
+def _below(key: str, keys: tuple[str, ...]) -> bool:
+    return any(key == one or key.startswith(f"{one}.") for one in keys)
+
+
+def _advice(key: str) -> str:
+    return _INSTEAD.get(key, "restart the service to change it")
+
+
+def _lines(text: str) -> str:
+    """Faults that are told a line each, in one line."""
+    return "; ".join(text.splitlines())

@@ -1,0 +1,172 @@
+"""The systemd unit: what is in it, what systemd itself makes of it, and whom it would not serve."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from simulated import simulated
+
+from edge.cli import install_service
+from edge.cli.install_service import unit
+from edge.cli.main import main
+from edge.config import Config
+from edge.errors import EXIT_CODES, WILL_NOT_MEND, UserError
+
+MOST_EXPOSED = 2.0
+ANALYZE = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed"
+)
+
+
+@pytest.fixture(autouse=True)
+def no_signal_handlers(monkeypatch):
+    """Commands run in this process must leave its signal handlers alone."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+
+
+@pytest.fixture
+def anywhere(monkeypatch):
+    """Wherever these tests are run from, it can be read."""
+    monkeypatch.setattr(install_service, "_check_readable", lambda paths, user: None)
+
+
+def settings(path: object = "/etc/edge/robot.yaml", **loop: int) -> Config:
+    return simulated({"loop": loop}, str(path))
+
+
+def lines(text: str, key: str) -> list[str]:
+    return [line.partition("=")[2] for line in text.splitlines() if line.startswith(f"{key}=")]
+
+
+def analyze(verb: str, text: str, folder: Path, *options: str) -> subprocess.CompletedProcess:
+    file = folder / "edge-test.service"
+    file.write_text(text, encoding="utf-8")
+    return subprocess.run(
+        ["systemd-analyze", verb, *options, file], capture_output=True, text=True, check=False,
+        env={**os.environ, "SYSTEMD_COLORS": "0", "LC_ALL": "C.UTF-8"},
+    )  # fmt: skip
+
+
+def installations() -> list:
+    return [
+        pytest.param(None, {}, id="a user of systemd's making"),
+        pytest.param("daemon", {"priority": 20}, id="daemon, in real time"),
+    ]
+
+
+@ANALYZE
+@pytest.mark.parametrize(("user", "loop"), installations())
+def test_systemd_finds_nothing_wrong_with_it(user, loop, tmp_path, anywhere):
+    done = analyze("verify", unit(settings(**loop), "edge", user), tmp_path)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+@ANALYZE
+@pytest.mark.parametrize(("user", "loop"), installations())
+@pytest.mark.parametrize("homes", [False, True])
+def test_it_is_little_exposed(user, loop, homes, tmp_path, anywhere):
+    config = settings("/home/me/robot.yaml" if homes else "/etc/edge/robot.yaml", **loop)
+    text = unit(config, "edge", user)
+    done = analyze("security", text, tmp_path, "--offline=yes", "--no-pager")
+    if "unrecognized option" in done.stderr:
+        pytest.skip("this systemd-analyze cannot look at files (--offline)")
+    found = re.search(r"exposure level for edge-test.service: ([\d.]+)", done.stdout)
+    assert found is not None, done.stdout + done.stderr
+    assert float(found[1]) <= MOST_EXPOSED
+
+
+def test_it_runs_this_installation_with_that_configuration(anywhere):
+    text = unit(settings(), "rover-2", None)
+    (command,) = lines(text, "ExecStart")
+    assert command == f"{sys.executable} -m edge.cli run /etc/edge/robot.yaml"
+    assert lines(text, "DynamicUser") == ["yes"]
+    assert lines(text, "User") == []
+    assert lines(text, "StateDirectory") == lines(text, "CacheDirectory") == ["rover-2"]
+    assert lines(text, "Environment") == ["EDGE_CACHE_DIR=%C/rover-2"]
+    # numba compiles, Zenoh shares memory, cameras and GPUs are devices.
+    for breaks in ("MemoryDenyWriteExecute", "PrivateIPC", "PrivateDevices"):
+        assert breaks not in text
+
+
+def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
+    (codes,) = lines(unit(settings(), "edge", None), "RestartPreventExitStatus")
+    assert tuple(map(int, codes.split())) == WILL_NOT_MEND
+    assert set(WILL_NOT_MEND) < EXIT_CODES.keys()
+
+
+@pytest.mark.parametrize(
+    ("priority", "key", "value"), [(0, "RestrictRealtime", "yes"), (20, "LimitRTPRIO", "20")]
+)
+def test_the_right_to_real_time_is_given_where_it_is_wanted(priority, key, value, anywhere):
+    assert lines(unit(settings(priority=priority), "edge", None), key) == [value]
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        ("/a/b.yaml", "/a/b.yaml"),
+        ("/a b/c.yaml", '"/a b/c.yaml"'),
+        ("/a%b/$c.yaml", "/a%%b/$$c.yaml"),
+        ('/a"b\\.yaml', '"/a\\"b\\\\.yaml"'),
+    ],
+)
+def test_a_path_is_one_word_whatever_is_in_it(path, word, anywhere):
+    (command,) = lines(unit(settings(path), "edge", None), "ExecStart")
+    assert command.endswith(f" run {word}")
+
+
+def test_groups_that_are_not_here_are_not_asked_for(monkeypatch, anywhere):
+    monkeypatch.setattr(install_service.grp, "getgrall", list)
+    assert lines(unit(settings(), "edge", None), "SupplementaryGroups") == []
+
+
+@pytest.fixture
+def private(tmp_path) -> Path:
+    """A configuration in a folder that its owner alone can read."""
+    folder = tmp_path / "mine"
+    folder.mkdir(mode=0o700)
+    file = folder / "robot.yaml"
+    file.write_text("perception: {detector: {kind: sim}}")
+    return file
+
+
+def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
+    with pytest.raises(UserError, match=r"cannot read it; put it where all can.*--user") as caught:
+        unit(settings(private), "edge", None)
+    assert "\n" not in str(caught.value)
+
+
+def test_who_owns_it_may_run_it(private):
+    me = pwd.getpwuid(os.getuid()).pw_name
+    assert lines(unit(settings(private), "edge", me), "User") == [me]
+
+
+def test_a_user_who_is_not_there_is_refused():
+    with pytest.raises(UserError, match=r"^--user: 'no-such-user': there is no such user here$"):
+        unit(settings(), "edge", "no-such-user")
+
+
+def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsys):
+    me, out = pwd.getpwuid(os.getuid()).pw_name, tmp_path / "edge.service"
+    words = ["install-service", str(private), "--user", me, "--out"]
+    assert main([*words, str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "systemctl enable --now edge" in said
+    assert "models check" not in said, "the simulator's detector is no model"
+    assert main([*words, "-"]) == 0
+    assert capsys.readouterr().out == out.read_text()
+    assert str(private) in out.read_text()
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a b", "-x", "a%i"])
+def test_a_name_that_no_unit_may_have_is_refused(name, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["install-service", "demo", f"--name={name}"])
+    assert caught.value.code == os.EX_USAGE

@@ -1,0 +1,207 @@
+"""Another configuration in the running service: what is switched, and what is refused by name."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import pytest
+from patience import eventually
+from simulated import simulated
+
+from edge.config import Config, ConfigError, Section, load, parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.loop.reload import LIVE, Reloader, differing
+from edge.perception.swap import swapper
+
+BASE = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": {"target": "bed"}}  # fmt: skip
+
+
+def config(**sections: dict) -> Config:
+    merged = {**BASE}
+    for name, section in sections.items():
+        merged[name] = {**BASE.get(name, {}), **section} if isinstance(section, dict) else section
+    return simulated(merged)
+
+
+class Bench:
+    """A service whose loop steps by hand, and a configuration file played by the test."""
+
+    def __init__(self, first: Config) -> None:
+        self.closed = ClosedLoop(first)
+        self.service = self.closed.service
+        self.asked = threading.Event()
+        self.reads: Callable[[], Config] = lambda: first
+        self.reloader = Reloader(self.service, lambda: self.reads(), self.asked)
+
+    def reload(self, reads: Config | Exception) -> str:
+        """Its outcome."""
+
+        def reread() -> Config:
+            if isinstance(reads, Exception):
+                raise reads
+            return reads
+
+        self.reads = reread
+        self.asked.set()
+        self.reloader.step(0)
+        assert self.reloader.busy
+
+        def over() -> bool:
+            self.service.swapper.step(0)
+            self.reloader.step(0)
+            return not self.reloader.busy
+
+        eventually(over)
+        return self.reloader.outcome
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(config())
+
+
+def test_nothing_is_done_unasked(bench):
+    bench.reloader.step(0)
+    assert not bench.reloader.busy
+    assert bench.reloader.outcome == ""
+
+
+def test_nothing_has_changed(bench):
+    assert bench.reload(config()) == "nothing has changed"
+
+
+def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
+    bench.closed.run(3)
+    before, goals = bench.service.policy, len(bench.closed.notes.goals)
+    new = config(
+        policy={"kind": "nearest_frontier", "r_assoc_m": 0.4},
+        perception={"tau_det": 0.45, "confirm_hits": 5},
+        mission={"path_limit_m": 4.0},
+    )
+    outcome = bench.reload(new)
+    assert outcome.startswith("switched: ")
+    for key in ("policy", "perception.tau_det", "perception.confirm_hits", "mission.path_limit_m"):
+        assert key in outcome
+    assert type(bench.service.policy).__name__ == "NearestFrontier"
+    assert bench.service.policy is not before
+    assert bench.service.tracker.config.tau_det == 0.45
+    assert bench.service.pool.r_assoc_m == 0.4
+    bench.closed.run(200)
+    assert len(bench.closed.notes.goals) > goals
+    assert bench.service.status.phase == "failed"
+    assert "4 m" in bench.service.status.reason
+    assert f"reload: {outcome}" in bench.closed.notes.events
+
+
+def test_a_policy_whose_settings_are_the_same_is_not_made_anew(bench):
+    before = bench.service.policy
+    assert bench.reload(config(perception={"tau_det": 0.5})) == "switched: perception.tau_det"
+    assert bench.service.policy is before
+
+
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        ({"zenoh": {"prefix": "other"}}, "zenoh.prefix: restart the service to change it"),
+        ({"mapping": {"range_m": 4.0}}, "mapping.range_m: restart"),
+        ({"mission": {"target": "sofa"}}, "mission.target: give the running service another"),
+        ({"perception": {"max_instances": 9}}, "perception.max_instances: restart"),
+        ({"perception": {"detector": {"kind": "sim", "seed": 9}}}, "perception.detector.seed: re"),
+        ({"policy": {"kind": "search"}, "robot": {"name": "b"}}, "robot.name: restart"),
+        ({"policy": {"kind": "nowhere.at:All"}}, "policy.kind: 'nowhere.at:All'"),
+    ],
+)
+def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(bench, sections, says):
+    policy, before = bench.service.policy, bench.service.config
+    outcome = bench.reload(config(**sections))
+    assert outcome.startswith("refused, nothing has changed: ")
+    assert says in outcome
+    assert bench.service.policy is policy
+    assert bench.service.config is before
+    assert bench.reload(config()) == "nothing has changed"
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (ConfigError("a.yaml: x: unknown key\na.yaml: y: missing"), "x: unknown key; a.yaml: y:"),
+        (RuntimeError("bad\x1bness"), "RuntimeError: bad ness"),
+    ],
+)
+def test_a_configuration_that_cannot_be_read_is_refused(bench, error, says):
+    outcome = bench.reload(error)
+    assert "\n" not in outcome
+    assert says in outcome
+
+
+def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
+    bench.closed.run(1)
+    before = bench.service.config
+    detector = {"kind": "onnx", "model": "nobody-has-it"}
+    outcome = bench.reload(config(perception={"detector": detector, "tau_det": 0.4}))
+    assert outcome.startswith("refused, nothing has changed: perception.detector: refused: ")
+    assert "nobody-has-it" in outcome
+    assert bench.service.config is before
+
+
+def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, monkeypatch):
+    """The swapper's own rules are tested with the swapper; here its verdict is played."""
+    said = {"state": "loading", "detail": ""}
+    asked = []
+    monkeypatch.setattr(swapper.Swapper, "status", lambda self: said)
+    monkeypatch.setattr(swapper.Swapper, "request", lambda self, *words: asked.append(words))
+    new = config(perception={"detector": {"kind": "onnx", "model": "new"}, "tau_det": 0.4})
+    bench.reads = lambda: new
+    bench.asked.set()
+    bench.reloader.step(0)
+    eventually(lambda: bench.reloader.step(0) or asked)
+    assert asked == [("new", False, 0, new.perception)]
+    bench.reloader.step(0)
+    assert bench.reloader.busy
+    assert bench.service.tracker.config.tau_det == 0.3
+    said["state"] = "kept"
+    bench.reloader.step(0)
+    assert bench.reloader.outcome == "switched: perception.detector, perception.tau_det"
+    assert bench.service.tracker.config.tau_det == 0.4
+    assert bench.service.swapper.perception is new.perception
+
+
+def test_a_real_detector_is_made_anew_beside_the_one_at_work():
+    first = load("demo").model_dump(exclude={"path"})
+    first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
+    first["perception"]["isolation"] = "thread"
+    first["perception"]["swap"] = {"images": 2, "probation": 4, "budget_ms": 1e6}
+    bench = Bench(parse(first))
+    before = bench.service.swapper._worker.detector
+    first["perception"]["detector"]["max_detections"] = 9
+    new = parse(first)
+    bench.reads = lambda: new
+    bench.asked.set()
+    for _ in range(1000):
+        bench.closed.step()
+        bench.service.swapper.step(0)
+        bench.reloader.step(0)
+        if bench.reloader.outcome:
+            break
+    assert bench.reloader.outcome == "switched: perception.detector.max_detections"
+    after = bench.service.swapper._worker.detector
+    assert after is not before
+    assert (after.name, after.config.max_detections) == (before.name, 9)
+    bench.service.close()
+
+
+def test_every_live_key_is_there():
+    for key in LIVE:
+        section = config()
+        for name in key.split("."):
+            assert isinstance(section, Section)
+            section = getattr(section, name)
+
+
+def test_sections_that_differ():
+    assert list(differing(config(), config())) == []
+    assert list(differing(config(), config(policy={"kind": "search"}))) == ["policy"]
+    one, other = config(sensors={"camera": {"x_m": 0.2}}), config(sinks=[])
+    assert list(differing(one, other)) == ["sensors.camera.x_m", "sinks"]

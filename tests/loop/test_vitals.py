@@ -1,0 +1,169 @@
+"""What watchers are told of the service, as its loop goes on, fails, or hangs."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+from simulated import simulated
+from test_loops import blanks, running_of
+
+from edge.eval.closed_loop import ClosedLoop
+from edge.host.service_manager import ServiceManager
+from edge.loop.faults import DEGRADED_AFTER
+from edge.loop.runner import Running
+from edge.loop.vitals import HANGS_S, Vitals
+from edge.perception.detector import Health
+from edge.perception.worker import DetectorWorker
+
+WATCHDOG_S = 8.0
+
+
+class Watched:
+    """Vitals with a clock of the test's, and the manager's end of a real socket."""
+
+    def __init__(self, listening: socket.socket, name: str) -> None:
+        self.now_s = 100.0
+        environ = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
+        self.vitals = Vitals(ServiceManager(environ), lambda: self.now_s)
+        self._listening = listening
+        self.closed = ClosedLoop(simulated({"mission": {"target": "bed"}}))
+        self.running: Running = running_of(self.closed, [])
+
+    def beat(self, after_s: float = 0.0) -> list[str]:
+        """What the manager is told in a beat of the loop."""
+        self.now_s += after_s
+        self.vitals.beat(self.running)
+        return self.told()
+
+    def told(self) -> list[str]:
+        said = []
+        while True:
+            try:
+                said += self._listening.recv(65536).decode().split("\n")
+            except BlockingIOError:
+                return said
+
+    def see(self) -> None:
+        """A frame comes."""
+        (seen,) = blanks(self.closed, 1)
+        self.running.service.tick(seen, seen.stamp_ns)
+
+    def page(self, path: str) -> tuple[int, dict]:
+        page = self.vitals.pages()[path]()
+        return int(page.status), json.loads(page.body)
+
+
+@pytest.fixture
+def watched(tmp_path) -> Iterator[Watched]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "notify"))
+        listening.setblocking(False)
+        yield Watched(listening, str(tmp_path / "notify"))
+
+
+def test_a_start_is_alive_but_not_ready(watched):
+    watched.vitals.starting("preparing kernels 1/6: mapping")
+    assert watched.told()[1] == "STATUS=preparing kernels 1/6: mapping"
+    watched.now_s += 1e4  # a start has limits of its own, with the manager
+    assert watched.page("/healthz")[0] == 200
+    status, said = watched.page("/readyz")
+    assert status == 503
+    assert said["why"] == ["starting: preparing kernels 1/6: mapping"]
+
+
+def test_it_is_ready_once_it_sees(watched):
+    watched.vitals.ready()
+    assert watched.told() == ["READY=1"]
+    assert watched.page("/readyz")[1]["why"] == ["nothing to be seen"]
+    assert watched.beat()[-1] == "STATUS=not ready: nothing to be seen (searching: bed)"
+    watched.see()
+    assert watched.beat(1.0)[-1] == "STATUS=searching: bed"
+    assert watched.page("/readyz") == (200, {"ok": True, "state": "running", "why": []})
+    watched.beat(2.0)
+    assert watched.page("/readyz")[0] == 503, "the camera is gone"
+
+
+def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):
+    watched.vitals.ready()
+    watched.told()
+    pings = [watched.beat(0.5).count("WATCHDOG=1") for _ in range(16)]
+    assert sum(pings) == 4
+    watched.now_s += HANGS_S - 0.1
+    assert watched.page("/healthz")[0] == 200
+    watched.now_s += 0.2
+    for path in ("/healthz", "/readyz"):
+        status, said = watched.page(path)
+        assert (status, said["why"]) == (503, ["the loop has hung for 10 s"])
+    assert watched.told() == []
+    watched.beat()
+    assert watched.page("/healthz")[0] == 200
+
+
+def test_a_loop_or_a_detector_that_fails_again_and_again_is_not_ready(watched):
+    watched.see()
+    watched.vitals.ready()
+    assert watched.beat()[-1].startswith("STATUS=searching")
+    for _ in range(DEGRADED_AFTER):
+        watched.running.service.faults.caught("tick", ValueError("bad"), 0)
+    watched.running.worker.stats.in_a_row = DEGRADED_AFTER
+    said = watched.beat(1.0)[-1]
+    assert said.startswith("STATUS=not ready: the loop is degraded: tick: ValueError")
+    assert "the detector is degraded" in said
+    assert watched.page("/readyz")[0] == 503
+    assert watched.page("/healthz")[0] == 200, "it goes on, and what fails may come back"
+
+
+class Stuck:
+    """A detector that never comes back from its first image, until the test is over."""
+
+    name, prompts, invalid_boxes = "stuck", ("bed",), 0
+
+    def __init__(self) -> None:
+        self.over = threading.Event()
+
+    def detect(self, observation):
+        self.over.wait()
+        raise ValueError("let go")
+
+    def health(self) -> Health:
+        return Health()
+
+    def close(self) -> None: ...
+
+
+def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
+    detector = Stuck()
+    worker = DetectorWorker(detector)
+    watched.running = running_of(watched.closed, [], worker=worker)
+    watched.vitals.ready()
+    (seen,) = blanks(watched.closed, 1)
+    watched.beat()
+    worker.submit(seen)
+    for _ in range(int(HANGS_S)):
+        watched.beat(1.0)
+    assert watched.vitals.amiss() == ("nothing to be seen",)
+    watched.beat(1.0)
+    assert "the detector hangs at an image" in watched.vitals.amiss()
+    detector.over.set()
+    worker.close()
+    watched.beat(1.0)
+    assert watched.vitals.amiss() == ("nothing to be seen",)
+
+
+def test_a_status_is_told_when_it_changes(watched):
+    watched.vitals.ready()
+    assert [line for line in watched.beat() if line.startswith("STATUS")]
+    assert not [line for line in watched.beat(1.5) if line.startswith("STATUS")]
+
+
+def test_a_stop_is_told(watched):
+    watched.vitals.ready()
+    watched.vitals.stopping()
+    assert watched.told() == ["READY=1", "STOPPING=1"]
+    assert watched.page("/readyz") == (503, {"ok": False, "state": "stopping", "why": ["stopping"]})
+    watched.now_s += 1e3
+    assert watched.page("/healthz")[0] == 200
