@@ -17,7 +17,7 @@ from typing import BinaryIO
 import zenoh
 
 from edge.bus.requests import RequestServer
-from edge.bus.session import zenoh_session
+from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
 from edge.errors import UserError
 from edge.host import calibration, resources
@@ -99,7 +99,13 @@ def open_service(
             brief = prepare(mission, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
-            zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
+            zenoh_session(
+                config.zenoh,
+                "listen",
+                stop,
+                exact=config.loop.lockstep,
+                most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
+            )
         )
         policy = unless_stopped(make_policy, stop)
         detector = _load(config, brief.targets, make_truth(config, session), stop)

@@ -55,7 +55,7 @@ def _serve(
     recorder = Recorder(config)
     with open_service(config, [ConsoleSink(), recorder], asked, formula, stop) as running:
         instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.endpoint)
+        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
         loop(running, stop, once)
         return recorder.record(running.service.result(), running.source.counters)
 

@@ -15,7 +15,7 @@ from fake_zenoh import Flooded
 from patience import PATIENCE_S
 
 from edge.bus import session as bus
-from edge.bus import topics
+from edge.bus import topics, zenoh_file
 from edge.config import Zenoh
 from edge.config.loop import TopicName
 from edge.errors import Stopped
@@ -127,7 +127,7 @@ def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():
     assert [topic.key for topic in topics.ALL if topic.qos == "block"] == ["tick"]
 
 
-@pytest.mark.parametrize(("exact", "wait_s"), [(False, bus.BLOCKED_S), (True, 5.0)])
+@pytest.mark.parametrize(("exact", "wait_s"), [(False, zenoh_file.BLOCKED_S), (True, 5.0)])
 def test_a_peer_that_takes_nothing_is_let_go(exact, wait_s):
     config = bus.session_config(Zenoh(), "listen", exact)
     key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
