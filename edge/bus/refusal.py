@@ -31,7 +31,7 @@ _ALERTS = {
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _NOT_TAKEN_IN = (
     "somebody is there and takes no session: either it asks for a user and a password, or for "
-    "others than {file} gives (transport/auth/usrpwd), or it speaks TLS or no Zenoh at all"
+    "others than {file} gives (transport/auth/usrpwd), or it is full, or it speaks TLS or no Zenoh"
 )
 _NOT_TAKEN_IN_TLS = (
     "TLS is agreed on, and no session is taken: either it asks for a user and a password, or for "

@@ -227,7 +227,9 @@ def others_can_read(found: zenoh.Config) -> list[str]:
 
 _PLACE = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
 _SAID = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
-_VALUE = re.compile(r'(invalid (?:type|value): [a-z -]+?) (?:`.*?`|\\".*\\")', re.DOTALL)
+_VALUE = re.compile(
+    r'(invalid (?:type|value): [a-z -]+?|unknown variant) (?:`.*?`|\\".*\\")', re.DOTALL
+)
 _EXPECTED = re.compile(r"= (expected .*)")
 
 

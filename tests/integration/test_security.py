@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import time
@@ -14,13 +15,11 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from edge_processes import write_config
 from patience import PATIENCE_S, eventually
 
 from edge.bus import client, topics
-from edge.bus.session import NotTakenIn, open_session
+from edge.bus.session import open_session
 from edge.config import Zenoh
-from edge.errors import ConfigError
 from edge.host.ports import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -28,7 +27,7 @@ PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
 PEER = Path(__file__).with_name("secure_peer.py")
 CLIENTS = ("robot", "controller", "operator", "recorder")
 USERS = {who: f"pw-of-{who}" for who in CLIENTS}
-MARK = "edge/mark"
+IDLE = 120  # more than Zenoh's own limit of 100
 
 # What each may send, ask and hear, of all keys of the project.
 REQUESTS = {f"edge/{key}" for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)}
@@ -170,7 +169,7 @@ def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind):
 def refusal(settings: Zenoh) -> str:
     """What a command that asks the service says when it is refused."""
     with pytest.raises(client.RequestError) as caught:
-        client.connect(settings, client.CONNECT_S, "mission")
+        client.connect(settings, 0.1, "mission")  # one attempt is always made
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -224,6 +223,20 @@ def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
 
 def test_who_may_not_ask_is_told_that_nobody_answers(etc):
     of = settings_of(etc, "certificates", free_port())
-    with service(of("robot")), open_session(of("robot"), "connect") as session:
-        with pytest.raises(client.RequestError, match="access rules"):
-            client.ask(session, "edge/mission/request", {"do": "status"}, PATIENCE_S, "mission")
+    with (
+        service(of("robot")),
+        open_session(of("robot"), "connect") as session,
+        pytest.raises(client.RequestError, match="access rules"),
+    ):
+        client.ask(session, "edge/mission/request", {"do": "status"}, PATIENCE_S, "mission")
+
+
+@pytest.mark.parametrize("kind", ["certificates", "passwords"])
+def test_idle_connections_keep_nobody_out(etc, kind):
+    port = free_port()
+    settings = settings_of(etc, kind, port)("operator")
+    with service(settings), ExitStack() as idle:
+        for _ in range(IDLE):
+            idle.enter_context(socket.create_connection(("127.0.0.1", port)))
+        with client.connect(settings, client.CONNECT_S, "mission") as session:
+            assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
