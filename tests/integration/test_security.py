@@ -3,6 +3,7 @@ real sessions in real processes."""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import socket
@@ -15,11 +16,13 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from edge_processes import LOCKSTEP, write_config
 from patience import PATIENCE_S, eventually
 
 from edge.bus import client, topics
 from edge.bus.session import open_session
 from edge.config import Zenoh
+from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -240,3 +243,38 @@ def test_idle_connections_keep_nobody_out(etc, kind):
             idle.enter_context(socket.create_connection(("127.0.0.1", port)))
         with client.connect(settings, client.CONNECT_S, "mission") as session:
             assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
+
+
+@pytest.mark.slow
+def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
+    """Each process with a certificate of its own; a stranger who lies changes nothing."""
+    port = free_port()
+    (section,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    section = section.replace("/etc/edge", str(etc)).replace("7447", str(port))
+    config = write_config(tmp_path, **parse_yaml(section))
+    reached = {**LOCKSTEP, "EDGE__ZENOH__ENDPOINT": f"tls/localhost:{port}"}
+    service = edge("run", config, "--once", **LOCKSTEP).says("ready:")
+    robot = {**reached, "EDGE__ZENOH__CLIENT_FILE": str(etc / "robot.json5")}
+    controller = {**reached, "EDGE__ZENOH__CLIENT_FILE": str(etc / "controller.json5")}
+    status = edge("mission", "status", config, **reached)
+    assert status.wait() == 0, status.output
+    assert "television" in status.output
+    refused = edge("mission", "cancel", config, **robot)
+    assert refused.wait() == os.EX_UNAVAILABLE
+    assert "access rules" in refused.output
+    stranger = edge(
+        "mission", "cancel", config, EDGE__ZENOH__ENDPOINT=f"tcp/localhost:{port}",
+        EDGE__ZENOH__CLIENT_FILE="null", EDGE__ZENOH__FILE="null",
+    )  # fmt: skip
+    assert stranger.wait() == os.EX_UNAVAILABLE
+    assert "takes no session" in stranger.output
+    edge("sim", config, "--no-motion", **robot)
+    edge("motion", config, **controller)
+    assert service.wait() == 0, service.output
+    assert "is open" not in service.output
+
+
+def test_the_page_names_what_is_there():
+    named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
