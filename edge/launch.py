@@ -164,11 +164,10 @@ def _load(
 
 
 def on_a_free_port(config: Config) -> Config:
-    """The configuration, with an endpoint on this machine that nobody has."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    return config.model_copy(
-        update={"zenoh": config.zenoh.model_copy(update={"endpoint": endpoint})}
-    )
+    """The configuration, with an endpoint on this machine that nobody has, which needs none of the
+    certificates that `zenoh.file` may ask for."""
+    change = {"endpoint": f"tcp/127.0.0.1:{free_port()}", "file": None, "client_file": None}
+    return config.model_copy(update={"zenoh": config.zenoh.model_copy(update=change)})
 
 
 @contextmanager

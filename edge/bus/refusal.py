@@ -12,9 +12,11 @@ import ssl
 import zenoh
 
 from edge.bus.zenoh_file import get, host_and_port, parameters, protocol, unreadable
+from edge.host.interruptible import start_unjoined
 from edge.text import one_line
 
 PROBE_S = 0.5
+_NAME_S = 1.0  # to find the address of a name; the resolver's own patience is longer
 
 # What a TLS peer's alert means to us: RFC 8446, section 6.2. OpenSSL puts the protocol before it.
 _ALERTS = {
@@ -42,7 +44,7 @@ _NOT_TAKEN_IN_TLS = (
 def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
     """Why there is no session with who is at an endpoint; None: nobody is there.
 
-    Waits for `PROBE_S` at most, twice.
+    Waits for `_NAME_S` and twice `PROBE_S` at most.
 
     Args:
         endpoint: such as `tls/robot.local:7447`.
@@ -51,20 +53,29 @@ def why_refused(endpoint: str, found: zenoh.Config, file: str) -> str | None:
     """
     if (lacks := unreadable(found, listens=False)) is not None:
         return lacks
-    host, port = host_and_port(endpoint)
-    kind = protocol(endpoint)
-    if kind not in ("tcp", "tls") or not port:
+    if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
+    said: list[str | None] = []
+    # A name that nobody knows may be looked for during half a minute.
+    probe = start_unjoined("probe", lambda: said.append(_probe(endpoint, found, file)))
+    probe.join(_NAME_S + 2 * PROBE_S)
+    return said[0] if said else None
+
+
+def _probe(endpoint: str, found: zenoh.Config, file: str) -> str | None:
+    host, port = host_and_port(endpoint)
     try:
         with socket.create_connection((host, port), PROBE_S) as plain:
-            if kind == "tcp":
+            if protocol(endpoint) == "tcp":
                 return _NOT_TAKEN_IN.format(file=file)
-            return _tls_refusal(plain, host, endpoint, found).format(file=file)
-    except OSError:
+            return _tls_refusal(plain, host, endpoint, found, file)
+    except (OSError, UnicodeError):  # UnicodeError: a label that no host name may have
         return None
 
 
-def _tls_refusal(plain: socket.socket, host: str, endpoint: str, found: zenoh.Config) -> str:
+def _tls_refusal(
+    plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
+) -> str:
     try:
         context = _context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
@@ -76,19 +87,19 @@ def _tls_refusal(plain: socket.socket, host: str, endpoint: str, found: zenoh.Co
     except ssl.SSLCertVerificationError as error:
         return (
             f"its certificate is not trusted ({one_line(error.verify_message)}); "
-            "see transport/link/tls/root_ca_certificate in {file}"
+            f"see transport/link/tls/root_ca_certificate in {file}"
         )
     except ssl.SSLError as error:
         reason = error.reason or ""
         for alert, says in _ALERTS.items():
             if reason.endswith(alert):
-                return says
+                return says.format(file=file)
         if reason in _NO_TLS:
             return "it does not speak TLS: give its endpoint as tcp/…"
         return f"TLS is not agreed on ({one_line(reason or error)})"
     except OSError:  # it says nothing, as a Zenoh that waits for us does, or hangs up
         pass
-    return _NOT_TAKEN_IN_TLS
+    return _NOT_TAKEN_IN_TLS.format(file=file)
 
 
 def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:

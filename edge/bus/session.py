@@ -172,7 +172,8 @@ def open_session(
     key, name = zenoh_file_of(settings, role)
     for address in open_to(found):
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
-    told: list[str | None] = []
+    told: set[str | None] = set()
+    before: str | None = None
     while True:
         try:
             return zenoh.open(found)
@@ -182,12 +183,14 @@ def open_session(
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
         refused = why_refused(settings.endpoint, found, name or key)
-        if told[-1:] != [refused]:
-            told.append(refused)
+        # Who is just starting, or busy, refuses once.
+        if refused not in told and refused == before:
+            told.add(refused)
             if refused is None:
                 log.info("waiting for somebody at %s", settings.address)
             else:
                 log.warning("refused at %s: %s; trying on", settings.address, refused)
+        before = refused
         if stop.wait(_PAUSE_S):
             raise NotTakenIn(settings.address, refused)
 
