@@ -54,6 +54,7 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 _ATTEMPT_MS = 500
 _TLS = "transport/link/tls"
 _USERS = "transport/auth/usrpwd/dictionary_file"
+_PASSWORD = "transport/auth/usrpwd/password"
 _OTHERS = stat.S_IROTH | stat.S_IWOTH
 _ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
@@ -213,11 +214,17 @@ def unreadable(found: zenoh.Config, listens: bool) -> str | None:
     return None
 
 
-def others_can_read(found: zenoh.Config) -> list[str]:
+def others_can_read(found: zenoh.Config, name: str | None) -> list[str]:
     """The files with secrets, of those that are named, that other users of this machine can read or
-    write."""
+    write.
+
+    Args:
+        name: of the file that `found` is from, which may hold a password.
+    """
     keys = f"{_TLS}/listen_private_key", f"{_TLS}/connect_private_key", _USERS
-    paths = (get(found, key) for key in keys)
+    paths = [get(found, key) for key in keys]
+    if name is not None and get(found, _PASSWORD) is not None:
+        paths.append(str(expand(name)))
     return [
         path
         for path in paths

@@ -136,14 +136,19 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_strangers(config: Config) -> Iterator[Finding]:
     """Who may come in, and who may read what keeps them out."""
-    from edge.bus.session import OPEN, session_config
+    from edge.bus.session import OPEN, session_config, zenoh_file_of
     from edge.bus.zenoh_file import open_to, others_can_read
 
-    listening = session_config(config.zenoh, "listen")
-    for address in open_to(listening):
+    for address in open_to(session_config(config.zenoh, "listen")):
         todo = "listen on 127.0.0.1, or ask for certificates (docs/security.md)"
         yield Finding("warn", OPEN.format(address), todo)
-    paths = others_can_read(listening) + others_can_read(session_config(config.zenoh, "connect"))
+    paths = [
+        path
+        for role in ("listen", "connect")
+        for path in others_can_read(
+            session_config(config.zenoh, role), zenoh_file_of(config.zenoh, role)[1]
+        )
+    ]
     for path in dict.fromkeys(paths):
         what = f"{path} holds a secret, and every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")

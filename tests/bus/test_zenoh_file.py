@@ -203,9 +203,14 @@ def test_secrets_that_others_can_read(settings, tmp_path):
         f'{{transport: {{link: {{tls: {{listen_private_key: "{key}"}}}}, '
         f'auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}'
     )
-    assert others_can_read(session_config(said, "listen")) == []
+    assert others_can_read(session_config(said, "listen"), said.file) == []
     os.chmod(users, 0o604)
-    assert others_can_read(session_config(said, "listen")) == [str(users)]
+    assert others_can_read(session_config(said, "listen"), said.file) == [str(users)]
+    said = settings(PASSWORD % "")
+    os.chmod(said.file, 0o604)
+    assert others_can_read(session_config(said, "connect"), said.file) == [said.file]
+    os.chmod(said.file, 0o600)
+    assert others_can_read(session_config(said, "connect"), said.file) == []
 
 
 @pytest.mark.parametrize(

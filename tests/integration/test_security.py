@@ -212,6 +212,18 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
         assert running.end() == {("query", "edge/mission/request")}
 
 
+def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
+    port = free_port()
+    known = settings_of(etc, "certificates", port)("operator")
+    posing = tmp_path / "posing.json5"
+    text = (etc / "service.json5").read_text()
+    for kind in ("crt", "key"):
+        text = text.replace(f"service.{kind}", f"recorder.{kind}")
+    posing.write_text(text)
+    with service(known.model_copy(update={"file": str(posing)})):
+        assert "its certificate is not trusted" in refusal(known)
+
+
 def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
     of = settings_of(etc, "passwords", free_port())
     wrong = tmp_path / "wrong.json5"
