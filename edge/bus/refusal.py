@@ -18,6 +18,10 @@ from edge.text import one_line
 PROBE_S = 0.5
 _NAME_S = 1.0  # to find the address of a name; the resolver's own patience is longer
 
+_TLS = "transport/link/tls"
+_CLIENTS = "root_ca_certificate", "connect_certificate", "connect_private_key"
+_IN_PLACE = "_base64"
+
 # What a TLS peer's alert means to us: RFC 8446, section 6.2. OpenSSL puts the protocol before it.
 _ALERTS = {
     "CERTIFICATE_REQUIRED": "it wants a certificate, and {file} names none "
@@ -34,6 +38,10 @@ _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE
 _NOT_TAKEN_IN = (
     "somebody is there and takes no session: either it asks for a user and a password, or for "
     "others than {file} gives (transport/auth/usrpwd), or it is full, or it speaks TLS or no Zenoh"
+)
+_NOT_TAKEN_IN_BY_TLS = (
+    "somebody is there and takes no session: of the certificates in {file}, one is not trusted "
+    "(what they are is not looked at here, since they are written in place), or a user is asked for"
 )
 _NOT_TAKEN_IN_TLS = (
     "TLS is agreed on, and no session is taken: either it asks for a user and a password, or for "
@@ -76,6 +84,8 @@ def _probe(endpoint: str, found: zenoh.Config, file: str) -> str | None:
 def _tls_refusal(
     plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
 ) -> str:
+    if _IN_PLACE in endpoint or any(get(found, f"{_TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
+        return _NOT_TAKEN_IN_BY_TLS.format(file=file)
     try:
         context = _context(endpoint, found)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
@@ -107,14 +117,16 @@ def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
     said = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return said.get(parameter, get(found, f"transport/link/tls/{key}"))
+        return said.get(parameter, get(found, f"{_TLS}/{key}"))
 
-    context = ssl.create_default_context()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (
         False, "false",
     )  # fmt: skip
     if isinstance(roots := setting("root_ca_certificate", "root_ca_certificate_file"), str):
         context.load_verify_locations(cafile=roots)
+    else:
+        context.load_default_certs()
     mutual = setting("enable_mtls", "enable_mtls") in (True, "true")
     certificate = setting("connect_certificate", "connect_certificate_file")
     key = setting("connect_private_key", "connect_private_key_file")

@@ -56,6 +56,7 @@ _TLS = "transport/link/tls"
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _PASSWORD = "transport/auth/usrpwd/password"
 _OTHERS = stat.S_IROTH | stat.S_IWOTH
+_WITH_CERTIFICATES = ("tls", "quic")
 _ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
 
@@ -143,15 +144,16 @@ def open_to(found: zenoh.Config) -> list[str]:
     """
     if get(found, _USERS) is not None:
         return []
-    mutual = bool(get(found, f"{_TLS}/enable_mtls"))
-    addresses = [endpoint.partition("#")[0] for endpoint in get(found, "listen/endpoints")]
-    certified = ("tls", "quic") if mutual else ()
-    return [
-        address
-        for address in addresses
-        if address.partition("/")[0] not in (*_ON_THIS_MACHINE, *certified)
-        and not _is_loopback(host_and_port(address)[0])
-    ]
+    mutual = "true" if get(found, f"{_TLS}/enable_mtls") else "false"
+
+    def is_open(endpoint: str) -> bool:
+        kind, host = protocol(endpoint), host_and_port(endpoint)[0]
+        asks = parameters(endpoint).get("enable_mtls", mutual) == "true"
+        certified = kind in _WITH_CERTIFICATES and asks
+        return not (kind in _ON_THIS_MACHINE or _is_loopback(host) or certified)
+
+    endpoints = get(found, "listen/endpoints")
+    return [endpoint.partition("#")[0] for endpoint in endpoints if is_open(endpoint)]
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:

@@ -188,6 +188,8 @@ USERS = '{transport: {auth: {usrpwd: {dictionary_file: "users.txt"}}}}'
         ("tls/0.0.0.0:7447", MUTUAL, []),
         (OPEN_TCP, MUTUAL, [OPEN_TCP]),  # certificates are for TLS alone
         (OPEN_TCP, USERS, []),
+        ("tls/0.0.0.0:7447#enable_mtls=true", "{}", []),
+        ("tls/0.0.0.0:7447#enable_mtls=false", MUTUAL, ["tls/0.0.0.0:7447"]),
         (OURS, f'{{listen: {{endpoints: ["{OPEN_TCP}"]}}}}', [OPEN_TCP]),
     ],
 )

@@ -3,6 +3,7 @@ real sessions in real processes."""
 
 from __future__ import annotations
 
+import base64
 import os
 import re
 import shutil
@@ -187,6 +188,11 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
     mixed.write_text(
         (elsewhere / "operator.json5").read_text().replace(str(elsewhere / "tls/ca.crt"), str(ca))
     )
+    in_place = tmp_path / "in_place.json5"
+    encoded = base64.b64encode(ca.read_bytes()).decode()
+    in_place.write_text(
+        f'{{transport: {{link: {{tls: {{root_ca_certificate_base64: "{encoded}"}}}}}}}}'
+    )
     gone = tmp_path / "gone.json5"
     gone.write_text((etc / "operator.json5").read_text().replace("operator.key", "gone.key"))
     at = f"tls/127.0.0.1:{port}"
@@ -200,6 +206,7 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
             endpoint=at, client_file=str(elsewhere / "operator.json5")
         ),
         "somebody is there and takes no session": Zenoh(endpoint=f"tcp/127.0.0.1:{port}"),
+        "since they are written in place": known.model_copy(update={"client_file": str(in_place)}),
         "gone.key: no such file": known.model_copy(update={"client_file": str(gone)}),
     }
     with service(known) as running:
