@@ -17,7 +17,7 @@ from typing import BinaryIO
 import zenoh
 
 from edge.bus.requests import RequestServer
-from edge.bus.session import zenoh_session
+from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
 from edge.errors import UserError
 from edge.host import calibration, resources
@@ -103,7 +103,13 @@ def open_service(
             brief = prepare(mission, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
-            zenoh_session(config.zenoh, "listen", stop, exact=config.loop.lockstep)
+            zenoh_session(
+                config.zenoh,
+                "listen",
+                stop,
+                exact=config.loop.lockstep,
+                most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
+            )
         )
         policy = unless_stopped(make_policy, stop)
         progress("loading the detector")
@@ -173,11 +179,10 @@ def _load(
 
 
 def on_a_free_port(config: Config) -> Config:
-    """The configuration, with an endpoint on this machine that nobody has."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    return config.model_copy(
-        update={"zenoh": config.zenoh.model_copy(update={"endpoint": endpoint})}
-    )
+    """The configuration, with an endpoint on this machine that nobody has, which needs none of the
+    certificates that `zenoh.file` may ask for."""
+    change = {"endpoint": f"tcp/127.0.0.1:{free_port()}", "file": None, "client_file": None}
+    return config.model_copy(update={"zenoh": config.zenoh.model_copy(update=change)})
 
 
 @contextmanager

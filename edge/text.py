@@ -12,6 +12,14 @@ MAX_CHARS = 200
 # Scheme, user and password, host and path, query and fragment. No scheme is longer than that, and a
 # limit keeps a long word from being looked at from each of its letters.
 _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?:[?#]\S*)?")
+# Zenoh's endpoints: protocol and address; behind `?` or `#` come metadata and configuration, which
+# may be a private key.
+_LOCATOR = re.compile(
+    r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
+)
+_SECRET_KEY = re.compile(
+    r"(pass(word|wd|phrase)?|secret|token|api_?key|private_key)$", re.IGNORECASE
+)
 
 
 def one_line(text: object, limit: int = MAX_CHARS) -> str:
@@ -97,18 +105,25 @@ def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:
 
 
 def without_secrets(data: Any) -> Any:
-    """The same without what a URL may hide: user and password, and what comes after its path.
+    """The same without what may be secret: in a URL user and password, and what comes after its
+    path; in an endpoint of Zenoh what comes after its address; and whatever lies under a key that
+    says so (`password`, `token`, `api_key`, …).
 
     Args:
         data: text, or JSON types with texts in them. Keys of objects stay as they are.
 
     >>> without_secrets({"url": "https://me:pw@host/v1?key=42", "n": [1, "a://b"]})
     {'url': 'https://host/v1?***', 'n': [1, 'a://b']}
+    >>> without_secrets({"endpoint": "tls/host:7447#connect_private_key_base64=42", "token": "42"})
+    {'endpoint': 'tls/host:7447?***', 'token': '***'}
     """
     if isinstance(data, str):
-        return _URL.sub(_plain, data)
+        return _LOCATOR.sub(r"\1\2?***", _URL.sub(_plain, data))
     if isinstance(data, dict):
-        return {key: without_secrets(value) for key, value in data.items()}
+        return {
+            key: "***" if value and _SECRET_KEY.search(str(key)) else without_secrets(value)
+            for key, value in data.items()
+        }
     if isinstance(data, (list, tuple)):
         return [without_secrets(value) for value in data]
     return data

@@ -10,7 +10,7 @@ import os
 import threading
 from typing import TYPE_CHECKING
 
-from edge.errors import Stopped, UnavailableError
+from edge.errors import UnavailableError
 from edge.text import one_line, read_json_object
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
         what: the command, for the error's line.
 
     Raises:
-        RequestError: no service is there.
+        RequestError: no service is there, or it does not take us in.
     """
-    from edge.bus.session import open_session
+    from edge.bus.session import NotTakenIn, open_session
 
     enough = threading.Event()
     timer = threading.Timer(min(CONNECT_S, patience_s), enough.set)
@@ -51,8 +51,10 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
     timer.start()
     try:
         return open_session(settings, "connect", enough)
-    except Stopped:
-        where = settings.endpoint
+    except NotTakenIn as error:
+        where = settings.address
+        if error.refused is not None:
+            raise RequestError(f"{what}: refused at {where}: {error.refused}") from None
         raise RequestError(f"{what}: no service at {where}; start one with `edge run`") from None
     finally:
         timer.cancel()
@@ -82,7 +84,10 @@ def ask(session: zenoh.Session, key: str, request: dict, timeout_s: float, what:
             raise RequestError(f"{what}: {key}: no answer within {timeout_s:g} s")
         reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
         raise RefusedError(f"{what}: refused: {reason}")
-    raise RequestError(f"{what}: no service answers at {key}; start one with `edge run`")
+    raise RequestError(
+        f"{what}: no service answers at {key}; start one with `edge run`, or, where one runs, let "
+        "its access rules permit us to ask"
+    )
 
 
 def _object(key: str, content: bytes, what: str) -> dict:

@@ -3,13 +3,13 @@
 The service listens, everything else connects to it as a client: a listening peer passes messages
 on between its clients, never between peers, so the simulator hears the controller only this way.
 Multicast discovery is off: it is not to be relied on in containers and closed networks. A
-connector that finds nobody keeps trying, for ever.
+connector that finds nobody, or is refused, keeps trying, for ever.
 """
 
 from __future__ import annotations
 
-import json
 import logging
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,17 +18,22 @@ from typing import Literal
 import zenoh
 
 from edge import config
+from edge.bus.refusal import why_refused
 from edge.bus.topics import Qos, Topic
-from edge.errors import Stopped, UnavailableError
+from edge.bus.zenoh_file import get, lay_over, open_to, read_zenoh_file, unreadable
+from edge.errors import ConfigError, Stopped, UnavailableError
 from edge.host.interruptible import start_unjoined
+from edge.text import one_line, without_secrets
 
 log = logging.getLogger("edge.bus.session")
 
-BLOCKED_S = 1.0
 CLOSE_S = 2.0
+OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
+ENVELOPE_BYTES = 65536
+"""More than Zenoh puts around a message: its key, an attachment, what it was sent with."""
 
-_ATTEMPT_MS = 500
 _PAUSE_S = 0.2
+_NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
 _NOBODY = "Unable to connect to any of"
 
 Role = Literal["listen", "connect"]
@@ -53,61 +58,85 @@ _QOS: dict[Qos, dict] = {
     "block": {"congestion_control": zenoh.CongestionControl.BLOCK, **_URGENT},
 }
 
-_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
-_RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
-
 
 class BusError(UnavailableError):
     """No session: one line that says which endpoint, why, and what to do."""
 
 
-def session_config(settings: config.Zenoh, role: Role, exact: bool = False) -> zenoh.Config:
-    """The Zenoh configuration of a process that plays `role`.
+class NotTakenIn(Stopped):
+    """Told to stop while there was no session yet.
+
+    Attributes:
+        refused: why whoever is at the endpoint takes no session; None: nobody was there.
+    """
+
+    def __init__(self, address: str, refused: str | None) -> None:
+        while_what = f"nobody was at {address}" if refused is None else f"refused at {address}"
+        super().__init__(f"zenoh.endpoint: stopped while {while_what}")
+        self.refused = refused
+
+
+def session_config(
+    settings: config.Zenoh, role: Role, exact: bool = False, most_bytes: int | None = None
+) -> zenoh.Config:
+    """The Zenoh configuration of a process that plays `role`: Zenoh's own file, and our settings
+    over it (see `edge.bus.zenoh_file`).
 
     With `mode: client` nobody listens: all connect to a router that runs elsewhere.
 
-    Whoever takes nothing for `BLOCKED_S`, while something waits for it that must not be dropped
+    Whoever takes nothing for a second, while something waits for it that must not be dropped
     (an answer to a request, or what another's peer publishes so), is let go; a client comes back by
     itself. Where it must be `exact`, Zenoh's 5 s are left.
+
+    Args:
+        most_bytes: see `edge.bus.zenoh_file.lay_over`.
+
+    Raises:
+        ConfigError: the file cannot be read, or says another mode.
+        BusError: the endpoint is none.
     """
-    connects = role == "connect" or settings.mode == "client"
-    values = {
-        "mode": "client" if connects else "peer",
-        "scouting/multicast/enabled": False,
-        "transport/shared_memory/enabled": settings.shared_memory,
-        "connect/endpoints": [settings.endpoint] if connects else [],
-        "connect/timeout_ms": _ATTEMPT_MS,
-        "connect/exit_on_failure": False,
-        "connect/retry": _RETRY,
-        "listen/endpoints": [] if connects else [settings.endpoint],
-        "listen/timeout_ms": 0,
-        "listen/exit_on_failure": True,
-    }
-    if not exact:
-        values[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
-    result = zenoh.Config()
-    for key, value in values.items():
-        result.insert_json5(key, json.dumps(value))
-    return result
+    key, name = zenoh_file_of(settings, role)
+    listens = role == "listen" and settings.mode == "peer"
+    mode = "peer" if listens else "client"
+    found = read_zenoh_file(key, name)
+    try:
+        return lay_over(
+            found, mode, settings.endpoint, listens, settings.shared_memory, exact, most_bytes
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {name}: {error}") from None
+    except zenoh.ZError as error:
+        raise BusError(_explain(settings.address, role, str(error))) from None
+
+
+def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
+    """The key that names the Zenoh configuration file of a role, and the file, if there is one."""
+    if role == "listen" or settings.client_file is None:
+        return "zenoh.file", settings.file
+    return "zenoh.client_file", settings.client_file
 
 
 @contextmanager
 def zenoh_session(
-    settings: config.Zenoh, role: Role, stop: threading.Event | None = None, exact: bool = False
+    settings: config.Zenoh,
+    role: Role,
+    stop: threading.Event | None = None,
+    exact: bool = False,
+    most_bytes: int | None = None,
 ) -> Iterator[zenoh.Session]:
     """A session as from `open_session`, closed at exit however its peers do.
 
     For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
     After `CLOSE_S` it goes on in a thread, which nobody waits for (`edge.host.interruptible`).
     """
-    opened = open_session(settings, role, stop, exact)
+    opened = open_session(settings, role, stop, exact, most_bytes)
     try:
         yield opened
     finally:
         closing = start_unjoined("zenoh-close", _close, opened)
         closing.join(CLOSE_S)
         if closing.is_alive():
-            log.warning("a peer at %s takes nothing: not waited for", settings.endpoint)
+            log.warning("a peer at %s takes nothing: not waited for", settings.address)
 
 
 def _close(opened: zenoh.Session) -> None:
@@ -120,6 +149,7 @@ def open_session(
     role: Role,
     stop: threading.Event | None = None,
     exact: bool = False,
+    most_bytes: int | None = None,
 ) -> zenoh.Session:
     """A session; the caller closes it (an unclosed one can hang the process's exit).
 
@@ -129,26 +159,40 @@ def open_session(
 
     Args:
         stop: gives up waiting when it is set.
-        exact: see `session_config`.
+        exact, most_bytes: see `session_config`.
 
     Raises:
+        ConfigError: Zenoh's own file cannot be used.
         BusError: the endpoint is taken or is no endpoint.
-        Stopped: `stop` was set.
+        NotTakenIn: `stop` was set.
     """
-    zenoh.try_init_log_from_env()
+    _init_zenoh_log()
     stop = stop or threading.Event()
-    told = False
+    found = session_config(settings, role, exact, most_bytes)
+    key, name = zenoh_file_of(settings, role)
+    for address in open_to(found):
+        log.warning("zenoh.endpoint: %s", OPEN.format(address))
+    told: set[str | None] = set()
+    before: str | None = None
     while True:
         try:
-            return zenoh.open(session_config(settings, role, exact))
+            return zenoh.open(found)
         except zenoh.ZError as error:
             if _NOBODY not in str(error):
-                raise BusError(_explain(settings.endpoint, role, str(error))) from None
-        if not told:
-            told = True
-            log.info("waiting for somebody at %s", settings.endpoint)
+                lacks = unreadable(found, listens=bool(get(found, "listen/endpoints")))
+                cause = str(error) if lacks is None else lacks
+                raise BusError(_explain(settings.address, role, cause)) from None
+        refused = why_refused(settings.endpoint, found, name or key)
+        # Who is just starting, or busy, refuses once.
+        if refused not in told and refused == before:
+            told.add(refused)
+            if refused is None:
+                log.info("waiting for somebody at %s", settings.address)
+            else:
+                log.warning("refused at %s: %s; trying on", settings.address, refused)
+        before = refused
         if stop.wait(_PAUSE_S):
-            raise Stopped(f"zenoh.endpoint: stopped while nobody was at {settings.endpoint}")
+            raise NotTakenIn(settings.address, refused)
 
 
 def declare_publisher(
@@ -156,6 +200,13 @@ def declare_publisher(
 ) -> zenoh.Publisher:
     """A publisher with the congestion control, reliability and priority of the topic's QoS."""
     return session.declare_publisher(settings.key(topic.key), **_QOS[topic.qos])
+
+
+def _init_zenoh_log() -> None:
+    """Let Zenoh log as `RUST_LOG` says, but not its configuration: that may hold a password."""
+    if (asked := os.environ.get("RUST_LOG")) and not asked.endswith(_NO_CONFIGURATION):
+        os.environ["RUST_LOG"] = asked + _NO_CONFIGURATION
+    zenoh.try_init_log_from_env()
 
 
 class Ring:
@@ -214,11 +265,11 @@ class QueryRing(Ring):
         return session.declare_queryable(key, ring)
 
 
-def _explain(endpoint: str, role: Role, reason: str) -> str:
+def _explain(address: str, role: Role, reason: str) -> str:
     if "already in use" in reason:
         return (
-            f"zenoh.endpoint: {endpoint} is in use: another service runs there; "
+            f"zenoh.endpoint: {address} is in use: another service runs there; "
             "stop it, or give this one another port"
         )
-    cause = reason.split(" at /")[0].strip("[ ")
-    return f"zenoh.endpoint: cannot {role} to {endpoint}: {cause}"
+    cause = reason.split('msg: "')[-1].split(" at /")[0].strip("[ ")
+    return f"zenoh.endpoint: cannot {role} to {address}: {one_line(without_secrets(cause))}"

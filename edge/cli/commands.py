@@ -83,7 +83,7 @@ def _serve(
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
         instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.endpoint)
+        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
         vitals.ready()
         loop(running, stop, once, partial(vitals.beat, running))
         vitals.stopping()

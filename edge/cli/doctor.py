@@ -124,14 +124,34 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
     from edge.bus.session import BusError, open_session
 
     if config.zenoh.mode == "client":
-        yield Finding("ok", f"the service will look for a Zenoh router at {config.zenoh.endpoint}")
+        yield Finding("ok", f"the service will look for a Zenoh router at {config.zenoh.address}")
         return
     try:
         open_session(config.zenoh, "listen").close()
     except BusError as error:
-        yield Finding("warn", f"the service cannot listen at {config.zenoh.endpoint}", str(error))
+        yield Finding("warn", f"the service cannot listen at {config.zenoh.address}", str(error))
     else:
-        yield Finding("ok", f"the service can listen at {config.zenoh.endpoint}")
+        yield Finding("ok", f"the service can listen at {config.zenoh.address}")
+
+
+def check_strangers(config: Config) -> Iterator[Finding]:
+    """Who may come in, and who may read what keeps them out."""
+    from edge.bus.session import OPEN, session_config, zenoh_file_of
+    from edge.bus.zenoh_file import open_to, others_can_read
+
+    for address in open_to(session_config(config.zenoh, "listen")):
+        todo = "listen on 127.0.0.1, or ask for certificates (docs/security.md)"
+        yield Finding("warn", OPEN.format(address), todo)
+    paths = [
+        path
+        for role in ("listen", "connect")
+        for path in others_can_read(
+            session_config(config.zenoh, role), zenoh_file_of(config.zenoh, role)[1]
+        )
+    ]
+    for path in dict.fromkeys(paths):
+        what = f"{path} holds a secret, and every user of this machine can read or write it"
+        yield Finding("warn", what, f"chmod o= {path}")
 
 
 # -- the detector -----------------------------------------------------------------------------
@@ -307,6 +327,7 @@ CHECKS: tuple[Check, ...] = (
     check_numba,
     check_zenoh,
     check_endpoint,
+    check_strangers,
     check_onnxruntime,
     check_models,
     check_mission,

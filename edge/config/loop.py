@@ -7,8 +7,12 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, field_validator
 
 from edge.config.section import Positive, Section
+from edge.text import without_secrets
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
+KEY_IN_ENDPOINT = "private_key_base64"
+"""No endpoint may have it: Zenoh logs endpoints, and shows them to whoever is connected."""
+FilePath = Annotated[str, Field(min_length=1)]
 TopicName = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
     "sim/ground_truth", "sim/segmentation", "sim/labels",
@@ -21,6 +25,10 @@ class Zenoh(Section):
     """The service listens; simulator and controller connect to the same endpoint.
 
     `topics` gives topics other keys below the prefix: `{camera/rgb: front/image_raw}`.
+
+    `file` is a configuration file of Zenoh's own (JSON5): TLS, users, access control and whatever
+    else Zenoh knows, for the service; `client_file` the one of all that connects to it, by default
+    the same. `edge.bus.zenoh_file` says how the settings here are laid over it.
     """
 
     endpoint: str = "tcp/127.0.0.1:7447"
@@ -28,6 +36,20 @@ class Zenoh(Section):
     topics: dict[TopicName, Key] = Field(default_factory=dict)
     mode: Literal["peer", "client"] = "peer"
     shared_memory: bool = True
+    file: FilePath | None = None
+    client_file: FilePath | None = None
+
+    @property
+    def address(self) -> str:
+        """The endpoint as it may be shown: without the configuration that may follow it."""
+        return without_secrets(self.endpoint)
+
+    @field_validator("endpoint")
+    @classmethod
+    def _holds_no_key(cls, endpoint: str) -> str:
+        if KEY_IN_ENDPOINT in endpoint:
+            raise ValueError(f"{KEY_IN_ENDPOINT} belongs in a file that zenoh.file names")
+        return endpoint
 
     @field_validator("topics")
     @classmethod

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -274,9 +274,11 @@ def player(
     if not Path(path).is_file():
         raise RecordingError(f"{path}: no such file")
     command = [*python_module("edge.sources.recording"), "play", str(path), f"--rate={rate}"]
-    command += ["--zenoh", config.zenoh.model_dump_json()] + ["--loop"] * loop
-    process = subprocess.Popen(command)
+    process = subprocess.Popen(command + ["--loop"] * loop, stdin=subprocess.PIPE)
     try:
+        # Not among its arguments, which every user of this machine may read.
+        with suppress(BrokenPipeError), process.stdin as settings:  # it says itself what failed
+            settings.write(config.zenoh.model_dump_json().encode() + b"\n")
         yield process
     finally:
         process.terminate()
@@ -298,28 +300,30 @@ def run(args: argparse.Namespace) -> int:
         n = record(session, config, args.out, args.seconds, stop)
     print(f"{args.out}: {n} messages")
     if n == 0:
-        print(f"nothing was heard at {config.zenoh.endpoint}: is the service running?")
+        print(f"nothing was heard at {config.zenoh.address}: is the service running?")
     return 0 if n else 1
 
 
 def _play_command(args: argparse.Namespace) -> int:
-    settings = Zenoh.model_validate_json(args.zenoh)
+    settings = Zenoh.model_validate_json(sys.stdin.readline())
     stop = stop_on_signals()
     with open_session(settings, "connect", stop) as session:
         if not wait_for_service(session, settings, args.wait, stop):
-            raise UnavailableError(f"{settings.endpoint}: no service came within {args.wait:g} s")
+            raise UnavailableError(f"{settings.address}: no service came within {args.wait:g} s")
         played = play(session, settings, args.file, args.rate, args.loop, True, stop)
     print(f"{args.file}: {played.messages} messages, at most {played.max_late_s * 1e3:.1f} ms late")
     return 0
 
 
 def main(argv: list[str] | None = None) -> int:
-    """`python -m edge.sources.recording play FILE --zenoh JSON`, which `player` runs."""
+    """`python -m edge.sources.recording play FILE`, which `player` runs.
+
+    A line of standard input is the section `zenoh` of a configuration, as JSON.
+    """
     parser = argparse.ArgumentParser(prog="python -m edge.sources.recording")
     commands = parser.add_subparsers(required=True)
     plays = commands.add_parser("play", help="send a recording as if the sensors were live")
     plays.add_argument("file")
-    plays.add_argument("--zenoh", required=True, help="section `zenoh` of a configuration, as JSON")
     plays.add_argument("--rate", type=float, default=1.0)
     plays.add_argument("--loop", action="store_true")
     plays.add_argument("--wait", type=float, default=60.0, help="seconds to wait for the service")

@@ -19,6 +19,7 @@ from edge.text import read_json
 log = logging.getLogger("edge.sources.truth")
 
 _KEPT = 8
+_MAX_LABELS_BYTES = 1 << 20
 
 
 class TruthInbox:
@@ -83,6 +84,8 @@ def parse_labels(payload: bytes) -> tuple[str, ...]:
     Raises:
         ValueError: with one line that says what is wrong.
     """
+    if len(payload) > _MAX_LABELS_BYTES:
+        raise ValueError(f"{len(payload)} bytes, at most {_MAX_LABELS_BYTES} are taken")
     labels = read_json(payload)
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise ValueError("not a JSON list of words")

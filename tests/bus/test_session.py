@@ -12,10 +12,10 @@ from typing import get_args
 import pytest
 import zenoh
 from fake_zenoh import Flooded
-from patience import PATIENCE_S
+from patience import PATIENCE_S, eventually
 
 from edge.bus import session as bus
-from edge.bus import topics
+from edge.bus import topics, zenoh_file
 from edge.config import Zenoh
 from edge.config.loop import TopicName
 from edge.errors import Stopped
@@ -127,7 +127,7 @@ def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():
     assert [topic.key for topic in topics.ALL if topic.qos == "block"] == ["tick"]
 
 
-@pytest.mark.parametrize(("exact", "wait_s"), [(False, bus.BLOCKED_S), (True, 5.0)])
+@pytest.mark.parametrize(("exact", "wait_s"), [(False, zenoh_file.BLOCKED_S), (True, 5.0)])
 def test_a_peer_that_takes_nothing_is_let_go(exact, wait_s):
     config = bus.session_config(Zenoh(), "listen", exact)
     key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
@@ -143,3 +143,27 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
         assert session is stuck
     assert "a peer at tcp/here:1 takes nothing: not waited for" in caplog.text
     go.set()
+
+
+def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
+    settings = Zenoh(endpoint=free_endpoint, shared_memory=False)
+    with (
+        bus.open_session(settings, "listen", most_bytes=1_000_000) as service,
+        bus.open_session(settings, "connect") as client,
+    ):
+        heard = service.declare_subscriber("a/key", zenoh.handlers.RingChannel(8))
+        publisher = client.declare_publisher(
+            "a/key", congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        eventually(lambda: publisher.matching_status.matching)
+        for size in (900_000, 2_000_000, 7):
+            publisher.put(bytes(size))
+        sizes = []
+
+        def is_through() -> bool:
+            while (sample := heard.try_recv()) is not None:
+                sizes.append(len(sample.payload))
+            return 7 in sizes
+
+        eventually(is_through)
+        assert sizes == [900_000, 7]

@@ -182,6 +182,30 @@ def test_an_endpoint_that_is_taken():
         assert levels(doctor.check_endpoint, settings) == ["warn"]
 
 
+def test_who_may_come_in(tmp_path):
+    assert levels(doctor.check_strangers) == []
+    open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
+    (finding,) = doctor.check_strangers(open_)
+    assert finding.level == "warn"
+    assert finding.what.startswith("tcp/0.0.0.0:7447 is open: whoever reaches it may command")
+    users = tmp_path / "users.txt"
+    users.write_text("operator:of the operator\n")
+    users.chmod(0o644)
+    file = tmp_path / "service.json5"
+    file.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
+    shut = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447", "file": str(file)}})
+    (finding,) = doctor.check_strangers(shut)
+    assert (finding.level, finding.todo) == ("warn", f"chmod o= {users}")
+    users.chmod(0o600)
+    assert levels(doctor.check_strangers, shut) == []
+
+
+def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
+    settings = simulated({"zenoh": {"file": "gone.json5"}})
+    findings = [f for f in doctor.examine(settings) if "gone.json5" in f.what]
+    assert [finding.level for finding in findings] == ["fail"]
+
+
 @pytest.mark.parametrize(
     ("installed", "providers", "settings", "expected"),
     [

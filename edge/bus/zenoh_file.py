@@ -1,0 +1,256 @@
+"""Zenoh's own configuration file, and how our settings are laid over it.
+
+TLS, users, access control and all else that Zenoh knows is said there, in Zenoh's words (JSON5), by
+`zenoh.file` and `zenoh.client_file`. Relative paths in it are, as Zenoh takes them, relative to the
+working directory. Of what `edge` sets as well,
+
+- `mode` is `zenoh.mode`'s: a file that says another is refused;
+- endpoints add up: `zenoh.endpoint` comes first, further ones of the file behind it;
+- how long a connection is tried is `edge`'s, which looks for signals meanwhile;
+- shared memory is off where either says so;
+- anything else of `edge`'s (`DEFAULTS`) stands where the file leaves Zenoh's own default.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import re
+import stat
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from edge.config.loop import KEY_IN_ENDPOINT
+from edge.errors import ConfigError
+from edge.host.resources import expand
+from edge.text import one_line
+
+BLOCKED_S = 1.0
+
+# Whoever connects and says nothing holds one of Zenoh's places for connections that are not yet
+# sessions: 100 for 10 s each, so 120 idle ones keep everybody out. These are more places, given
+# back sooner; with all sessions they stay below the 1024 descriptors that a process usually has.
+PENDING = 512
+HANDSHAKE_MS = 2000
+SESSIONS = 128
+
+DEFAULTS: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    # A peer that gossips names places, and whoever listens to it connects there.
+    "scouting/gossip/enabled": False,
+    "transport/unicast/accept_pending": PENDING,
+    "transport/unicast/accept_timeout": HANDSHAKE_MS,
+    "transport/unicast/max_sessions": SESSIONS,
+}
+
+_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
+_MESSAGE = "transport/link/rx/max_message_size"
+_SHARED_MEMORY = "transport/shared_memory/enabled"
+_TLS_HANDSHAKE = "tls_handshake_timeout_ms"
+_RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+_ATTEMPT_MS = 500
+_TLS = "transport/link/tls"
+_USERS = "transport/auth/usrpwd/dictionary_file"
+_PASSWORD = "transport/auth/usrpwd/password"
+_OTHERS = stat.S_IROTH | stat.S_IWOTH
+_WITH_CERTIFICATES = ("tls", "quic")
+_ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
+
+
+def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
+    """What the file says; of no file, Zenoh's defaults.
+
+    Args:
+        key: that names it, for errors.
+
+    Raises:
+        ConfigError: it cannot be read or says what Zenoh does not know; one line, which quotes no
+            value, since it may be a password.
+    """
+    if name is None:
+        return zenoh.Config()
+    path = expand(name)
+    if not path.is_file():
+        raise ConfigError(f"{key}: {name}: no such file")
+    try:
+        return zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
+
+
+def lay_over(
+    found: zenoh.Config,
+    mode: str,
+    endpoint: str,
+    listens: bool,
+    shared_memory: bool,
+    exact: bool,
+    most_bytes: int | None,
+) -> zenoh.Config:
+    """The same, changed in place: with our settings as the module's docstring says.
+
+    Args:
+        mode: `peer` or `client`.
+        listens: at the endpoint, or else connects to it.
+        exact: see `edge.bus.session.session_config`.
+        most_bytes: no longer message is put together from its fragments; None leaves Zenoh's 1 GiB.
+
+    Raises:
+        ConfigError: the file says another mode, or has a private key in an endpoint.
+    """
+    says = get(found, "mode")
+    if says not in (None, mode):
+        raise ConfigError(f"mode: {says!r}, but here it is {mode!r}: leave it out (see zenoh.mode)")
+    listening = _all_of(found, "listen/endpoints", mode)
+    connecting = _all_of(found, "connect/endpoints", mode)
+    if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
+        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {_TLS}")
+    first = [_patient_for(endpoint)] if listens else [endpoint]
+    values = {
+        "mode": mode,
+        "listen/endpoints": _once(first + listening) if listens else [],
+        "connect/endpoints": connecting if listens else _once(first + connecting),
+        "connect/timeout_ms": _ATTEMPT_MS,
+        "connect/exit_on_failure": False,
+        "connect/retry": _RETRY,
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        _SHARED_MEMORY: shared_memory and get(found, _SHARED_MEMORY),
+    }
+    ours = dict(DEFAULTS)
+    if not exact:
+        ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
+    if most_bytes is not None:
+        ours[_MESSAGE] = most_bytes
+    zenohs = zenoh.Config()
+    values |= {key: value for key, value in ours.items() if get(found, key) == get(zenohs, key)}
+    for key, value in values.items():
+        found.insert_json5(key, json.dumps(value))
+    return found
+
+
+def get(found: zenoh.Config, key: str) -> Any:
+    return json.loads(found.get_json(key))
+
+
+def open_to(found: zenoh.Config) -> list[str]:
+    """The addresses where whoever reaches them may connect and say what it likes.
+
+    Those that others than this machine can reach, where neither a client's certificate nor a
+    user's password is asked for.
+    """
+    if get(found, _USERS) is not None:
+        return []
+    mutual = "true" if get(found, f"{_TLS}/enable_mtls") else "false"
+
+    def is_open(endpoint: str) -> bool:
+        kind, host = protocol(endpoint), host_and_port(endpoint)[0]
+        asks = parameters(endpoint).get("enable_mtls", mutual) == "true"
+        certified = kind in _WITH_CERTIFICATES and asks
+        return not (kind in _ON_THIS_MACHINE or _is_loopback(host) or certified)
+
+    endpoints = get(found, "listen/endpoints")
+    return [endpoint.partition("#")[0] for endpoint in endpoints if is_open(endpoint)]
+
+
+def host_and_port(endpoint: str) -> tuple[str, int]:
+    """Of an endpoint such as `tls/[::1]:7447#…`; port 0 where there is none."""
+    place = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
+    host, _, port = place.rpartition(":")
+    return host.strip("[]"), int(port) if port.isdecimal() else 0
+
+
+def protocol(endpoint: str) -> str:
+    return endpoint.partition("/")[0]
+
+
+def parameters(endpoint: str) -> dict[str, str]:
+    """What an endpoint says behind `#`: `a=1;b=2`."""
+    pairs = (pair.partition("=") for pair in endpoint.partition("#")[2].split(";") if pair)
+    return {name: value for name, _, value in pairs}
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
+    """Endpoints that the file names for a mode; Zenoh's defaults are none of these."""
+    said = get(found, key)
+    if said == get(zenoh.Config(), key):
+        return []
+    said = said.get(mode, []) if isinstance(said, dict) else said
+    return [said] if isinstance(said, str) else list(said)
+
+
+def _once(endpoints: Sequence[str]) -> list[str]:
+    return list(dict.fromkeys(endpoints))
+
+
+def _patient_for(endpoint: str) -> str:
+    """A listening endpoint whose TLS handshakes end in time, unless it says how long they may take:
+    Zenoh's configuration file has no word for it."""
+    if protocol(endpoint) != "tls" or _TLS_HANDSHAKE in parameters(endpoint):
+        return endpoint
+    return f"{endpoint}{';' if '#' in endpoint else '#'}{_TLS_HANDSHAKE}={HANDSHAKE_MS}"
+
+
+def unreadable(found: zenoh.Config, listens: bool) -> str | None:
+    """Which file for TLS or users cannot be read, of those that who listens, or connects, needs;
+    Zenoh names none."""
+    keys = [f"{_TLS}/root_ca_certificate"]
+    if listens:
+        keys += [f"{_TLS}/listen_certificate", f"{_TLS}/listen_private_key", _USERS]
+    else:
+        keys += [f"{_TLS}/connect_certificate", f"{_TLS}/connect_private_key"]
+    for key in keys:
+        path = get(found, key)
+        if path is not None and not os.access(path, os.R_OK):
+            return f"{key}: {path}: no such file, or it may not be read"
+    return None
+
+
+def others_can_read(found: zenoh.Config, name: str | None) -> list[str]:
+    """The files with secrets, of those that are named, that other users of this machine can read or
+    write.
+
+    Args:
+        name: of the file that `found` is from, which may hold a password.
+    """
+    keys = f"{_TLS}/listen_private_key", f"{_TLS}/connect_private_key", _USERS
+    paths = [get(found, key) for key in keys]
+    if name is not None and get(found, _PASSWORD) is not None:
+        paths.append(str(expand(name)))
+    return [
+        path
+        for path in paths
+        if path is not None and os.access(path, os.F_OK) and os.stat(path).st_mode & _OTHERS
+    ]
+
+
+_PLACE = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
+_SAID = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
+_VALUE = re.compile(
+    r'(invalid (?:type|value): [a-z -]+?|unknown variant) (?:`.*?`|\\".*\\")', re.DOTALL
+)
+_EXPECTED = re.compile(r"= (expected .*)")
+
+
+def _fault(error: str) -> str:
+    """What Zenoh's words say of a file, and where; what the file says there is left out."""
+    place = _PLACE.search(error)
+    if place is None:
+        return one_line(error.split(" at /")[0])
+    line, column = (number for number in place.groups() if number is not None)
+    if said := _SAID.search(error):
+        what = _VALUE.sub(r"\1", said[1]).partition('\\"')[0]
+    else:
+        expected = _EXPECTED.search(error)
+        what = expected[1].split(" at /")[0] if expected else "not JSON5"
+    return f"line {line}, column {column}: {one_line(what)}"

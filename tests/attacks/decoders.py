@@ -1,0 +1,196 @@
+"""Everything that reads what others send over the network, with a few valid messages for each."""
+
+from __future__ import annotations
+
+import ast
+import json
+import random
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import edge
+from edge.bus.verbs import read_request
+from edge.bus.wire import messages
+from edge.cli.requests import as_text
+from edge.geometry import SE2, CameraModel, Grid
+from edge.loop.requests import MODEL_VERBS, mission_verbs
+from edge.motion.process import parse_tick
+from edge.sources.goal_status import parse_goal_status
+from edge.sources.truth import parse_labels
+from edge.text import read_json_object
+
+NS = 1_700_000_000_123_456_789
+POSE = SE2(1.0, 2.0, 0.5).matrix()
+VERBS = {**mission_verbs(lambda **_: None), **MODEL_VERBS}
+_RGB = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+_OUT = {
+    "rgb": np.zeros((2, 4, 3), np.uint8),
+    "depth": np.zeros((2, 4), np.float32),
+    "ids": np.zeros((2, 4), np.uint16),
+    "points": np.zeros((64, 3), np.float32),
+}
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """Attributes:
+    reads: takes a payload, or raises ValueError with one line.
+    seeds: valid payloads.
+    covers: the functions of `edge` that it calls with the payload.
+    """
+
+    reads: Callable[[bytes], object]
+    seeds: tuple[bytes, ...]
+    covers: tuple[str, ...]
+
+
+def _image_into(out: np.ndarray) -> Callable[[bytes], object]:
+    def read(payload: bytes) -> None:
+        messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+
+    return read
+
+
+def _json(*said: object) -> tuple[bytes, ...]:
+    return tuple(json.dumps(one).encode() for one in said)
+
+
+_IMAGE = ("decode_image_header", "decode_image_into")
+_DEPTH = np.arange(8, dtype=np.float32).reshape(2, 4)
+
+DECODERS = {
+    "rgb": Decoder(_image_into(_OUT["rgb"]), (messages.encode_image(NS, "c", _RGB),), _IMAGE),
+    "depth": Decoder(
+        _image_into(_OUT["depth"]),
+        (
+            messages.encode_image(NS, "c", _DEPTH),
+            messages.encode_image(NS, "c", _DEPTH.astype(np.uint16)),
+        ),
+        _IMAGE,
+    ),
+    "segmentation": Decoder(
+        _image_into(_OUT["ids"]),
+        (messages.encode_image(NS, "c", _DEPTH.astype(np.uint16)),),
+        _IMAGE,
+    ),
+    "camera info": Decoder(
+        messages.decode_camera_info,
+        (messages.encode_camera_info(NS, "c", CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)),),
+        ("decode_camera_info",),
+    ),
+    "cloud": Decoder(
+        lambda payload: messages.decode_point_cloud_into(payload, _OUT["points"]),
+        (messages.encode_point_cloud(NS, "l", np.ones((5, 3), np.float32)),),
+        ("decode_point_cloud_into",),
+    ),
+    "scan": Decoder(
+        lambda payload: messages.decode_scan_points_into(payload, _OUT["points"]),
+        (messages.encode_laser_scan(NS, "l", -1.0, 0.5, 9.0, np.ones(5, np.float32)),),
+        ("decode_scan_points_into", "decode_laser_scan"),
+    ),
+    "odometry": Decoder(
+        messages.decode_odometry,
+        (messages.encode_odometry(NS, POSE, 0.1, 0.2),),
+        ("decode_odometry",),
+    ),
+    "goal": Decoder(
+        messages.decode_pose_stamped,
+        (messages.encode_pose_stamped(NS, SE2(1.0, 2.0, 0.5)),),
+        ("decode_pose_stamped",),
+    ),
+    "velocity": Decoder(
+        messages.decode_twist_stamped,
+        (messages.encode_twist_stamped(NS, 0.1, 0.2),),
+        ("decode_twist_stamped",),
+    ),
+    "map": Decoder(
+        messages.decode_occupancy_grid,
+        (messages.encode_occupancy_grid(NS, Grid(np.zeros((3, 4), np.int8), (0.0, 0.0), 0.05)),),
+        ("decode_occupancy_grid",),
+    ),
+    "stamp": Decoder(
+        messages.peek_stamp_ns, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_stamp_ns",)
+    ),
+    "goal status": Decoder(
+        parse_goal_status,
+        _json(
+            {"stamp": NS, "state": "failed", "reason": "stuck", "blocked": [1.5, -2]},
+            {"stamp": NS, "state": "reached"},
+        ),
+        ("parse_goal_status",),
+    ),
+    "labels": Decoder(parse_labels, _json([], ["chair", "tv stand"]), ("parse_labels",)),
+    "tick": Decoder(parse_tick, _json({"stamp": NS}), ("parse_tick",)),
+    "request": Decoder(
+        lambda payload: read_request(payload, VERBS),
+        _json(
+            {"do": "new", "instruction": "find the bed"},
+            {"do": "new", "formula": "F bed"},
+            {"do": "use", "model": "mine", "force": True},
+            {"do": "pause"},
+        ),
+        ("read_request",),
+    ),
+    "answer": Decoder(
+        lambda payload: as_text(read_json_object(payload)),
+        _json({"phase": "running", "state": 1, "states": 3, "plan": ["bed"], "overtaken": 2}),
+        (),
+    ),
+}
+
+
+def readers_of_payloads() -> set[str]:
+    """The public functions of `edge` whose first parameter is a `payload`, wherever they are."""
+    found = set()
+    for path in Path(edge.__file__).parent.rglob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                names = [argument.arg for argument in node.args.args[:1]]
+                if names == ["payload"]:
+                    found.add(node.name)
+    return found
+
+
+_LENGTHS = (0, 1, 2, 3, 7, 255, 2**16, 2**24, 2**31 - 1, 2**31, 2**32 - 8, 2**32 - 1)
+_FLOATS = (0.0, -0.0, 1e-310, 1e38, 1e300, float("inf"), float("-inf"), float("nan"))
+_WORDS = (
+    b"null", b"NaN", b"-Infinity", b"1e999", b"[" * 2000, b'{"a":' * 500, b'"\\ud800"', b"\xff",
+    b"true", b"[]", b"{}", b'""', b"-", b"1" * 5000, b'\\u0000"', b'"stamp":', b'"do":',
+)  # fmt: skip
+
+
+def mutate(payload: bytes, chance: random.Random) -> bytes:
+    """One to four changes that fuzzers are known to make."""
+    changed = bytearray(payload)
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(changed) + 1)
+        match chance.randrange(7):
+            case 0 if at < len(changed):
+                changed[at] ^= 1 << chance.randrange(8)
+            case 1 if at < len(changed):
+                changed[at] = chance.randrange(256)
+            case 2:
+                changed[at & ~3 : (at & ~3) + 4] = struct.pack("<I", chance.choice(_LENGTHS))
+            case 3:
+                # CDR aligns after its header of 4 bytes.
+                begin = 4 + ((at - 4) & ~7)
+                changed[begin : begin + 8] = struct.pack("<d", chance.choice(_FLOATS))
+            case 4:
+                del changed[at:]
+            case 5:
+                changed[at:at] = chance.choice(_WORDS)
+            case _:
+                end = min(at + chance.randrange(16), len(changed))
+                changed[at:at] = changed[at:end]
+    return bytes(changed)
+
+
+def lengths_that_lie(payload: bytes) -> Iterator[bytes]:
+    """The payload with each of its 32-bit words as a huge number."""
+    for at in range(4, len(payload) - 3, 4):
+        for huge in (2**31 - 1, 2**32 - 1, 2**27):
+            yield payload[:at] + struct.pack("<I", huge) + payload[at + 4 :]

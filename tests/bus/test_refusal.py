@@ -1,0 +1,59 @@
+"""Why an endpoint took no session, of servers that are none of ours."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from edge.bus.refusal import why_refused
+from edge.bus.session import session_config
+from edge.config import Zenoh
+from edge.host.ports import free_port
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """Of a server that takes every connection and answers it in HTTP."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve() -> None:
+            while True:
+                try:
+                    taken, _ = listening.accept()
+                except OSError:
+                    return
+                with taken:
+                    taken.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield listening.getsockname()[1]
+        listening.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
+def why(endpoint: str) -> str | None:
+    settings = Zenoh(endpoint=endpoint)
+    return why_refused(endpoint, session_config(settings, "connect"), "zenoh.client_file")
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "tcp/127.0.0.1:{}",
+        "tls/127.0.0.1:{}",
+        "tcp/no.such.host.invalid:{}",
+        "tcp/{}",
+        "quic/127.0.0.1:{}",
+    ],
+)
+def test_nobody_refuses(place):
+    assert why(place.format(free_port())) is None
+
+
+def test_who_speaks_no_zenoh_takes_no_session(port):
+    assert "takes no session" in why(f"tcp/127.0.0.1:{port}")
+    assert why(f"tls/127.0.0.1:{port}").startswith("it does not speak TLS")

@@ -1,0 +1,241 @@
+"""Zenoh's own file under our settings, and what is said of one that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from edge.bus import zenoh_file
+from edge.bus.session import BusError, open_session, session_config
+from edge.bus.zenoh_file import get, open_to, others_can_read, parameters
+from edge.config import ConfigError, Zenoh, parse
+from edge.host.resources import data_dir
+
+OURS = "tcp/127.0.0.1:17447"
+SECURE = data_dir("config") / "secure"
+
+
+@pytest.fixture
+def settings(tmp_path):
+    def with_file(text: str, **more: object) -> Zenoh:
+        path = tmp_path / "zenoh.json5"
+        path.write_text(text)
+        return Zenoh(**{"endpoint": OURS, "file": str(path), **more})
+
+    return with_file
+
+
+def of(settings: Zenoh, role: str, key: str) -> object:
+    return get(session_config(settings, role), key)
+
+
+def test_an_empty_file_changes_nothing(settings):
+    for role in ("listen", "connect"):
+        bare, laid = (session_config(s, role) for s in (Zenoh(endpoint=OURS), settings("{}")))
+        assert str(bare) == str(laid)
+
+
+@pytest.mark.parametrize(
+    ("role", "more", "listens", "connects"),
+    [
+        ("listen", {}, [OURS, "tcp/[::]:1"], ["tcp/router:2"]),
+        ("connect", {}, [], [OURS, "tcp/router:2"]),
+        ("listen", {"mode": "client"}, [], [OURS, "tcp/router:2"]),
+    ],
+)
+def test_endpoints_add_up(settings, role, more, listens, connects):
+    said = settings(
+        '{listen: {endpoints: ["tcp/[::]:1"]}, connect: {endpoints: ["tcp/router:2"]}}', **more
+    )
+    assert of(said, role, "listen/endpoints") == listens
+    assert of(said, role, "connect/endpoints") == connects
+
+
+def test_endpoints_of_another_mode_are_none_of_ours(settings):
+    said = settings('{connect: {endpoints: {router: ["tcp/a:1"], peer: ["tcp/b:2"]}}}')
+    assert of(said, "listen", "connect/endpoints") == ["tcp/b:2"]
+    assert of(said, "connect", "connect/endpoints") == [OURS]
+
+
+@pytest.mark.parametrize("key", zenoh_file.DEFAULTS)
+def test_what_the_file_says_counts_more_than_our_defaults(settings, key):
+    ours = zenoh_file.DEFAULTS[key]
+    theirs = not ours if isinstance(ours, bool) else ours + 1
+    text = json.dumps(theirs)
+    for part in reversed(key.split("/")):
+        text = f"{{{part}: {text}}}"
+    assert of(settings(text), "listen", key) == theirs
+    assert of(settings("{}"), "listen", key) == ours
+
+
+@pytest.mark.parametrize(("here", "there"), [(True, False), (False, True), (True, True)])
+def test_shared_memory_is_off_where_either_says_so(settings, here, there):
+    said = settings(
+        f"{{transport: {{shared_memory: {{enabled: {json.dumps(there)}}}}}}}", shared_memory=here
+    )
+    assert of(said, "listen", "transport/shared_memory/enabled") is (here and there)
+
+
+def test_places_for_connections_stay_below_the_descriptors_of_a_process():
+    assert zenoh_file.PENDING + zenoh_file.SESSIONS < 1024 - 256
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "listens"),
+    [
+        ("tls/h:1", "tls/h:1#tls_handshake_timeout_ms=2000"),
+        ("tls/h:1#so_rcvbuf=9", "tls/h:1#so_rcvbuf=9;tls_handshake_timeout_ms=2000"),
+        ("tls/h:1#tls_handshake_timeout_ms=7", "tls/h:1#tls_handshake_timeout_ms=7"),
+    ],
+)
+def test_a_tls_handshake_ends_in_time(endpoint, listens):
+    assert of(Zenoh(endpoint=endpoint), "listen", "listen/endpoints") == [listens]
+    assert of(Zenoh(endpoint=endpoint), "connect", "connect/endpoints") == [endpoint]
+
+
+def test_the_client_has_its_own_file_or_that_of_the_service(settings, tmp_path):
+    own = tmp_path / "client.json5"
+    own.write_text('{namespace: "of/the/client"}')
+    said = settings('{namespace: "of/the/service"}')
+    assert of(said, "connect", "namespace") == "of/the/service"
+    said = said.model_copy(update={"client_file": str(own)})
+    assert of(said, "connect", "namespace") == "of/the/client"
+    assert of(said, "listen", "namespace") == "of/the/service"
+
+
+PASSWORD = '{transport: {auth: {usrpwd: {user: "me", password: "SENTINEL"%s}}}}'
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "Empty config file"),
+        ("{ a", "line 1, column 1: expected array, boolean"),
+        ("{nonsense: 1}", "line 1, column 2: unknown field `nonsense`, expected one of `id`"),
+        ('{mode: "SENTINEL"}', "line 1, column 8: unknown variant, expected one of `router`"),
+        ('{queries_default_timeout: "SENTINEL"}', "line 1, column 27: "),
+        ('{scouting: {multicast: {enabled: "SENTINEL"}}}', "invalid type: string, expected"),
+        (PASSWORD.replace('"SENTINEL"%s', "4242"), "invalid type: integer, expected a string"),
+        (PASSWORD % ", dictionary_file: 4242", "invalid type"),
+        (PASSWORD % " oops", "expected"),
+        (PASSWORD % "" + '\n"SENTINEL"', "line 2, column 1: expected"),
+        ('{mode: "router"}', "mode: 'router', but here it is 'peer': leave it out"),
+        (
+            '{connect: {endpoints: ["tls/h:1#connect_private_key_base64=SENTINEL"]}}',
+            "endpoints: private_key_base64 belongs under transport/link/tls",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_told_in_one_line_without_its_secrets(settings, text, says):
+    said = settings(text)
+    with pytest.raises(ConfigError) as caught:
+        session_config(said, "listen")
+    line = str(caught.value)
+    assert line.startswith(f"zenoh.file: {said.file}: ")
+    assert says in line
+    assert "\n" not in line
+    assert "SENTINEL" not in line
+    assert "4242" not in line
+
+
+@pytest.mark.parametrize("key", ["file", "client_file"])
+def test_a_file_that_is_not_there_is_named(key, tmp_path):
+    settings = Zenoh(**{key: str(tmp_path / "gone.json5")})
+    with pytest.raises(ConfigError, match=rf"^zenoh\.{key}: .*gone\.json5: no such file$"):
+        session_config(settings, "listen" if key == "file" else "connect")
+
+
+def test_a_private_key_in_the_endpoint_is_refused_and_not_shown():
+    endpoint = "tls/h:1#listen_private_key_base64=SENTINEL"
+    with pytest.raises(ConfigError, match="belongs in a file that") as caught:
+        parse({"zenoh": {"endpoint": endpoint}, "perception": {"detector": {"kind": "sim"}}})
+    assert "SENTINEL" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{transport: {link: {tls: {listen_private_key: "/gone.key"}}}}', "/gone.key: no such"),
+        ('{transport: {auth: {usrpwd: {dictionary_file: "/gone"}}}}', "/gone: no such"),
+        ("{access_control: {enabled: true}}", "ACL rules/subjects/policies"),
+    ],
+)
+def test_what_the_service_lacks_is_told_in_one_line(settings, text, says):
+    with pytest.raises(BusError) as caught:
+        open_session(settings(text, endpoint="tls/127.0.0.1:0"), "listen")
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+OPEN_TCP = "tcp/0.0.0.0:7447"
+MUTUAL = "{transport: {link: {tls: {enable_mtls: true}}}}"
+USERS = '{transport: {auth: {usrpwd: {dictionary_file: "users.txt"}}}}'
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "text", "open_"),
+    [
+        ("tcp/127.0.0.1:7447", "{}", []),
+        ("tcp/[::1]:7447", "{}", []),
+        ("tcp/localhost:7447", "{}", []),
+        ("unixsock-stream//run/edge.sock", "{}", []),
+        (OPEN_TCP, "{}", [OPEN_TCP]),
+        ("tcp/robot:7447", "{}", ["tcp/robot:7447"]),
+        ("tls/0.0.0.0:7447", "{}", ["tls/0.0.0.0:7447"]),
+        ("tls/0.0.0.0:7447", MUTUAL, []),
+        (OPEN_TCP, MUTUAL, [OPEN_TCP]),  # certificates are for TLS alone
+        (OPEN_TCP, USERS, []),
+        ("tls/0.0.0.0:7447#enable_mtls=true", "{}", []),
+        ("tls/0.0.0.0:7447#enable_mtls=false", MUTUAL, ["tls/0.0.0.0:7447"]),
+        (OURS, f'{{listen: {{endpoints: ["{OPEN_TCP}"]}}}}', [OPEN_TCP]),
+    ],
+)
+def test_what_is_open_to_strangers(settings, endpoint, text, open_):
+    assert open_to(session_config(settings(text, endpoint=endpoint), "listen")) == open_
+
+
+def test_secrets_that_others_can_read(settings, tmp_path):
+    key, users = tmp_path / "service.key", tmp_path / "users.txt"
+    for file in (key, users):
+        file.touch(0o600)
+    said = settings(
+        f'{{transport: {{link: {{tls: {{listen_private_key: "{key}"}}}}, '
+        f'auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}'
+    )
+    assert others_can_read(session_config(said, "listen"), said.file) == []
+    os.chmod(users, 0o604)
+    assert others_can_read(session_config(said, "listen"), said.file) == [str(users)]
+    said = settings(PASSWORD % "")
+    os.chmod(said.file, 0o604)
+    assert others_can_read(session_config(said, "connect"), said.file) == [said.file]
+    os.chmod(said.file, 0o600)
+    assert others_can_read(session_config(said, "connect"), said.file) == []
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "found"),
+    [("tcp/h:1", {}), ("tcp/h:1#", {}), ("tls/h:1?a=b#c=d=e;f=", {"c": "d=e", "f": ""})],
+)
+def test_parameters(endpoint, found):
+    assert parameters(endpoint) == found
+
+
+def access(name: str) -> dict:
+    settings = Zenoh(endpoint=OURS, file=str(SECURE / name))
+    return get(session_config(settings, "listen"), "access_control")
+
+
+def test_both_ready_services_have_the_same_rules():
+    by_certificate, by_password = access("service.json5"), access("password-service.json5")
+    assert by_certificate["rules"] == by_password["rules"]
+    assert by_certificate["policies"] == by_password["policies"]
+    assert by_certificate["default_permission"] == by_password["default_permission"] == "deny"
+
+
+@pytest.mark.parametrize("path", sorted(SECURE.glob("*.json5")), ids=lambda path: path.name)
+def test_every_ready_file_is_understood(path: Path):
+    role = "listen" if "service" in path.name else "connect"
+    session_config(Zenoh(endpoint=OURS, file=str(path)), role)

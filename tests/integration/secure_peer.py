@@ -1,0 +1,47 @@
+"""A service as Zenoh sees it: `python secure_peer.py SETTINGS`, the section `zenoh` as JSON.
+
+Sends on every key of the project again and again, and prints `put KEY` or `query KEY` for whatever
+reaches it from others.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+
+import zenoh
+
+from edge.bus import topics
+from edge.bus.session import open_session
+from edge.config import Zenoh
+
+
+def main(text: str) -> None:
+    logging.basicConfig(level=logging.INFO)
+    settings = Zenoh.model_validate_json(text)
+    keys = [settings.key(topic.key) for topic in topics.ALL]
+    requests = [settings.key(key) for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)]
+    with open_session(settings, "listen") as session:
+        heard = session.declare_subscriber(
+            f"{settings.prefix}/**",
+            zenoh.handlers.FifoChannel(4096),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        asked = [session.declare_queryable(k, zenoh.handlers.FifoChannel(64)) for k in requests]
+        print("ready", flush=True)
+        while True:
+            while (sample := heard.try_recv()) is not None:
+                print("put", sample.key_expr, flush=True)
+            for queryable in asked:
+                while (query := queryable.try_recv()) is not None:
+                    print("query", query.key_expr, flush=True)
+                    with query:
+                        query.reply(query.key_expr, b"{}")
+            for key in keys:
+                session.put(key, b"of the service", allowed_destination=zenoh.Locality.REMOTE)
+            time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

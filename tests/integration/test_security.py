@@ -1,0 +1,299 @@
+"""The ready configurations of `config/secure`, with the certificates that docs/security.md makes:
+real sessions in real processes."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+from edge_processes import LOCKSTEP, write_config
+from patience import PATIENCE_S, eventually
+
+from edge.bus import client, topics
+from edge.bus.session import open_session
+from edge.config import Zenoh
+from edge.config.yaml_text import parse_yaml
+from edge.host.ports import free_port
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
+PEER = Path(__file__).with_name("secure_peer.py")
+CLIENTS = ("robot", "controller", "operator", "recorder")
+USERS = {who: f"pw-of-{who}" for who in CLIENTS}
+IDLE = 120  # more than Zenoh's own limit of 100
+
+# What each may send, ask and hear, of all keys of the project.
+REQUESTS = {f"edge/{key}" for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)}
+EVERY = {f"edge/{topic.key}" for topic in topics.ALL}
+BY_SENSORS = {f"edge/{t.key}" for t in topics.ALL if t.writer in ("sensors", "simulator")}
+BY_CONTROLLER = {f"edge/{t.key}" for t in topics.ALL if t.writer == "controller"}
+BY_SERVICE = {f"edge/{t.key}" for t in topics.ALL if t.writer == "service"}
+MAY_PUT = {"robot": BY_SENSORS, "controller": BY_CONTROLLER, "operator": set(), "recorder": set()}
+MAY_ASK = {"robot": set(), "controller": set(), "operator": REQUESTS, "recorder": set()}
+MAY_HEAR = {
+    "robot": BY_SERVICE | {"edge/cmd_vel"},
+    "controller": BY_SERVICE | {"edge/odom"},
+    "operator": BY_SERVICE,
+    "recorder": EVERY,
+}
+
+
+def commands_of_the_page(folder: Path, *containing: str) -> None:
+    """Run its blocks, with `folder` for `/etc/edge`; the working directory is the project's."""
+    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for text in containing:
+        (block,) = (block for block in blocks if text in block)
+        script = "set -eu\n" + block.replace("/etc/edge", str(folder))
+        subprocess.run(["bash", "-c", script], cwd=ROOT, check=True, capture_output=True)
+
+
+def etc_edge(folder: Path) -> Path:
+    """What is in `/etc/edge` once the page was followed, and what it says for users."""
+    commands_of_the_page(folder, "cp config/secure", "openssl req", "sed s/operator")
+    commands = "sed s/operator/recorder/ /etc/edge/client.json5 > /etc/edge/recorder.json5"
+    subprocess.run(["bash", "-c", commands.replace("/etc/edge", str(folder))], check=True)
+    shutil.copy(folder / "client.json5", folder / "operator.json5")
+    (folder / "users.txt").write_text("".join(f"{u}:{p}\n" for u, p in USERS.items()))
+    text = (folder / "password-client.json5").read_text()
+    for user, password in USERS.items():
+        own = text.replace('"operator"', f'"{user}"').replace("of the operator", password)
+        (folder / f"password-{user}.json5").write_text(own)
+    for file in folder.glob("*.json5"):
+        file.write_text(file.read_text().replace("/etc/edge", str(folder)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def etc(tmp_path_factory) -> Path:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl makes the certificates, and is not there")
+    return etc_edge(tmp_path_factory.mktemp("etc-edge"))
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory, etc) -> Path:
+    """The same of another authority."""
+    return etc_edge(tmp_path_factory.mktemp("elsewhere"))
+
+
+def settings_of(etc: Path, kind: str, port: int) -> Callable[[str], Zenoh]:
+    """The section `zenoh` of the service, and of each client."""
+    protocol, prefix = ("tls", "") if kind == "certificates" else ("tcp", "password-")
+
+    def of(who: str) -> Zenoh:
+        return Zenoh(
+            endpoint=f"{protocol}/127.0.0.1:{port}",
+            file=str(etc / f"{prefix}service.json5"),
+            client_file=str(etc / f"{prefix}{who}.json5"),
+            shared_memory=False,
+        )
+
+    return of
+
+
+class Service:
+    """The peer's process, and what it said."""
+
+    def __init__(self, settings: Zenoh) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(PEER), settings.model_dump_json()],
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert self.process.stdout.readline() == "ready\n"
+
+    def end(self) -> set[tuple[str, ...]]:
+        """All that has reached it."""
+        self.process.terminate()
+        said = self.process.stdout.read()
+        self.process.wait(PATIENCE_S)
+        return {tuple(line.split()) for line in said.splitlines()}
+
+
+@contextmanager
+def service(settings: Zenoh) -> Iterator[Service]:
+    running = Service(settings)
+    try:
+        yield running
+    finally:
+        running.process.kill()
+        running.process.wait()
+
+
+@pytest.mark.parametrize("kind", ["certificates", "passwords"])
+def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind):
+    of = settings_of(etc, kind, free_port())
+    reached, heard = {}, {}
+    for who in CLIENTS:
+        with service(of("robot")) as running, open_session(of(who), "connect") as session:
+            rings = {
+                key: session.declare_subscriber(
+                    key, zenoh.handlers.RingChannel(8), allowed_origin=zenoh.Locality.REMOTE
+                )
+                for key in EVERY
+            }
+            counts = dict.fromkeys(EVERY, 0)
+
+            def hear(rings=rings, counts=counts) -> bool:
+                for key, ring in rings.items():
+                    while ring.try_recv() is not None:
+                        counts[key] += 1
+                return all(counts[key] >= 5 for key in MAY_HEAR[who])  # noqa: B023
+
+            eventually(hear, f"{who} does not hear what it may")
+            heard[who] = {key for key, n in counts.items() if n}
+            for _ in range(3):
+                for key in EVERY:
+                    session.put(key, b"spoofed")
+                for key in REQUESTS:
+                    answers = list(session.get(key, payload=b"{}", timeout=PATIENCE_S))
+                    assert bool(answers) == (key in MAY_ASK[who]), (who, key)
+                time.sleep(0.1)
+            session.close()
+            time.sleep(0.2)
+            reached[who] = running.end()
+    expected = {
+        who: {("put", k) for k in MAY_PUT[who]} | {("query", k) for k in MAY_ASK[who]}
+        for who in CLIENTS
+    }
+    assert reached == expected
+    assert heard == MAY_HEAR
+
+
+def refusal(settings: Zenoh) -> str:
+    """What a command that asks the service says when it is refused."""
+    with pytest.raises(client.RequestError) as caught:
+        client.connect(settings, 0.1, "mission")  # one attempt is always made
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
+    port = free_port()
+    of = settings_of(etc, "certificates", port)
+    bare = tmp_path / "bare.json5"
+    ca = etc / "tls/ca.crt"
+    bare.write_text(f'{{transport: {{link: {{tls: {{root_ca_certificate: "{ca}"}}}}}}}}')
+    mixed = tmp_path / "mixed.json5"
+    mixed.write_text(
+        (elsewhere / "operator.json5").read_text().replace(str(elsewhere / "tls/ca.crt"), str(ca))
+    )
+    in_place = tmp_path / "in_place.json5"
+    encoded = base64.b64encode(ca.read_bytes()).decode()
+    in_place.write_text(
+        f'{{transport: {{link: {{tls: {{root_ca_certificate_base64: "{encoded}"}}}}}}}}'
+    )
+    gone = tmp_path / "gone.json5"
+    gone.write_text((etc / "operator.json5").read_text().replace("operator.key", "gone.key"))
+    at = f"tls/127.0.0.1:{port}"
+    known = of("operator")
+    strangers = {
+        "it wants a certificate": known.model_copy(update={"client_file": str(bare)}),
+        "it does not trust who signed our certificate": known.model_copy(
+            update={"client_file": str(mixed)}
+        ),
+        "its certificate is not trusted": Zenoh(
+            endpoint=at, client_file=str(elsewhere / "operator.json5")
+        ),
+        "somebody is there and takes no session": Zenoh(endpoint=f"tcp/127.0.0.1:{port}"),
+        "since they are written in place": known.model_copy(update={"client_file": str(in_place)}),
+        "gone.key: no such file": known.model_copy(update={"client_file": str(gone)}),
+    }
+    with service(known) as running:
+        for told, stranger in strangers.items():
+            said = refusal(stranger)
+            assert f"mission: refused at {stranger.address}: " in said
+            assert told in said
+        with open_session(known, "connect") as session:
+            assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
+        assert running.end() == {("query", "edge/mission/request")}
+
+
+def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
+    port = free_port()
+    known = settings_of(etc, "certificates", port)("operator")
+    posing = tmp_path / "posing.json5"
+    text = (etc / "service.json5").read_text()
+    for kind in ("crt", "key"):
+        text = text.replace(f"service.{kind}", f"recorder.{kind}")
+    posing.write_text(text)
+    with service(known.model_copy(update={"file": str(posing)})):
+        assert "its certificate is not trusted" in refusal(known)
+
+
+def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
+    of = settings_of(etc, "passwords", free_port())
+    wrong = tmp_path / "wrong.json5"
+    wrong.write_text((etc / "password-operator.json5").read_text().replace("pw-of", "SENTINEL"))
+    none = of("operator").model_copy(update={"client_file": None, "file": None})
+    with service(of("robot")):
+        for settings in (of("operator").model_copy(update={"client_file": str(wrong)}), none):
+            said = refusal(settings)
+            assert "asks for a user and a password" in said
+            assert "SENTINEL" not in said
+
+
+def test_who_may_not_ask_is_told_that_nobody_answers(etc):
+    of = settings_of(etc, "certificates", free_port())
+    with (
+        service(of("robot")),
+        open_session(of("robot"), "connect") as session,
+        pytest.raises(client.RequestError, match="access rules"),
+    ):
+        client.ask(session, "edge/mission/request", {"do": "status"}, PATIENCE_S, "mission")
+
+
+@pytest.mark.parametrize("kind", ["certificates", "passwords"])
+def test_idle_connections_keep_nobody_out(etc, kind):
+    port = free_port()
+    settings = settings_of(etc, kind, port)("operator")
+    with service(settings), ExitStack() as idle:
+        for _ in range(IDLE):
+            idle.enter_context(socket.create_connection(("127.0.0.1", port)))
+        with client.connect(settings, client.CONNECT_S, "mission") as session:
+            assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
+
+
+@pytest.mark.slow
+def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
+    """Each process with a certificate of its own; a stranger who lies changes nothing."""
+    port = free_port()
+    (section,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    section = section.replace("/etc/edge", str(etc)).replace("7447", str(port))
+    config = write_config(tmp_path, **parse_yaml(section))
+    reached = {**LOCKSTEP, "EDGE__ZENOH__ENDPOINT": f"tls/localhost:{port}"}
+    service = edge("run", config, "--once", **LOCKSTEP).says("ready:")
+    robot = {**reached, "EDGE__ZENOH__CLIENT_FILE": str(etc / "robot.json5")}
+    controller = {**reached, "EDGE__ZENOH__CLIENT_FILE": str(etc / "controller.json5")}
+    status = edge("mission", "status", config, **reached)
+    assert status.wait() == 0, status.output
+    assert "television" in status.output
+    refused = edge("mission", "cancel", config, **robot)
+    assert refused.wait() == os.EX_UNAVAILABLE
+    assert "access rules" in refused.output
+    stranger = edge(
+        "mission", "cancel", config, EDGE__ZENOH__ENDPOINT=f"tcp/localhost:{port}",
+        EDGE__ZENOH__CLIENT_FILE="null", EDGE__ZENOH__FILE="null",
+    )  # fmt: skip
+    assert stranger.wait() == os.EX_UNAVAILABLE
+    assert "takes no session" in stranger.output
+    edge("sim", config, "--no-motion", **robot)
+    edge("motion", config, **controller)
+    assert service.wait() == 0, service.output
+    assert "is open" not in service.output
+
+
+def test_the_page_names_what_is_there():
+    named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
+    assert named
+    assert [name for name in named if not (ROOT / name).exists()] == []
