@@ -10,8 +10,8 @@ from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import parse
 from edge.geometry import SE2, CameraModel, Grid
+from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
-from edge.sources.zenoh import CdrDecoder
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
 PERIOD_NS = 33_333_333

@@ -75,6 +75,8 @@ def session_config(settings: config.Zenoh, role: Role, exact: bool = False) -> z
         "mode": "client" if connects else "peer",
         "scouting/multicast/enabled": False,
         "transport/shared_memory/enabled": settings.shared_memory,
+        # Publishers that keep their last message for who comes late (`edge.bus.ros2`) want stamps.
+        "timestamping/enabled": settings.mode == "client",
         "connect/endpoints": [settings.endpoint] if connects else [],
         "connect/timeout_ms": _ATTEMPT_MS,
         "connect/exit_on_failure": False,

@@ -1,0 +1,148 @@
+"""Our node in a graph with `zenoh-ros2-sdk`, an independent rmw_zenoh: each sees the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from patience import eventually
+from ros_messages import STORE, header, to_ros
+from ros_router import ours, router
+
+from edge.bus.ros2 import names
+from edge.bus.ros2.names import Endpoint
+from edge.bus.ros2.node import Node
+from edge.bus.wire import messages
+from edge.geometry import SE2, Grid
+
+sdk = pytest.importorskip("zenoh_ros2_sdk")
+
+POSE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
+GRID, COMPRESSED = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/CompressedImage"
+
+
+def definition(name: str) -> str:
+    return STORE.generate_msgdef(name, ros_version=2)[0]
+
+
+@pytest.fixture(scope="module")
+def port():
+    from zenoh_ros2_sdk.session import ZenohSession
+
+    with router() as port:
+        sdk_session = ZenohSession.get_instance("127.0.0.1", port)
+        yield port
+        sdk_session.session.close()
+        ZenohSession._instance = None
+
+
+@pytest.fixture
+def session(port):
+    with ours(port) as session:
+        yield session
+
+
+@pytest.fixture
+def node(session):
+    node = Node(session, 0, "edge_test")
+    yield node
+    node.close()
+
+
+def sdk_publisher(port: int, topic: str, name: str, **options):
+    options = {"type_hash": names.known_hash(name), **options}
+    return sdk.ROS2Publisher(
+        topic, name, definition(name), router_ip="127.0.0.1", router_port=port, **options
+    )
+
+
+def sdk_subscriber(port: int, topic: str, name: str, callback, **options):
+    return sdk.ROS2Subscriber(
+        topic, name, callback, definition(name), router_ip="127.0.0.1", router_port=port,
+        type_hash=names.known_hash(name), **options,
+    )  # fmt: skip
+
+
+def listed(port: int) -> dict[str, list[str]]:
+    """What `ros2 topic list -t` would say."""
+    from zenoh_ros2_sdk.discovery import get_topic_names_and_types
+
+    return dict(get_topic_names_and_types(0, router_port=port))
+
+
+def looked(node: Node, what):
+    """What is asked, once the node has seen it."""
+
+    def ask():
+        node._looked_s = 0.0
+        node.look()
+        return what()
+
+    return eventually(ask)
+
+
+def test_a_peer_hears_us_and_lists_our_topic(port, node):
+    heard = []
+    subscriber = sdk_subscriber(port, "/goal_pose", POSE, heard.append)
+    publisher = node.publisher("/goal_pose", POSE)
+    assert looked(node, publisher.heard)
+    publisher.put(messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0)))
+    (message,) = eventually(lambda: list(heard))
+    assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
+    assert listed(port)["/goal_pose"] == [POSE]
+    subscriber.close()
+
+
+def test_a_late_subscriber_gets_a_latched_map(port, node):
+    # The peer looks for publishers of `/edge/map` under a wrong key; one part it spells right.
+    publisher = node.publisher("/map", GRID, latched=True)
+    for k in (1, 2):
+        grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
+        publisher.put(messages.encode_occupancy_grid(k, grid))
+    eventually(lambda: "/map" in listed(port))  # it asks once
+    heard = []
+    subscriber = sdk_subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
+    (message,) = eventually(lambda: list(heard))
+    assert message.data.tolist() == [2] * 6
+    subscriber.close()
+
+
+def test_we_hear_a_peer_and_which_type_it_sends(port, node):
+    subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
+    assert subscription.type == IMAGE
+    publisher = sdk_publisher(port, "/camera/image", COMPRESSED)
+    assert looked(node, lambda: subscription.type == COMPRESSED)
+    message = STORE.types[COMPRESSED](header(3, "camera"), "jpeg", np.arange(4, dtype=np.uint8))
+    publisher.publish(header=message.header, format="jpeg", data=message.data)
+    ((type_name, payload),) = eventually(subscription.take)
+    assert (type_name, payload.to_bytes()) == (COMPRESSED, to_ros(message))
+    publisher.close()
+
+
+def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
+    publisher = node.publisher("/goal_pose", POSE)
+    assert publisher.hash == names.known_hash(POSE)
+    humble = sdk_publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
+    assert looked(node, lambda: publisher.hash == names.NO_HASH)
+    humble.close()
+    assert looked(node, lambda: publisher.hash == names.known_hash(POSE))
+
+
+def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
+    name = "nav2_msgs/action/NavigateToPose_GetResult"
+    client = node.client("/navigate_to_pose/_action/get_result", name)
+    assert (client.hash, client.served(), client.ask(b"x", 1.0).failed) == ("", False, True)
+    server = Endpoint("SS", "other", "/nav", client.topic, name, "RIHS01_ab")
+    with session.liveliness().declare_token(
+        names.endpoint_token(0, 90, 91, server, names.RELIABLE)
+    ):
+        assert looked(node, lambda: client.hash == "RIHS01_ab")
+        assert client.served()
+    assert looked(node, lambda: not client.served())
+
+
+def test_what_a_node_leaves_is_nothing(port, session):
+    node = Node(session, 0, "leaves")
+    node.publisher("/left", POSE)
+    eventually(lambda: "/left" in listed(port))
+    node.close()
+    eventually(lambda: "/left" not in listed(port))
