@@ -1,8 +1,8 @@
 """A client of Nav2's action NavigateToPose: goals out, and what becomes of them back.
 
 Nav2 takes a new goal in the place of the old by itself, so only who wants no goal at all cancels.
-A goal's end is its result; where that is lost, as when a router was started anew, the action's
-`status` tells it as well.
+A goal's end is its result, which says why as well; where that is lost, as when a router was started
+anew, the action's `status` has to do.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from edge.types import Goal, GoalStatus
 log = logging.getLogger("edge.sinks.ros2")
 
 AGAIN_S = 0.5
+RESULT_LATE_S = 1.0
 _ACCEPT_S = 5.0
 _RESULT_S = 600.0
 _KEPT = 16
@@ -38,6 +39,7 @@ class _Driven:
         stage: `waiting`: to be sent; `sent`: not answered yet; `driving`: accepted.
         answer: what is waited for: whether it is accepted, then its result.
         due_s: when to ask again where no answer is on its way.
+        status: how it ended, as the action's `status` says, at `ended_s`; 0 before that.
         unwanted: to be cancelled as soon as Nav2 has it.
     """
 
@@ -46,6 +48,8 @@ class _Driven:
     goal_id: bytes = b""
     answer: Answer = field(default_factory=lambda: Answer(None))
     due_s: float = 0.0
+    status: int = 0
+    ended_s: float = 0.0
     unwanted: bool = False
     recoveries: int = 0
 
@@ -107,11 +111,9 @@ class Navigator:
     # -- one step a stage -------------------------------------------------------------------------
 
     def _step_waiting(self, driven: _Driven) -> None:
-        if time.monotonic() < driven.due_s:
+        if time.monotonic() < driven.due_s or not (self._send.served() and self._send.hash):
             return
         driven.due_s = time.monotonic() + AGAIN_S
-        if not (self._send.served() and self._send.hash):
-            return
         # A new name each time: who has seen one before refuses it.
         driven.goal_id = uuid.uuid4().bytes
         request = navigation.encode_send_goal(
@@ -141,6 +143,8 @@ class Navigator:
         payload = driven.answer.poll()
         if payload is not None:
             self._end(driven, navigation.decode_result(payload))
+        elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
+            self._end(driven, navigation.Result(driven.status))
         elif driven.answer.failed and time.monotonic() >= driven.due_s:
             if not self._send.served():
                 self._settle(driven, "failed", "navigate_to_pose is gone")
@@ -165,12 +169,10 @@ class Navigator:
         for _, payload in self._status.take():
             for goal_id, status in navigation.decode_goal_statuses(payload.to_bytes()):
                 driven = self._driven
-                # Its result, which says more, comes at the same time: this is for when it does not.
-                if (
-                    driven is not None and driven.stage == "driving" and driven.answer.failed
-                    and goal_id == driven.goal_id and status in SETTLED
-                ):  # fmt: skip
-                    self._end(driven, navigation.Result(status))
+                if driven is None or goal_id != driven.goal_id or status not in SETTLED:
+                    continue
+                if not driven.status:
+                    driven.status, driven.ended_s = status, time.monotonic()
 
     def _end(self, driven: _Driven, result: navigation.Result) -> None:
         if result.status == SUCCEEDED:

@@ -11,7 +11,7 @@ from ros_router import ours, router
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import Endpoint
 from edge.bus.ros2.node import Node
-from edge.bus.wire import messages
+from edge.bus.wire import messages, navigation
 from edge.geometry import SE2, Grid
 
 sdk = pytest.importorskip("zenoh_ros2_sdk")
@@ -60,6 +60,12 @@ def sdk_subscriber(port: int, topic: str, name: str, callback, **options):
         topic, name, callback, definition(name), router_ip="127.0.0.1", router_port=port,
         type_hash=names.known_hash(name), **options,
     )  # fmt: skip
+
+
+def dependencies(text: str) -> str:
+    """A definition with those of its parts behind it."""
+    parts = ("unique_identifier_msgs/msg/UUID", "builtin_interfaces/msg/Time")
+    return text + "".join(f"{'=' * 80}\nMSG: {p}\n{definition(p)}\n" for p in parts)
 
 
 def listed(port: int) -> dict[str, list[str]]:
@@ -146,3 +152,26 @@ def test_what_a_node_leaves_is_nothing(port, session):
     eventually(lambda: "/left" in listed(port))
     node.close()
     eventually(lambda: "/left" not in listed(port))
+
+
+def test_a_service_of_a_peer_answers(port, node):
+    name = "action_msgs/srv/CancelGoal"
+    request = "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"
+    asked = []
+
+    def answer(request):
+        asked.append(bytes(request.goal_id.uuid))
+        return store.types["action_msgs/srv/msg/CancelGoal_Response"](2)
+
+    server = sdk.ROS2ServiceServer(
+        "/nav/cancel", name, answer, dependencies(request), "int8 return_code", router_port=port,
+        type_hash=names.known_hash(name),
+    )  # fmt: skip
+    store = server.session_mgr.store
+    client = node.client("/nav/cancel", name)
+    assert looked(node, client.served)
+    reply = client.ask(navigation.encode_cancel(bytes(range(16))), 5.0)
+    payload = eventually(reply.poll)
+    assert (payload[4], asked) == (2, [bytes(range(16))])
+    assert not reply.failed
+    server.close()
