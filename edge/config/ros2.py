@@ -27,7 +27,7 @@ DEFAULT_TOPICS: dict[str, str] = {
     "tf_static": "/tf_static",
     "goal": "/goal_pose",
     "navigate_to_pose": "/navigate_to_pose",
-    "map": "/edge/map",
+    "map": "/edge/occupancy",  # beside a bridge `/edge/map` would be the key of our own `map`
     "path": "/edge/path",
     "markers": "/edge/markers",
 }
@@ -36,6 +36,8 @@ DEFAULT_TOPICS: dict[str, str] = {
 class Ros2(Section):
     """For the source and the sink `ros2`.
 
+    `via`: who is spoken to: the router of a graph on `rmw_zenoh`, or the `bridge`
+    zenoh-bridge-ros2dds, beside a robot on DDS.
     `topics` gives what is not called as usual its ROS name: `{camera/rgb: /oakd/rgb/image_raw}`.
     `map_frame` is where goals and the map are; odometry in another frame is taken there by tf.
     `mounts`: where the sensors sit, by `tf`, or as `sensors` of this configuration says.
@@ -43,6 +45,7 @@ class Ros2(Section):
     the topic `goal`, which nobody answers.
     """
 
+    via: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     node: Annotated[str, Field(pattern=rf"^{_PART}$", max_length=60)] = "edge"
     map_frame: Frame = "map"

@@ -111,7 +111,7 @@ class Navigator:
     # -- one step a stage -------------------------------------------------------------------------
 
     def _step_waiting(self, driven: _Driven) -> None:
-        if time.monotonic() < driven.due_s or not (self._send.served() and self._send.hash):
+        if time.monotonic() < driven.due_s or not self._send.served():
             return
         driven.due_s = time.monotonic() + AGAIN_S
         # A new name each time: who has seen one before refuses it.

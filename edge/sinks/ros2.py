@@ -15,6 +15,7 @@ import numpy as np
 import zenoh
 
 from edge.bus import topics
+from edge.bus.ros2.names import DIALECTS
 from edge.bus.ros2.node import Node
 from edge.bus.session import declare_publisher
 from edge.bus.wire import markers, messages, transforms
@@ -43,7 +44,7 @@ class Ros2Sink:
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         settings = config.ros2
         self._frame = settings.map_frame
-        self._node = Node(session, settings.domain, f"{settings.node}_sink")
+        self._node = Node(session, settings.domain, f"{settings.node}_sink", DIALECTS[settings.via])
         self._map = self._publisher(settings, "map", "nav_msgs/msg/OccupancyGrid", latched=True)
         self._path = self._publisher(settings, "path", "nav_msgs/msg/Path")
         self._markers = self._publisher(settings, "markers", "visualization_msgs/msg/MarkerArray")

@@ -12,6 +12,7 @@ import time
 import zenoh
 
 from edge.bus import topics
+from edge.bus.ros2.names import DIALECTS
 from edge.bus.ros2.node import Node, Subscription
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
@@ -54,7 +55,9 @@ class Ros2Source:
         self._frames = Frames(settings)
         self._decoder = CdrDecoder(self._synchronizer, frames=self._frames)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._node = Node(session, settings.domain, f"{settings.node}_source")
+        self._node = Node(
+            session, settings.domain, f"{settings.node}_source", DIALECTS[settings.via]
+        )
         tf = "tf2_msgs/msg/TFMessage"
         # What was moored first: a frame whose sensor sits nowhere yet is dropped.
         self._transforms = [

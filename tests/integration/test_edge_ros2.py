@@ -1,4 +1,5 @@
-"""The simulated robot, as a ROS 2 robot with Nav2 on rmw_zenoh, is driven to its target."""
+"""The simulated robot, as a ROS 2 robot with Nav2, on rmw_zenoh and behind what does as
+zenoh-bridge-ros2dds does, is driven to its target."""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from nav2 import Nav2
 from ros_messages import STORE, header, to_ros
 from ros_router import ours, router
 
+from edge.bus.ros2.names import DIALECTS, Dialect
 from edge.bus.ros2.node import Node
 from edge.bus.session import Ring
 from edge.bus.wire import messages
@@ -35,13 +37,13 @@ NAMES = {name: f"/sim/{name}" for name in TYPES}
 class RosRobot:
     """Publishes what the simulator sends, and drives by its controller where Nav2 is told to."""
 
-    def __init__(self, session: zenoh.Session) -> None:
-        self.nav2 = Nav2(session, "jazzy")
-        self._session, self._node = session, Node(session, 0, "robot")
+    def __init__(self, session: zenoh.Session, dialect: Dialect) -> None:
+        self.nav2 = Nav2(session, "jazzy", dialect=dialect)
+        self._session, self._node = session, Node(session, 0, "robot", dialect)
         self._rings = {name: Ring(session, f"edge/robot/{name}", 64) for name in TYPES}
         self._publishers = {n: self._node.publisher(NAMES[n], t) for n, t in TYPES.items()}
         self._map = self._node.subscription(
-            "/edge/map", ("nav_msgs/msg/OccupancyGrid",), 1, latched=True
+            "/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 1, latched=True
         )
         self._answers = Ring(session, "edge/robot/goal_status", 64)
         self._tf = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
@@ -114,16 +116,17 @@ class RosRobot:
 
 
 @pytest.mark.slow
-def test_a_robot_on_rmw_zenoh_is_driven_to_its_target(edge, tmp_path):
+@pytest.mark.parametrize("via", DIALECTS)
+def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, via):
     with router() as port, ours(port) as session:
         zenoh_section = {"endpoint": f"tcp/127.0.0.1:{port}", "mode": "client"}
         (tmp_path / "robot").mkdir()
         simulator = write_config(tmp_path / "robot", zenoh={**zenoh_section, "topics": HIDDEN})
         service = write_config(
             tmp_path, zenoh=zenoh_section, source={"kind": "ros2"}, sinks=["zenoh", "ros2"],
-            ros2={"topics": NAMES},
+            ros2={"topics": NAMES, "via": via},
         )  # fmt: skip
-        robot = RosRobot(session)
+        robot = RosRobot(session, DIALECTS[via])
         edge("sim", simulator)
         run = edge("run", service, "--once")
         assert run.wait() == 0, run.output

@@ -14,6 +14,7 @@ from ros_router import ours, router, zenoh_settings
 from simulated import simulated
 
 from edge.bus.ros2 import names
+from edge.bus.ros2.names import BRIDGE
 from edge.bus.ros2.node import Node
 from edge.geometry import SE2
 from edge.sinks import navigate
@@ -117,6 +118,17 @@ def test_a_goal_and_its_end(make, theirs, answers, distribution, status, state, 
     _, end = answers(2)
     assert (end.stamp_ns, end.state) == (123, state)
     assert reason in end.reason
+    nav2.close()
+
+
+def test_a_goal_through_a_bridge(make, theirs, answers):
+    nav2 = Nav2(theirs, "jazzy", dialect=BRIDGE)
+    make(via="bridge").tick(driving(9))
+    goal_id = first_goal(nav2)
+    nav2.feed_back(goal_id, 1, 2.0)
+    assert answers(2)[1].reason == "1 recoveries, 2.0 m left"
+    nav2.end(goal_id, ABORTED, 103)
+    assert answers(3)[2] == GoalStatus(9, "failed", "given up by Nav2 (error 103)")
     nav2.close()
 
 
@@ -242,7 +254,7 @@ def test_map_and_drawings(make, theirs):
     sink = make(map_frame="world")
     sink.tick(result(10**9, pose=SE2(1.0, 2.0, 0.0), frontiers=lambda: np.ones((2, 2), np.float32)))
     node = Node(theirs, 0, "rviz")
-    late = node.subscription("/edge/map", ("nav_msgs/msg/OccupancyGrid",), 8, latched=True)
+    late = node.subscription("/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 8, latched=True)
     ((type_name, payload),) = eventually(late.take)
     grid = from_ros(payload.to_bytes(), type_name)
     assert (grid.header.frame_id, grid.data.tolist()) == ("world", [-1, 0, 100, 0])

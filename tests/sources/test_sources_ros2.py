@@ -13,6 +13,7 @@ from ros_messages import STORE, header, pose, to_ros
 from ros_router import ours, router, zenoh_settings
 from simulated import simulated
 
+from edge.bus.ros2.names import BRIDGE, RMW_ZENOH
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages
 from edge.geometry import R_BODY_OPTICAL, SE2, CameraModel
@@ -61,8 +62,8 @@ def jpeg(stamp_ns: int, frame_id: str) -> bytes:
 class Robot:
     """Publishes as a robot does, in the graph of a router."""
 
-    def __init__(self, session) -> None:
-        self.node = Node(session, 0, "robot")
+    def __init__(self, session, dialect=RMW_ZENOH) -> None:
+        self.node = Node(session, 0, "robot", dialect)
         publish = self.node.publisher
         self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
         self.tf = publish("/tf", "tf2_msgs/msg/TFMessage")
@@ -143,6 +144,18 @@ def test_a_robot_becomes_an_observation(robot, make):
     np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.1, 0.0, 0.6], atol=1e-9)
     seen.release()
     assert {k: n for k, n in source.counters.items() if n and k == "malformed"} == {}
+
+
+def test_a_robot_behind_a_bridge(port, make):
+    """What zenoh-bridge-ros2dds makes of a robot on DDS: plain keys, no tokens, no types."""
+    with ours(port) as session:
+        robot = Robot(session, BRIDGE)
+        robot.moor()
+        seen = observed(make(via="bridge"), robot)
+        np.testing.assert_array_equal(seen.rgb, RGB)
+        np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.1, 0.0, 0.6], atol=1e-9)
+        seen.release()
+        robot.node.close()
 
 
 def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):

@@ -1,11 +1,14 @@
-"""How rmw_zenoh writes things: keys of data, liveliness tokens, attachments, hashes of types.
+"""How rmw_zenoh writes things: keys of data, liveliness tokens, attachments, hashes of types; and
+how zenoh-bridge-ros2dds does, which is plainer.
 
-Source: rmw_zenoh's docs/design.md and `liveliness_utils.cpp`, `attachment_helpers.cpp`.
+Source: rmw_zenoh's docs/design.md and `liveliness_utils.cpp`, `attachment_helpers.cpp`;
+zenoh-plugin-ros2dds' `route_publisher.rs`, `route_service_srv.rs`.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -118,6 +121,34 @@ def type_of_key(key: str) -> str:
     """The type of a message, from the key that it came under; "" for what is no such key."""
     parts = key.rsplit("/", 2)
     return ros_name(parts[1]) if len(parts) == 3 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How a graph is spoken to.
+
+    Attributes:
+        data_key: see the function of this name; so `any_key`.
+        has_tokens: whether who is there, and what types are called, can be read off the graph.
+            Without, messages and requests go out without attachments as well.
+    """
+
+    data_key: Callable[[int, str, str, str], str]
+    any_key: Callable[[int, str], str]
+    has_tokens: bool
+
+
+RMW_ZENOH = Dialect(data_key, any_key, has_tokens=True)
+
+BRIDGE = Dialect(
+    lambda domain, topic, type_name, type_hash: topic.lstrip("/"),
+    lambda domain, topic: topic.lstrip("/"),
+    has_tokens=False,
+)
+"""Of zenoh-bridge-ros2dds, beside a robot on DDS: names stay, and domains are its own business."""
+
+DIALECTS = {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}
+"""By `ros2.via`."""
 
 
 def node_token(domain: int, zid: str, nid: int, node: str) -> str:

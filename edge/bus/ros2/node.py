@@ -1,8 +1,8 @@
 """A node of a ROS 2 graph, with publishers, subscriptions and clients of services.
 
-Every endpoint has a token, by which `ros2 topic list` shows it, and which names its type's hash.
-That hash differs between distributions, so endpoints are declared anew once the graph shows
-another than was thought.
+In a graph that speaks rmw_zenoh every endpoint has a token, by which `ros2 topic list` shows it,
+and which names its type's hash. That hash differs between distributions, so endpoints are declared
+anew once the graph shows another than was thought. Beside a bridge there is neither.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from zenoh import ext
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.graph import Graph
-from edge.bus.ros2.names import Endpoint, Kind
+from edge.bus.ros2.names import RMW_ZENOH, Dialect, Endpoint, Kind
 from edge.bus.session import Ring
 
 _IDS = itertools.count()  # of nodes and endpoints, in this process
@@ -32,21 +32,27 @@ class Node:
         name: in the root namespace.
 
     Attributes:
-        graph: who else is there.
+        graph: who else is there; None where nobody can tell.
     """
 
-    def __init__(self, session: zenoh.Session, domain: int, name: str) -> None:
-        self.session, self.domain, self.name = session, domain, name
+    def __init__(
+        self, session: zenoh.Session, domain: int, name: str, dialect: Dialect = RMW_ZENOH
+    ) -> None:
+        self.session, self.domain, self.name, self.dialect = session, domain, name, dialect
         self.zid = str(session.info.zid())
         self.nid = next(_IDS)
-        self.graph = Graph(session, domain)
+        self.graph = Graph(session, domain) if dialect.has_tokens else None
         self._looked_s = 0.0
         self._endpoints: list[_Declared] = []
-        token = names.node_token(domain, self.zid, self.nid, name)
-        self._token = session.liveliness().declare_token(token)
+        self._token: zenoh.LivelinessToken | None = None
+        if dialect.has_tokens:
+            token = names.node_token(domain, self.zid, self.nid, name)
+            self._token = session.liveliness().declare_token(token)
 
     def look(self) -> None:
         """Take in who came and went; endpoints follow what others call their types."""
+        if self.graph is None:
+            return
         now_s = time.monotonic()
         if now_s - self._looked_s < _LOOK_S:
             return
@@ -72,8 +78,14 @@ class Node:
     def close(self) -> None:
         for endpoint in self._endpoints:
             endpoint.close()
-        self._token.undeclare()
-        self.graph.close()
+        if self._token is not None:
+            self._token.undeclare()
+        if self.graph is not None:
+            self.graph.close()
+
+    def others(self, kind: Kind, topic: str) -> list[Endpoint]:
+        """The endpoints of a topic, but for those of this session."""
+        return [] if self.graph is None else self.graph.endpoints(kind, topic, self.zid)
 
     def _add(self, endpoint: Any) -> Any:
         self._endpoints.append(endpoint)
@@ -85,12 +97,12 @@ class _Declared:
     """What all endpoints share: a token, which follows its type's name and hash.
 
     Attributes:
-        hash: of the type, as it was declared; "" before it is known.
+        hash: of the type, as it was declared; None before it is known.
     """
 
     def __init__(self, node: Node, kind: Kind, topic: str, type_name: str, qos: str) -> None:
         self.node, self.topic, self.type = node, topic, type_name
-        self.hash = ""
+        self.hash: str | None = None
         self._kind, self._qos, self._eid = kind, qos, next(_IDS)
         self._token: zenoh.LivelinessToken | None = None
         self._sequence = 0
@@ -98,12 +110,14 @@ class _Declared:
 
     def settle(self) -> None:
         """Declare, or declare anew, where the graph calls the type otherwise than so far."""
-        type_name = self.wanted_type()
-        type_hash = self.node.graph.hash_of(type_name, self.node.zid)
+        node, type_name = self.node, self.wanted_type()
+        type_hash = "" if node.graph is None else node.graph.hash_of(type_name, node.zid)
         if type_hash is None or (type_name, type_hash) == (self.type, self.hash):
             return
         self.type, self.hash = type_name, type_hash
-        node = self.node
+        if node.graph is None:
+            self.declare()
+            return
         said = Endpoint(self._kind, node.zid, node.name, self.topic, self.type, self.hash)
         token = names.endpoint_token(node.domain, node.nid, self._eid, said, self._qos)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
@@ -116,11 +130,17 @@ class _Declared:
     def wanted_type(self) -> str:
         return self.type
 
+    def key(self) -> str:
+        """Where its messages or requests go; the hash must be known."""
+        return self.node.dialect.data_key(self.node.domain, self.topic, self.type, self.hash or "")
+
     def declare(self) -> None:
         """Open what the token promises, in the place of what was open."""
 
-    def attachment(self) -> bytes:
+    def attachment(self) -> bytes | None:
         """For the next message or request."""
+        if not self.node.dialect.has_tokens:
+            return None
         self._sequence += 1
         return names.attachment(self._sequence, time.time_ns(), self._gid)
 
@@ -149,12 +169,12 @@ class Publisher(_Declared):
             self._publisher.put(payload, attachment=self.attachment())
 
     def heard(self) -> bool:
-        """Whether somebody subscribes."""
-        return bool(self.node.graph.endpoints("MS", self.topic, self.node.zid))
+        """Whether somebody subscribes, as far as can be told."""
+        return self.node.graph is None or bool(self.node.others("MS", self.topic))
 
     def declare(self) -> None:
         self._undeclare()
-        key = names.data_key(self.node.domain, self.topic, self.type, self.hash)
+        key = self.key()
         # As rmw_zenoh does for what is reliable and keeps the last few.
         drop = zenoh.CongestionControl.DROP
         if not self._latched:
@@ -195,7 +215,7 @@ class Subscription(_Declared):
         super().__init__(node, "MS", topic, types[0], qos)
         self.types = tuple(types)
         make: Callable[..., Ring] = _LatchedRing if latched else Ring
-        self._ring = make(node.session, names.any_key(node.domain, topic), kept)
+        self._ring = make(node.session, node.dialect.any_key(node.domain, topic), kept)
 
     @property
     def overruns(self) -> int:
@@ -205,12 +225,16 @@ class Subscription(_Declared):
     def take(self) -> list[tuple[str, zenoh.ZBytes]]:
         """(type, payload) of what came since the last look, oldest first.
 
-        The type is what the key says: any, also one that is not understood.
+        The type is what the key says: any, also one that is not understood. Where keys say
+        nothing, it is the one that is announced.
         """
-        return [(names.type_of_key(str(s.key_expr)), s.payload) for s in self._ring.take()]
+        samples = self._ring.take()
+        if self.node.graph is None:
+            return [(self.type, s.payload) for s in samples]
+        return [(names.type_of_key(str(s.key_expr)), s.payload) for s in samples]
 
     def wanted_type(self) -> str:
-        for endpoint in self.node.graph.endpoints("MP", self.topic, self.node.zid):
+        for endpoint in self.node.others("MP", self.topic):
             if endpoint.type in self.types:
                 return endpoint.type
         return self.type
@@ -235,19 +259,20 @@ class Client(_Declared):
         super().__init__(node, "SC", service, type_name, names.RELIABLE)
 
     def served(self) -> bool:
-        """Whether the service is there."""
-        return bool(self.node.graph.endpoints("SS", self.topic, self.node.zid))
+        """Whether the service is there, and how it is asked; True where nobody can tell."""
+        return self.node.graph is None or (
+            self.hash is not None and bool(self.node.others("SS", self.topic))
+        )
 
     def ask(self, payload: bytes, timeout_s: float) -> Answer:
         """Send a request. Its answer fails at once where nobody serves or the hash is unknown."""
-        if not self.hash:
+        if self.hash is None:
             return Answer(None)
-        key = names.data_key(self.node.domain, self.topic, self.type, self.hash)
+        key = self.key()
         # No ring: its last words are lost when the other side has nothing more to say.
         replies = self.node.session.get(
             key, zenoh.handlers.FifoChannel(4), payload=payload, attachment=self.attachment(),
             timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE,
-            target=zenoh.QueryTarget.ALL_COMPLETE,
         )  # fmt: skip
         return Answer(replies)
 

@@ -99,7 +99,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
 
 
 def test_a_late_subscriber_gets_a_latched_map(port, node):
-    # The peer looks for publishers of `/edge/map` under a wrong key; one part it spells right.
+    # The peer looks for publishers of `/edge/occupancy` under a wrong key; one part it spells right.
     publisher = node.publisher("/map", GRID, latched=True)
     for k in (1, 2):
         grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
@@ -136,7 +136,7 @@ def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
     client = node.client("/navigate_to_pose/_action/get_result", name)
-    assert (client.hash, client.served(), client.ask(b"x", 1.0).failed) == ("", False, True)
+    assert (client.hash, client.served(), client.ask(b"x", 1.0).failed) == (None, False, True)
     server = Endpoint("SS", "other", "/nav", client.topic, name, "RIHS01_ab")
     with session.liveliness().declare_token(
         names.endpoint_token(0, 90, 91, server, names.RELIABLE)
