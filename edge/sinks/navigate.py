@@ -94,6 +94,8 @@ class Navigator:
             self._take_back(driven)
         elif driven.stage == "sent":
             driven.unwanted = True
+            # At once as well, for a service that ends: Nav2 may have it without having said so.
+            self._cancel.ask(navigation.encode_cancel(driven.goal_id), _ACCEPT_S)
         else:
             self._driven = None
 

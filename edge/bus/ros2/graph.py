@@ -14,54 +14,61 @@ _MOST = 8192
 
 
 class Graph:
-    """The endpoints of a domain; for one thread, which looks now and then.
+    """The endpoints of a domain, but for those of our own session; for one thread, which looks
+    now and then.
 
     A token that goes unseen would be missed for good, so the ring has room for more of them than
     a robot has; whoever sends more than that is told of, and not followed.
     """
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
+        self._zid = str(session.info.zid())
         self._there: dict[str, Endpoint] = {}
-        self._overrun = False
+        self._by_topic: dict[tuple[Kind, str], list[Endpoint]] = {}
+        self._hashes: dict[str, str] = {}
+        self._told = False
         self._tokens = session.liveliness().declare_subscriber(
             every_token(domain), zenoh.handlers.RingChannel(_MOST), history=True
         )
 
     def look(self) -> bool:
         """Take in who came and went since the last look; whether anybody did."""
-        changed = 0
-        while changed < _MOST and (sample := self._tokens.try_recv()) is not None:
-            changed += 1
-            key = str(sample.key_expr)
-            if sample.kind == zenoh.SampleKind.DELETE:
-                self._there.pop(key, None)
-            elif len(self._there) < _MOST and (endpoint := parse_token(key)) is not None:
-                self._there[key] = endpoint
-        if changed >= _MOST and not self._overrun:
-            self._overrun = True
+        changes = 0
+        while changes < _MOST and (sample := self._tokens.try_recv()) is not None:
+            changes += 1
+            self._take(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
+        if changes == 0:
+            return False
+        if changes == _MOST and not self._told:
+            self._told = True
             log.warning("ros2: more than %d endpoints: some are not seen", _MOST)
-        return changed > 0
+        self._index()
+        return True
 
-    def endpoints(self, kind: Kind, topic: str, not_of: str = "") -> list[Endpoint]:
-        """Those of a topic, but for those of the session `not_of`."""
-        return [
-            e
-            for e in self._there.values()
-            if e.kind == kind and e.topic == topic and e.zid != not_of
-        ]
+    def _take(self, key: str, is_gone: bool) -> None:
+        if is_gone:
+            self._there.pop(key, None)
+        elif len(self._there) < _MOST:
+            endpoint = parse_token(key)
+            if endpoint is not None and endpoint.zid != self._zid:
+                self._there[key] = endpoint
 
-    def hash_of(self, type_name: str, not_of: str = "") -> str | None:
-        """What the graph calls the hash of a type; None where neither it nor the table knows.
+    def _index(self) -> None:
+        """Anew each time: a dead robot's hash must not outlive it, and changes are rare."""
+        self._by_topic, self._hashes = {}, {}
+        for endpoint in self._there.values():
+            self._by_topic.setdefault((endpoint.kind, endpoint.topic), []).append(endpoint)
+            self._hashes.setdefault(endpoint.type, endpoint.hash)
 
-        Others say, never our own tokens (`not_of`): those may be of a robot that was there before.
-        """
-        others = [e for e in self._there.values() if e.zid != not_of]
-        for endpoint in others:
-            if endpoint.type == type_name:
-                return endpoint.hash
-        if any(endpoint.hash == NO_HASH for endpoint in others):
-            return NO_HASH
-        return known_hash(type_name)
+    def endpoints(self, kind: Kind, topic: str) -> list[Endpoint]:
+        """Those of a topic or service."""
+        return self._by_topic.get((kind, topic), [])
+
+    def hash_of(self, type_name: str) -> str | None:
+        """What the graph calls the hash of a type; None where neither it nor the table knows."""
+        if type_name in self._hashes:
+            return self._hashes[type_name]
+        return NO_HASH if NO_HASH in self._hashes.values() else known_hash(type_name)
 
     def close(self) -> None:
         self._tokens.undeclare()

@@ -84,8 +84,8 @@ class Node:
             self.graph.close()
 
     def others(self, kind: Kind, topic: str) -> list[Endpoint]:
-        """The endpoints of a topic, but for those of this session."""
-        return [] if self.graph is None else self.graph.endpoints(kind, topic, self.zid)
+        """The endpoints of a topic, but for those of this session; none where nobody can tell."""
+        return [] if self.graph is None else self.graph.endpoints(kind, topic)
 
     def _add(self, endpoint: Any) -> Any:
         self._endpoints.append(endpoint)
@@ -111,7 +111,7 @@ class _Declared:
     def settle(self) -> None:
         """Declare, or declare anew, where the graph calls the type otherwise than so far."""
         node, type_name = self.node, self.wanted_type()
-        type_hash = "" if node.graph is None else node.graph.hash_of(type_name, node.zid)
+        type_hash = "" if node.graph is None else node.graph.hash_of(type_name)
         if type_hash is None or (type_name, type_hash) == (self.type, self.hash):
             return
         self.type, self.hash = type_name, type_hash

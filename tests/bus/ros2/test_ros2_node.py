@@ -8,7 +8,7 @@ from patience import eventually
 from ros_messages import STORE, header, to_ros
 from ros_router import ours, router
 
-from edge.bus.ros2 import names
+from edge.bus.ros2 import graph, names
 from edge.bus.ros2.names import Endpoint
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages, navigation
@@ -99,7 +99,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
 
 
 def test_a_late_subscriber_gets_a_latched_map(port, node):
-    # The peer looks for publishers of `/edge/occupancy` under a wrong key; one part it spells right.
+    # The peer spells a name of several parts wrong where it looks for its publishers.
     publisher = node.publisher("/map", GRID, latched=True)
     for k in (1, 2):
         grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
@@ -175,3 +175,17 @@ def test_a_service_of_a_peer_answers(port, node):
     assert (payload[4], asked) == (2, [bytes(range(16))])
     assert not reply.failed
     server.close()
+
+
+def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):
+    monkeypatch.setattr(graph, "_MOST", 4)
+    seen = graph.Graph(session, 0)
+    with ours(port) as other:
+        said = [Endpoint("MP", "z", "/n", f"/t{i}", POSE, "RIHS01_0") for i in range(9)]
+        tokens = [names.endpoint_token(0, 0, i, e, names.RELIABLE) for i, e in enumerate(said)]
+        open_tokens = [other.liveliness().declare_token(token) for token in tokens]
+        eventually(lambda: seen.look() and "more than 4 endpoints" in caplog.text)
+        eventually(lambda: not seen.look())
+        assert sum(bool(seen.endpoints("MP", e.topic)) for e in said) == 4
+        del open_tokens
+    seen.close()
