@@ -37,6 +37,7 @@ class Nav2:
     Attributes:
         goals: (id, request) in the order of coming.
         cancelled: ids.
+        junk: how many of the next answers to new goals are none.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Nav2:
         self.goals: list[tuple[bytes, Any]] = []
         self.cancelled: list[bytes] = []
         self.accepts = accepts
+        self.junk = 0
         self._session, self._farewell = session, FAREWELLS[distribution][0]
         self._hash = names.NO_HASH if distribution == "humble" else "RIHS01_" + "ab" * 32
         self._waiting: dict[bytes, zenoh.Query] = {}
@@ -77,6 +79,10 @@ class Nav2:
         request = from_ros(query.payload.to_bytes(), f"{name}Request")
         with self._lock:
             self.goals.append((bytes(request.goal_id.uuid), request.goal))
+            self.junk, is_junk = max(self.junk - 1, 0), self.junk > 0
+        if is_junk:
+            self._reply(query, b"junk")
+            return
         time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
         self._reply(query, to_ros(STORE.types[f"{name}Response"](self.accepts, time)))
 

@@ -101,10 +101,17 @@ class Navigator:
 
     def beat(self) -> None:
         """Look what came; ask again where nothing is on its way."""
+        for _, payload in self._feedback.take():
+            self._attempt(self._feed_back, payload.to_bytes())
+        for _, payload in self._status.take():
+            self._attempt(self._note_status, payload.to_bytes())
+        if self._driven is not None:
+            self._attempt(_STEPS[self._driven.stage], self, self._driven)
+
+    def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
+        """What is malformed is counted, and costs nothing else that came."""
         try:
-            self._hear()
-            if self._driven is not None:
-                _STEPS[self._driven.stage](self, self._driven)
+            step(*arguments)
         except DecodeError as error:
             self._malformed += 1
             if self._malformed == 1:
@@ -126,7 +133,7 @@ class Navigator:
     def _step_sent(self, driven: _Driven) -> None:
         payload = driven.answer.poll()
         if payload is None:
-            if driven.answer.failed:
+            if driven.answer.over:
                 driven.stage = "waiting"
                 self._driven = None if driven.unwanted else driven
             return
@@ -147,7 +154,7 @@ class Navigator:
             self._end(driven, navigation.decode_result(payload))
         elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
             self._end(driven, navigation.Result(driven.status))
-        elif driven.answer.failed and time.monotonic() >= driven.due_s:
+        elif driven.answer.over and time.monotonic() >= driven.due_s:
             if not self._send.served():
                 self._settle(driven, "failed", "navigate_to_pose is gone")
                 return
@@ -157,24 +164,21 @@ class Navigator:
 
     # -- what comes -------------------------------------------------------------------------------
 
-    def _hear(self) -> None:
-        """Feedback and states of the goal that is driven to; those of others are let go."""
-        for _, payload in self._feedback.take():
-            said = navigation.decode_feedback(payload.to_bytes())
-            driven = self._driven
-            if driven is None or driven.stage != "driving" or said.goal_id != driven.goal_id:
-                continue
-            if said.recoveries > driven.recoveries:
-                driven.recoveries = said.recoveries
-                reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
-                self._tell(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
-        for _, payload in self._status.take():
-            for goal_id, status in navigation.decode_goal_statuses(payload.to_bytes()):
-                driven = self._driven
-                if driven is None or goal_id != driven.goal_id or status not in SETTLED:
-                    continue
-                if not driven.status:
-                    driven.status, driven.ended_s = status, time.monotonic()
+    def _feed_back(self, payload: bytes) -> None:
+        said, driven = navigation.decode_feedback(payload), self._driven
+        if driven is None or driven.stage != "driving" or said.goal_id != driven.goal_id:
+            return
+        if said.recoveries > driven.recoveries:
+            driven.recoveries = said.recoveries
+            reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
+            self._tell(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
+
+    def _note_status(self, payload: bytes) -> None:
+        driven = self._driven
+        for goal_id, status in navigation.decode_goal_statuses(payload):
+            ours = driven is not None and goal_id == driven.goal_id
+            if ours and status in SETTLED and not driven.status:
+                driven.status, driven.ended_s = status, time.monotonic()
 
     def _end(self, driven: _Driven, result: navigation.Result) -> None:
         if result.status == SUCCEEDED:

@@ -265,7 +265,7 @@ class Client(_Declared):
         )
 
     def ask(self, payload: bytes, timeout_s: float) -> Answer:
-        """Send a request. Its answer fails at once where nobody serves or the hash is unknown."""
+        """Send a request. Its answer is over at once where the hash is unknown."""
         if self.hash is None:
             return Answer(None)
         key = self.key()
@@ -281,12 +281,15 @@ class Answer:
     """What a service says to one request.
 
     Attributes:
-        failed: nobody answered, or with an error: none will come.
+        over: nothing more will come: it was polled, or nobody answered, or with an error.
     """
 
     def __init__(self, replies: Any) -> None:
         self._replies = replies
-        self.failed = replies is None
+
+    @property
+    def over(self) -> bool:
+        return self._replies is None
 
     def poll(self) -> bytes | None:
         """The answer, once; never blocks."""
@@ -295,12 +298,9 @@ class Answer:
         try:
             reply = self._replies.try_recv()
         except zenoh.ZError:  # all has come that will
-            self.failed, self._replies = True, None
+            self._replies = None
             return None
         if reply is None:
             return None
         self._replies = None
-        if reply.ok is None:
-            self.failed = True
-            return None
-        return reply.ok.payload.to_bytes()
+        return None if reply.ok is None else reply.ok.payload.to_bytes()
