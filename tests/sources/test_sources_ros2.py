@@ -111,8 +111,9 @@ def make(port):
     with ours(port) as session:
         made = []
 
-        def source(**settings):
+        def source(sections=None, **settings):
             data = {"source": {"kind": "ros2"}, "ros2": {"topics": NAMES, **settings}}
+            data = {**data, **(sections or {})}
             config = simulated(data).model_copy(update={"zenoh": zenoh_settings(port)})
             made.append(Ros2Source(config, session))
             return made[-1]
@@ -144,6 +145,56 @@ def test_a_robot_becomes_an_observation(robot, make):
     np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.1, 0.0, 0.6], atol=1e-9)
     seen.release()
     assert {k: n for k, n in source.counters.items() if n and k == "malformed"} == {}
+
+
+CLOUD_LEADS = {"mapping": {"input": "cloud"}, "sensors": {"lidar": {}},
+               "perception": {"detector": {"kind": "onnx"}, "lift": "cloud"}}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["scan", "points"])
+def test_a_lidar_sits_where_tf_says(robot, make, kind):
+    source = make(CLOUD_LEADS, map_frame="odom")
+    types = STORE.types
+    scan = robot.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
+    points = robot.node.publisher("/points", "sensor_msgs/msg/PointCloud2")
+    ranges = np.array([1.0, np.inf, 2.0], np.float32)
+    expected = np.array([[1.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
+    stamps = itertools.count(5 * 10**9, 100_000_000)
+
+    def look():
+        stamp_ns = next(stamps)
+        for ns in (stamp_ns - 10_000_000, stamp_ns + 10_000_000):
+            robot.odom.put(odometry(ns, SE2(0.0, 0.0, 0.0)))
+        robot.tf_static.put(transforms(("base_link", "laser", (0.2, 0, 0.3), (0, 0, 0, 1))))
+        if kind == "scan":
+            message = types["sensor_msgs/msg/LaserScan"](
+                header(stamp_ns, "laser"), 0.0, math.pi, math.pi / 2, 0.0, 0.1, 0.1, 10.0,
+                ranges, np.zeros(0, np.float32),
+            )  # fmt: skip
+            scan.put(to_ros(message))
+        else:
+            points.put(messages.encode_point_cloud(stamp_ns, "laser", expected))
+        source.wait(0.05)
+        return source.poll()
+
+    seen = eventually(look)
+    np.testing.assert_allclose(seen.cloud_m, expected, atol=1e-6)
+    np.testing.assert_allclose(seen.T_base_lidar[:3, 3], [0.2, 0.0, 0.3])
+    seen.release()
+
+
+def test_what_is_too_large_is_not_opened(robot, make):
+    limits = {"source": {"kind": "ros2", "max_message_mb": 0.001}}
+    source = make(limits, map_frame="odom", mounts="config")
+
+    def counted():
+        robot.see()
+        robot.tf_static.put(bytes(2000))
+        source.wait(0.05)
+        return source.counters["oversized"] > 3
+
+    eventually(counted)
+    assert source.counters["malformed"] == 0
 
 
 def test_a_robot_behind_a_bridge(port, make):

@@ -18,12 +18,13 @@ from edge.bus.wire.images import M_PER_MM
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
-_JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+_JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 _SEGMENT = struct.Struct(">BBH")
 _FRAME = struct.Struct(">BHH")  # bits, height, width
 _NO_FRAMES = (0xC4, 0xC8, 0xCC)
 _SCAN = 0xDA
 _MOST_SEGMENTS = 64
+_MOST_SCANS = 100
 # What compressed_depth_image_transport puts before the PNG: how depth became 16 bits.
 _DEPTH_HEADER = struct.Struct("<iff")
 _AS_IT_IS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -111,6 +112,9 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
         if kind == _SCAN:
             if size is None or payload.rfind(_JPEG_END, at, end) < 0:
                 break
+            # Each costs as much as the whole picture: a small file can hold enough for minutes.
+            if payload.count(_JPEG_SCAN, at, end) > _MOST_SCANS:
+                raise DecodeError(f"JPEG of more than {_MOST_SCANS} scans")
             return size
         at += 2 + length
     raise DecodeError("JPEG without a size, or cut off")

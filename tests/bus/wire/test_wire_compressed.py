@@ -117,6 +117,7 @@ JPEG = picture(".jpg", BGR)
         ("16UC1; png", picture(".png", BGR), "8 bits"),
         ("png", picture(".png", BGR)[:200], "broken"),
         ("jpeg", JPEG[: len(JPEG) // 2], "cut off"),
+        ("jpeg", JPEG[:-2] + (b"\xff\xda" + bytes(10)) * 100 + JPEG[-2:], "100 scans"),
     ],
 )
 def test_what_is_no_such_picture_is_refused_in_one_line(words, data, said):
