@@ -7,6 +7,7 @@ import pytest
 from patience import eventually
 from ros_messages import STORE, header, to_ros
 from ros_router import ours, router
+from ros_sdk import definition, peers, publisher, sdk, subscriber
 
 from edge.bus.ros2 import graph, names
 from edge.bus.ros2.names import Endpoint
@@ -14,25 +15,14 @@ from edge.bus.ros2.node import Node
 from edge.bus.wire import messages, navigation
 from edge.geometry import SE2, Grid
 
-sdk = pytest.importorskip("zenoh_ros2_sdk")
-
 POSE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
 GRID, COMPRESSED = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/CompressedImage"
 
 
-def definition(name: str) -> str:
-    return STORE.generate_msgdef(name, ros_version=2)[0]
-
-
 @pytest.fixture(scope="module")
 def port():
-    from zenoh_ros2_sdk.session import ZenohSession
-
-    with router() as port:
-        sdk_session = ZenohSession.get_instance("127.0.0.1", port)
+    with router() as port, peers(port):
         yield port
-        sdk_session.session.close()
-        ZenohSession._instance = None
 
 
 @pytest.fixture
@@ -46,20 +36,6 @@ def node(session):
     node = Node(session, 0, "edge_test")
     yield node
     node.close()
-
-
-def sdk_publisher(port: int, topic: str, name: str, **options):
-    options = {"type_hash": names.known_hash(name), **options}
-    return sdk.ROS2Publisher(
-        topic, name, definition(name), router_ip="127.0.0.1", router_port=port, **options
-    )
-
-
-def sdk_subscriber(port: int, topic: str, name: str, callback, **options):
-    return sdk.ROS2Subscriber(
-        topic, name, callback, definition(name), router_ip="127.0.0.1", router_port=port,
-        type_hash=names.known_hash(name), **options,
-    )  # fmt: skip
 
 
 def dependencies(text: str) -> str:
@@ -88,49 +64,49 @@ def looked(node: Node, what):
 
 def test_a_peer_hears_us_and_lists_our_topic(port, node):
     heard = []
-    subscriber = sdk_subscriber(port, "/goal_pose", POSE, heard.append)
-    publisher = node.publisher("/goal_pose", POSE)
-    assert looked(node, publisher.heard)
-    publisher.put(messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0)))
+    peer = subscriber(port, "/goal_pose", POSE, heard.append)
+    mine = node.publisher("/goal_pose", POSE)
+    assert looked(node, mine.heard)
+    mine.put(messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0)))
     (message,) = eventually(lambda: list(heard))
     assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
     assert listed(port)["/goal_pose"] == [POSE]
-    subscriber.close()
+    peer.close()
 
 
 def test_a_late_subscriber_gets_a_latched_map(port, node):
     # The peer spells a name of several parts wrong where it looks for its publishers.
-    publisher = node.publisher("/map", GRID, latched=True)
+    mine = node.publisher("/map", GRID, latched=True)
     for k in (1, 2):
         grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
-        publisher.put(messages.encode_occupancy_grid(k, grid))
+        mine.put(messages.encode_occupancy_grid(k, grid))
     eventually(lambda: "/map" in listed(port))  # it asks once
     heard = []
-    subscriber = sdk_subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
+    peer = subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
     (message,) = eventually(lambda: list(heard))
     assert message.data.tolist() == [2] * 6
-    subscriber.close()
+    peer.close()
 
 
 def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
     assert subscription.type == IMAGE
-    publisher = sdk_publisher(port, "/camera/image", COMPRESSED)
+    peer = publisher(port, "/camera/image", COMPRESSED)
     assert looked(node, lambda: subscription.type == COMPRESSED)
     message = STORE.types[COMPRESSED](header(3, "camera"), "jpeg", np.arange(4, dtype=np.uint8))
-    publisher.publish(header=message.header, format="jpeg", data=message.data)
+    peer.publish(header=message.header, format="jpeg", data=message.data)
     ((type_name, payload),) = eventually(subscription.take)
     assert (type_name, payload.to_bytes()) == (COMPRESSED, to_ros(message))
-    publisher.close()
+    peer.close()
 
 
 def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
-    publisher = node.publisher("/goal_pose", POSE)
-    assert publisher.hash == names.known_hash(POSE)
-    humble = sdk_publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
-    assert looked(node, lambda: publisher.hash == names.NO_HASH)
+    mine = node.publisher("/goal_pose", POSE)
+    assert mine.hash == names.known_hash(POSE)
+    humble = publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
+    assert looked(node, lambda: mine.hash == names.NO_HASH)
     humble.close()
-    assert looked(node, lambda: publisher.hash == names.known_hash(POSE))
+    assert looked(node, lambda: mine.hash == names.known_hash(POSE))
 
 
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
