@@ -18,6 +18,7 @@ from edge.bus.wire.images import M_PER_MM
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
+_CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4
 _JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 _SEGMENT = struct.Struct(">BBH")
 _FRAME = struct.Struct(">BHH")  # bits, height, width
@@ -91,10 +92,27 @@ def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int
     if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
         name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
         if name == b"IHDR":
+            _check_chunks(payload, begin + 8, end)
             return height, width, bits
     elif payload[begin : begin + 2] == _JPEG:
         return _jpeg_size(payload, begin + 2, end)
     raise DecodeError(f"compressed image {words[:40]!r}: neither JPEG nor PNG")
+
+
+def _check_chunks(payload: bytes, at: int, end: int) -> None:
+    """Raises DecodeError for a PNG whose chunks do not lie in the payload.
+
+    OpenCV makes room for a chunk as long as it says it is, up to 4 GB, before it looks for it. An
+    animation's frames have sizes of their own.
+    """
+    while at + _CHUNK.size + _CHECKSUM <= end:
+        length, name = _CHUNK.unpack_from(payload, at)
+        if name == b"IEND":
+            return
+        if name == b"acTL":
+            raise DecodeError("PNG with an animation")
+        at += _CHUNK.size + length + _CHECKSUM
+    raise DecodeError("PNG that is cut off")
 
 
 def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:

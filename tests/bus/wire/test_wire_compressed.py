@@ -102,7 +102,7 @@ def test_depth_in_metres_is_what_its_quantization_says():
 
 HUGE_PNG = picture(".png", BGR)
 HUGE_PNG = HUGE_PNG[:16] + struct.pack(">II", 2**31 - 1, 2**31 - 1) + HUGE_PNG[24:]
-JPEG = picture(".jpg", BGR)
+PNG, JPEG = picture(".png", BGR), picture(".jpg", BGR)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,10 @@ JPEG = picture(".jpg", BGR)
         ("png", HUGE_PNG, "expected 20x30"),
         ("png", picture(".png", DEPTH_MM), "16 bits"),
         ("16UC1; png", picture(".png", BGR), "8 bits"),
-        ("png", picture(".png", BGR)[:200], "broken"),
+        ("png", picture(".png", BGR)[:200], "cut off"),
+        ("png", PNG[:33] + b"\x7f\xff\xff\xffIDAT" + PNG[41:], "cut off"),
+        ("png", PNG[:33] + bytes(4) + b"acTL" + bytes(4) + PNG[33:], "animation"),
+        ("png", PNG[:60] + bytes(20) + PNG[80:], "broken"),
         ("jpeg", JPEG[: len(JPEG) // 2], "cut off"),
         ("jpeg", JPEG[:-2] + (b"\xff\xda" + bytes(10)) * 100 + JPEG[-2:], "100 scans"),
     ],
