@@ -19,6 +19,7 @@ from edge.bus.wire.images import M_PER_MM
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
 _CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4
+_CRITICAL, _ANIMATED = (b"IHDR", b"PLTE", b"IDAT"), (b"acTL", b"fcTL", b"fdAT")
 _JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 _SEGMENT = struct.Struct(">BBH")
 _FRAME = struct.Struct(">BHH")  # bits, height, width
@@ -109,8 +110,10 @@ def _check_chunks(payload: bytes, at: int, end: int) -> None:
         length, name = _CHUNK.unpack_from(payload, at)
         if name == b"IEND":
             return
-        if name == b"acTL":
+        if name in _ANIMATED:
             raise DecodeError("PNG with an animation")
+        if not (name.isalpha() and (name[:1].islower() or name in _CRITICAL)):
+            raise DecodeError(f"PNG with a chunk {name!r}")
         at += _CHUNK.size + length + _CHECKSUM
     raise DecodeError("PNG that is cut off")
 
