@@ -10,8 +10,8 @@ from edge.bus import topics
 from edge.bus.wire import messages
 from edge.config import parse
 from edge.geometry import SE2, CameraModel, Grid
+from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import TimeSynchronizer
-from edge.sources.zenoh import CdrDecoder
 
 CAMERA = CameraModel.from_hfov(320, 256, 1.3)
 PERIOD_NS = 33_333_333
@@ -67,13 +67,30 @@ def test_ingest_a_frame(benchmark):
     assert synchronizer.counters["observations"] == 520
 
 
-@pytest.mark.parametrize("n", [131072])
+@pytest.mark.parametrize("encoding", [b"rgb8", b"bgr8"])
+def test_decode_a_large_image(benchmark, against, encoding):
+    """Against a plain copy of the payload."""
+    image = np.random.default_rng(0).integers(0, 255, (720, 1280, 3), dtype=np.uint8)
+    payload = messages.encode_image(1, "camera", image).replace(b"rgb8", encoding)
+    data, out = np.frombuffer(payload, np.uint8), np.zeros_like(image)
+    target = np.zeros_like(data)
+
+    def decode():
+        messages.decode_image_into(payload, messages.decode_image_header(payload), out)
+
+    benchmark.extra_info["budget"] = f"decode_{encoding.decode()}_1280x720"
+    against(lambda: np.copyto(target, data))
+    benchmark(decode)
+    assert (out == (image if encoding == b"rgb8" else image[..., ::-1])).all()
+
+
+@pytest.mark.parametrize("n", [100_000])
 def test_decode_a_cloud(benchmark, against, n):
     """Against a plain copy of the points."""
     points = np.random.default_rng(0).normal(size=(n, 3)).astype(np.float32)
     payload, out = messages.encode_point_cloud(1, "lidar", points), np.zeros((n, 3), np.float32)
     messages.decode_point_cloud_into(payload, out)
-    benchmark.extra_info["budget"] = "decode_cloud_131072"
+    benchmark.extra_info["budget"] = "decode_cloud_100k"
     against(lambda: np.copyto(out, points))
     assert benchmark(messages.decode_point_cloud_into, payload, out) == n
 

@@ -22,8 +22,8 @@ from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import Grid, se2_of
 from edge.loop.status import status_of
 from edge.motion.controller import Controller
+from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
-from edge.sources.zenoh import CdrDecoder
 
 
 @pytest.mark.parametrize("mode", ["depth", "cloud"])

@@ -120,7 +120,8 @@ def lay_over(
         "listen/exit_on_failure": True,
         _SHARED_MEMORY: shared_memory and get(found, _SHARED_MEMORY),
     }
-    ours = dict(DEFAULTS)
+    # Publishers that keep their last message for who comes late (`edge.bus.ros2`) want stamps.
+    ours = DEFAULTS | {"timestamping/enabled": mode == "client"}
     if not exact:
         ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
     if most_bytes is not None:

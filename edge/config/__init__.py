@@ -39,6 +39,7 @@ from edge.config.policy import (
 )
 from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
+from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor
 from edge.errors import ConfigError
@@ -74,6 +75,7 @@ __all__ = [
     "PolicyVlfm",
     "Report",
     "Robot",
+    "Ros2",
     "Section",
     "Sensors",
     "Sim",

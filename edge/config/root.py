@@ -15,6 +15,7 @@ from edge.config.mission import Mission
 from edge.config.perception import Perception
 from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
 from edge.config.robot import Motion, Robot, Sensors
+from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim
 from edge.config.yaml_text import parse_yaml, read_yaml
@@ -41,6 +42,7 @@ class Config(Section):
     robot: Robot = Robot()
     sensors: Sensors = Sensors()
     zenoh: Zenoh = Zenoh()
+    ros2: Ros2 = Ros2()
     source: Source = Source()
     loop: Loop = Loop()
     mapping: Mapping = Mapping()

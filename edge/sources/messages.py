@@ -80,4 +80,13 @@ class Scan(Cloud):
     topic = "lidar/scan"
 
 
-Message = Union[Odometry, CameraInfo, Frame]
+@dataclass(frozen=True, slots=True, eq=False)
+class Mount:
+    """Where the sensor that fills `field` (`rgb`, which depth is registered to, or `cloud_m`) sits
+    on the robot from here on: `T_base_sensor` (4, 4), a camera's from its optical frame."""
+
+    field: str
+    T_base_sensor: np.ndarray
+
+
+Message = Union[Odometry, CameraInfo, Mount, Frame]

@@ -18,7 +18,15 @@ import numpy as np
 
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
-from edge.sources.messages import CameraInfo, Cloud, Frame, Message, Odometry, WrongSizeError
+from edge.sources.messages import (
+    CameraInfo,
+    Cloud,
+    Frame,
+    Message,
+    Mount,
+    Odometry,
+    WrongSizeError,
+)
 from edge.sources.odometry import OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
 from edge.sources.streams import Stream
@@ -32,8 +40,8 @@ _POSES_APART_NS = 1_000_000
 
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
-    "unpaired", "no_pose", "no_camera_info", "pool_exhausted", "pose_jump", "clock_reset",
-    "overrun",
+    "unpaired", "no_pose", "no_camera_info", "no_transform", "pool_exhausted", "pose_jump",
+    "clock_reset", "overrun",
 )  # fmt: skip
 
 
@@ -110,12 +118,22 @@ class TimeSynchronizer:
             reason = self.odometry.push(message.stamp_ns, message.T_map_base)
         elif isinstance(message, CameraInfo):
             self._describe(message)
+        elif isinstance(message, Mount):
+            self._mount(message)
+            return
         elif (stream := self.streams.get(message.field)) is not None:
             reason = stream.offer(message)
             if reason == "superseded" and message.field != self._leader:
                 return
         if reason:
             self.count(message.topic, reason)
+
+    def _mount(self, message: Mount) -> None:
+        """Those that were given out keep the array that they have: it is never written to."""
+        if message.field == Cloud.field:
+            self._T_base_lidar = message.T_base_sensor
+        else:
+            self._T_base_camera = message.T_base_sensor
 
     def _describe(self, message: CameraInfo) -> None:
         camera = message.camera

@@ -11,8 +11,8 @@ from edge.bus.wire import messages
 from edge.config import ConfigError
 from edge.geometry import SE2, CameraModel
 from edge.sources import messages as typed
+from edge.sources.decoder import CdrDecoder
 from edge.sources.synchronizer import PATIENCE_NS, TimeSynchronizer
-from edge.sources.zenoh import CdrDecoder
 
 MS = 1_000_000
 FRAME_NS = 33_333_333

@@ -46,6 +46,11 @@ class Reader:
         """The fields of `layout`, which has no padding inside and begins aligned to `align`."""
         return layout.unpack_from(self.payload, self._take(layout.size, align))
 
+    @property
+    def left(self) -> int:
+        """Bytes that were not read."""
+        return self._size - self.at
+
     def skip(self, size: int, align: int) -> None:
         """Move past a field that nobody asks for."""
         self._take(size, align)
@@ -102,6 +107,12 @@ class Writer:
 
     def header(self, stamp_ns: int, frame_id: str) -> Writer:
         return self.stamp_ns(stamp_ns).string(frame_id)
+
+    def block(self, align: int, data: memoryview) -> Writer:
+        """Items that are laid out as the wire has them."""
+        self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
+        self._buffer += data
+        return self
 
     def floats(self, values: Sequence[float], code: str) -> Writer:
         """A fixed array of `f` (float32) or `d` (float64)."""

@@ -75,12 +75,10 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray) -> int:
         raise DecodeError(
             f"cloud {width}x{height}, steps {point_step}, {row_step}, in {size} bytes"
         )
-    dtype = np.dtype(">f4" if big_endian else "<f4")
-    target = out_m[:n].reshape(height, width, 3)
-    for axis, offset in enumerate(offsets):
-        source = np.ndarray((height, width), dtype, payload, begin + offset, (row_step, point_step))
-        np.copyto(target[..., axis], source)
-    return kernels.keep_finite(out_m, n)
+    return kernels.cloud_points(
+        np.frombuffer(payload, np.uint8), begin, height, width, row_step, point_step, offsets,
+        bool(big_endian), out_m.view(np.uint32),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ _TO_RGB = {
     "mono8": cv2.COLOR_GRAY2RGB,
 }
 _ENCODING_OF = {("uint8", 3): "rgb8", ("uint16", 2): "16UC1", ("float32", 2): "32FC1"}
-_M_PER_MM = np.float32(0.001)
+M_PER_MM = np.float32(0.001)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ def decode_image_into(payload: bytes, header: ImageHeader, out: np.ndarray) -> N
         elif out.size:
             cv2.cvtColor(pixels, _TO_RGB[encoding], dst=out)
     elif out.dtype == np.float32 and encoding in ("16UC1", "mono16"):
-        np.multiply(_pixels(payload, header, "u2"), _M_PER_MM, out=out)
+        np.multiply(_pixels(payload, header, "u2"), M_PER_MM, out=out)
     elif out.dtype == np.float32 and encoding == "32FC1":
         np.copyto(out, _pixels(payload, header, "f4"))
     elif out.dtype == np.uint16 and encoding in ("16UC1", "mono16"):

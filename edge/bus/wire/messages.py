@@ -3,7 +3,8 @@
 Every decoder raises `DecodeError` with one line for a payload that is not what it says; sizes
 are checked against the payload before anything is touched, so that a lying one allocates nothing.
 Layouts: sensor_msgs, nav_msgs and geometry_msgs of ROS 2 Humble to Jazzy (they are equal).
-Images and clouds are in `edge.bus.wire.images` and `edge.bus.wire.clouds`.
+Images and clouds are in `images`, `compressed` and `clouds`, tf and paths in `transforms`, Nav2's
+action in `navigation`, what RViz draws in `markers`.
 """
 
 from __future__ import annotations
@@ -64,7 +65,10 @@ __all__ = [
     "encode_point_cloud",
     "encode_pose_stamped",
     "encode_twist_stamped",
+    "peek_header",
     "peek_stamp_ns",
+    "read_pose",
+    "write_pose",
 ]
 
 MAP_FRAME = "map"
@@ -88,17 +92,23 @@ def peek_stamp_ns(payload: bytes) -> int:
     return Reader(payload).stamp_ns()
 
 
+def peek_header(payload: bytes) -> tuple[int, str]:
+    """(stamp_ns, frame_id) of any message that begins with a std_msgs/Header."""
+    return Reader(payload).header()
+
+
 def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
     if not all(map(math.isfinite, values)):
         raise DecodeError(f"{what} holds NaN or inf")
     return values
 
 
-def _write_pose(writer: Writer, T: np.ndarray) -> Writer:
+def write_pose(writer: Writer, T: np.ndarray) -> Writer:
+    """geometry_msgs/Pose of a (4, 4) transform."""
     return writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T))
 
 
-def _read_pose(reader: Reader) -> np.ndarray:
+def read_pose(reader: Reader) -> np.ndarray:
     """geometry_msgs/Pose as a (4, 4) transform."""
     values = _finite(reader.read(_POSE, 8), "pose")
     if max(map(abs, values[:3])) >= _FARTHEST_M:
@@ -114,18 +124,23 @@ def _read_pose(reader: Reader) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """nav_msgs/Odometry: where the base is in `map`, and how it moves in its own frame."""
+    """nav_msgs/Odometry: where the base is in `map`, and how it moves in its own frame.
+
+    The frames are what the message calls these two, which may be others: see `edge.sources.ros2`.
+    """
 
     stamp_ns: int
     T_map_base: np.ndarray
     v_mps: float
     w_radps: float
+    frame_id: str = MAP_FRAME
+    child_frame_id: str = BASE_FRAME
 
 
 def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps: float) -> bytes:
     """nav_msgs/Odometry; covariances are zero (unknown)."""
     writer = Writer().header(stamp_ns, MAP_FRAME).string(BASE_FRAME)
-    _write_pose(writer, T_map_base).write(_COVARIANCE, 8, *(0.0,) * 36)
+    write_pose(writer, T_map_base).write(_COVARIANCE, 8, *(0.0,) * 36)
     writer.write(_TWIST, 8, v_mps, 0.0, 0.0, 0.0, 0.0, w_radps)
     return writer.write(_COVARIANCE, 8, *(0.0,) * 36).bytes()
 
@@ -133,25 +148,25 @@ def encode_odometry(stamp_ns: int, T_map_base: np.ndarray, v_mps: float, w_radps
 def decode_odometry(payload: bytes) -> Odometry:
     """nav_msgs/Odometry; forward speed and turn rate of the twist only."""
     reader = Reader(payload)
-    stamp_ns, _ = reader.header()
-    reader.string()
-    T = _read_pose(reader)
+    stamp_ns, frame_id = reader.header()
+    child_frame_id = reader.string()
+    T = read_pose(reader)
     reader.skip(_COVARIANCE.size, 8)
     twist = _finite(reader.read(_TWIST, 8), "twist")
     reader.skip(_COVARIANCE.size, 8)
-    return Odometry(stamp_ns, T, twist[0], twist[5])
+    return Odometry(stamp_ns, T, twist[0], twist[5], frame_id, child_frame_id)
 
 
-def encode_pose_stamped(stamp_ns: int, pose: SE2) -> bytes:
-    """geometry_msgs/PoseStamped in `map`, on the ground."""
-    return _write_pose(Writer().header(stamp_ns, MAP_FRAME), pose.matrix()).bytes()
+def encode_pose_stamped(stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME) -> bytes:
+    """geometry_msgs/PoseStamped, on the ground."""
+    return write_pose(Writer().header(stamp_ns, frame_id), pose.matrix()).bytes()
 
 
 def decode_pose_stamped(payload: bytes) -> tuple[int, SE2]:
     """(stamp_ns, the planar part of the pose) of a geometry_msgs/PoseStamped."""
     reader = Reader(payload)
     stamp_ns, _ = reader.header()
-    return stamp_ns, se2_of(_read_pose(reader))
+    return stamp_ns, se2_of(read_pose(reader))
 
 
 def encode_twist_stamped(stamp_ns: int, v_mps: float, w_radps: float) -> bytes:
@@ -200,10 +215,10 @@ def decode_camera_info(payload: bytes) -> tuple[int, CameraModel]:
         raise DecodeError(str(error)) from None
 
 
-def encode_occupancy_grid(stamp_ns: int, grid: Grid) -> bytes:
+def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:
     """nav_msgs/OccupancyGrid of a grid of int8."""
     h, w = grid.cells.shape
-    writer = Writer().header(stamp_ns, MAP_FRAME).stamp_ns(stamp_ns)
+    writer = Writer().header(stamp_ns, frame_id).stamp_ns(stamp_ns)
     writer.write(_GRID_INFO, 4, grid.resolution_m, w, h)
     writer.write(_POSE, 8, *grid.origin_xy_m, 0.0, 0.0, 0.0, 0.0, 1.0)
     writer.write(U32, 4, h * w)
@@ -220,7 +235,7 @@ def decode_occupancy_grid(payload: bytes) -> tuple[int, Grid]:
     stamp_ns, _ = reader.header()
     reader.skip(STAMP.size, 4)
     resolution, width, height = reader.read(_GRID_INFO, 4)
-    T = _read_pose(reader)
+    T = read_pose(reader)
     count, begin = reader.sequence(1)
     if not (math.isfinite(resolution) and resolution > 0.0):
         raise DecodeError(f"not a grid: resolution {resolution:g} m")

@@ -1,0 +1,188 @@
+"""How rmw_zenoh writes things: keys of data, liveliness tokens, attachments, hashes of types; and
+how zenoh-bridge-ros2dds does, which is plainer.
+
+Source: rmw_zenoh's docs/design.md and `liveliness_utils.cpp`, `attachment_helpers.cpp`;
+zenoh-plugin-ros2dds' `route_publisher.rs`, `route_service_srv.rs`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+NO_HASH = "TypeHashNotSupported"
+"""What Humble, which knows no hashes, writes in their place."""
+
+HASHES: dict[str, str] = {
+    "geometry_msgs/msg/PoseStamped": (
+        "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
+    ),
+    "sensor_msgs/msg/Image": ("d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"),
+    "sensor_msgs/msg/CompressedImage": (
+        "15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a"
+    ),
+    "sensor_msgs/msg/CameraInfo": (
+        "b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275"
+    ),
+    "sensor_msgs/msg/PointCloud2": (
+        "9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
+    ),
+    "sensor_msgs/msg/LaserScan": (
+        "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"
+    ),
+    "nav_msgs/msg/Odometry": ("3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+    "nav_msgs/msg/OccupancyGrid": (
+        "8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7"
+    ),
+    "nav_msgs/msg/Path": ("1957a5bb3cee5da65c4e52e52b65a93df227efce4c20f8458b36e73066ca334b"),
+    "visualization_msgs/msg/MarkerArray": (
+        "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"
+    ),
+    "tf2_msgs/msg/TFMessage": ("e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"),
+    "action_msgs/msg/GoalStatusArray": (
+        "6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e"
+    ),
+    "nav2_msgs/action/NavigateToPose_SendGoal": (
+        "a4fcb3bee1bf32e21a0e541a943b221aa0826996e2c98f079b47022b256f48b5"
+    ),
+    "action_msgs/srv/CancelGoal": (
+        "573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a"
+    ),
+}
+"""Of types that are the same in every distribution from Iron on; others are learned from tokens."""
+
+Kind = Literal["NN", "MP", "MS", "SS", "SC"]
+"""Node, publisher, subscription, service, client."""
+KINDS: tuple[Kind, ...] = ("NN", "MP", "MS", "SS", "SC")
+
+RELIABLE, BEST_EFFORT, LATCHED = "::,10:,:,:,,", "2::,5:,:,:,,", ":1:,1:,:,:,,"
+"""Quality of service as a token has it: reliability:durability:history,depth:… ; a latched topic is
+transient local: who comes late gets the last message."""
+
+_ATTACHMENT = struct.Struct("<qqB16s")
+_LONGEST = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """What a token says of a publisher, a subscription, a service or a client of one.
+
+    Attributes:
+        zid: of its Zenoh session.
+        node: its name, with the namespace: `/bt_navigator`.
+        type: as ROS 2 writes it: `sensor_msgs/msg/Image`.
+        hash: `RIHS01_` and 64 hexadecimal digits, or `NO_HASH`.
+    """
+
+    kind: Kind
+    zid: str
+    node: str
+    topic: str
+    type: str
+    hash: str
+
+
+def known_hash(type_name: str) -> str | None:
+    """From the table; None where distributions differ."""
+    digits = HASHES.get(type_name)
+    return None if digits is None else f"RIHS01_{digits}"
+
+
+def dds_name(type_name: str) -> str:
+    """
+    >>> dds_name("sensor_msgs/msg/Image")
+    'sensor_msgs::msg::dds_::Image_'
+    """
+    package, group, name = type_name.split("/")
+    return f"{package}::{group}::dds_::{name}_"
+
+
+def ros_name(dds: str) -> str:
+    """The inverse of `dds_name`; "" for what is no such name."""
+    parts = dds.split("::")
+    if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
+        return ""
+    return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+
+
+def data_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """Where messages of a topic, or requests of a service, go."""
+    return f"{domain}/{topic.lstrip('/')}/{dds_name(type_name)}/{type_hash}"
+
+
+def any_key(domain: int, topic: str) -> str:
+    """Where messages of a topic come, of whatever type; `type_of_key` says which."""
+    return f"{domain}/{topic.lstrip('/')}/*/*"
+
+
+def type_of_key(key: str) -> str:
+    """The type of a message, from the key that it came under; "" for what is no such key."""
+    parts = key.rsplit("/", 2)
+    return ros_name(parts[1]) if len(parts) == 3 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How a graph is spoken to.
+
+    Attributes:
+        data_key: see the function of this name; so `any_key`.
+        has_tokens: whether who is there, and what types are called, can be read off the graph.
+            Without, messages and requests go out without attachments as well.
+    """
+
+    data_key: Callable[[int, str, str, str], str]
+    any_key: Callable[[int, str], str]
+    has_tokens: bool
+
+
+RMW_ZENOH = Dialect(data_key, any_key, has_tokens=True)
+
+BRIDGE = Dialect(
+    lambda domain, topic, type_name, type_hash: topic.lstrip("/"),
+    lambda domain, topic: topic.lstrip("/"),
+    has_tokens=False,
+)
+"""Of zenoh-bridge-ros2dds, beside a robot on DDS: names stay, and domains are its own business."""
+
+DIALECTS = {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}
+"""By `ros2.via`."""
+
+
+def node_token(domain: int, zid: str, nid: int, node: str) -> str:
+    """The token of a node in the root namespace."""
+    return f"@ros2_lv/{domain}/{zid}/{nid}/{nid}/NN/%/%/{node}"
+
+
+def endpoint_token(domain: int, nid: int, eid: int, endpoint: Endpoint, qos: str) -> str:
+    """The token of an endpoint of a node in the root namespace."""
+    node, topic = endpoint.node.lstrip("/"), endpoint.topic.replace("/", "%")
+    return (
+        f"@ros2_lv/{domain}/{endpoint.zid}/{nid}/{eid}/{endpoint.kind}/%/%/{node}/{topic}/"
+        f"{dds_name(endpoint.type)}/{endpoint.hash}/{qos}"
+    )
+
+
+def every_token(domain: int) -> str:
+    return f"@ros2_lv/{domain}/**"
+
+
+def parse_token(key: str) -> Endpoint | None:
+    """What a token says; None for a node's, and for what is no token."""
+    parts = key.split("/")
+    if len(parts) != 13 or parts[0] != "@ros2_lv" or len(key) > _LONGEST:
+        return None
+    _, _, zid, _, _, kind, _, namespace, node, topic, dds, type_hash, _ = parts
+    type_name = ros_name(dds)
+    if kind not in KINDS[1:] or not type_name:
+        return None
+    prefix = namespace.replace("%", "/").rstrip("/")
+    topic = "/" + topic.replace("%", "/").lstrip("/")
+    return Endpoint(kind, zid, f"{prefix}/{node}", topic, type_name, type_hash)
+
+
+def attachment(sequence: int, time_ns: int, gid: bytes) -> bytes:
+    """What goes with every message and request; `gid`: 16 bytes that name its endpoint."""
+    return _ATTACHMENT.pack(sequence, time_ns, len(gid), gid)

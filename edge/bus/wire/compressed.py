@@ -1,0 +1,177 @@
+"""sensor_msgs/CompressedImage: JPEG and PNG pictures, and depth as PNG.
+
+How large a picture is stands in its own first bytes: it is read there, and compared with what is
+expected, before a decoder allocates anything for it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from edge.bus.wire.cdr import DecodeError, Reader
+from edge.bus.wire.images import M_PER_MM
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
+_CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4
+_CRITICAL, _ANIMATED = (b"IHDR", b"PLTE", b"IDAT"), (b"acTL", b"fcTL", b"fdAT")
+_JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+_SEGMENT = struct.Struct(">BBH")
+_FRAME = struct.Struct(">BHH")  # bits, height, width
+_NO_FRAMES = (0xC4, 0xC8, 0xCC)
+_SCAN = 0xDA
+_MOST_SEGMENTS = 64
+_MOST_SCANS = 100
+# What compressed_depth_image_transport puts before the PNG: how depth became 16 bits.
+_DEPTH_HEADER = struct.Struct("<iff")
+_AS_IT_IS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
+Content = Literal["colour", "millimetres", "inverse"]
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedHeader:
+    """What a compressed image says of itself.
+
+    Attributes:
+        begin: where the JPEG or PNG begins in the payload; `end` likewise.
+        content: `millimetres`: depth as 16UC1; `inverse`: 32FC1, quantized: a value v > 0 stands
+            for `a / (v - b)` metres (compressed_depth_image_transport).
+        is_rgb: the encoder was handed RGB where BGR is meant (`…; jpeg compressed rgb8`).
+    """
+
+    stamp_ns: int
+    frame_id: str
+    height: int
+    width: int
+    content: Content
+    begin: int
+    end: int
+    a: float = 0.0
+    b: float = 0.0
+    is_rgb: bool = False
+
+
+def decode_compressed_header(payload: bytes) -> CompressedHeader:
+    """The header of a sensor_msgs/CompressedImage.
+
+    `format` is what image_transport writes: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`,
+    `16UC1; png compressed`, `16UC1; compressedDepth png`, `32FC1; compressedDepth png`.
+
+    Raises:
+        DecodeError: malformed, neither JPEG nor PNG (RVL, for one), or depth that is no 16-bit PNG.
+    """
+    reader = Reader(payload)
+    stamp_ns, frame_id = reader.header()
+    words = reader.string()
+    size, begin = reader.sequence(1)
+    end, a, b = begin + size, 0.0, 0.0
+    encoding = words.partition(";")[0].strip()
+    content: Content = "millimetres" if encoding in ("16UC1", "mono16") else "colour"
+    if "compressedDepth" in words:
+        if size < _DEPTH_HEADER.size:
+            raise DecodeError(f"compressed depth of {size} bytes")
+        _, a, b = _DEPTH_HEADER.unpack_from(payload, begin)
+        begin += _DEPTH_HEADER.size
+        content = "inverse" if encoding == "32FC1" else "millimetres"
+        if not (np.isfinite(a) and np.isfinite(b)):
+            raise DecodeError("compressed depth whose quantization is NaN or inf")
+    height, width, bits = _size_of(payload, begin, end, words)
+    if bits != (8 if content == "colour" else 16):
+        raise DecodeError(f"compressed image {words[:40]!r} of {bits} bits a channel")
+    is_rgb = "compressed rgb" in words
+    return CompressedHeader(stamp_ns, frame_id, height, width, content, begin, end, a, b, is_rgb)
+
+
+def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:
+    """(height, width, bits a channel) of a JPEG or a PNG, from its own first bytes."""
+    if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
+        name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
+        if name == b"IHDR":
+            _check_chunks(payload, begin + 8, end)
+            return height, width, bits
+    elif payload[begin : begin + 2] == _JPEG:
+        return _jpeg_size(payload, begin + 2, end)
+    raise DecodeError(f"compressed image {words[:40]!r}: neither JPEG nor PNG")
+
+
+def _check_chunks(payload: bytes, at: int, end: int) -> None:
+    """Raises DecodeError for a PNG whose chunks do not lie in the payload.
+
+    OpenCV makes room for a chunk as long as it says it is, up to 4 GB, before it looks for it. An
+    animation's frames have sizes of their own.
+    """
+    while at + _CHUNK.size + _CHECKSUM <= end:
+        length, name = _CHUNK.unpack_from(payload, at)
+        if name == b"IEND":
+            return
+        if name in _ANIMATED:
+            raise DecodeError("PNG with an animation")
+        if not (name.isalpha() and (name[:1].islower() or name in _CRITICAL)):
+            raise DecodeError(f"PNG with a chunk {name!r}")
+        at += _CHUNK.size + length + _CHECKSUM
+    raise DecodeError("PNG that is cut off")
+
+
+def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
+    """See `_size_of`; walks over the segments before the pixels, which must come to an end."""
+    size = None
+    for _ in range(_MOST_SEGMENTS):
+        if at + _SEGMENT.size + _FRAME.size > end:
+            break
+        marker, kind, length = _SEGMENT.unpack_from(payload, at)
+        if marker != 0xFF:
+            break
+        if 0xC0 <= kind <= 0xCF and kind not in _NO_FRAMES:
+            bits, height, width = _FRAME.unpack_from(payload, at + _SEGMENT.size)
+            size = height, width, bits
+        if kind == _SCAN:
+            if size is None or payload.rfind(_JPEG_END, at, end) < 0:
+                break
+            # Each costs as much as the whole picture: a small file can hold enough for minutes.
+            if payload.count(_JPEG_SCAN, at, end) > _MOST_SCANS:
+                raise DecodeError(f"JPEG of more than {_MOST_SCANS} scans")
+            return size
+        at += 2 + length
+    raise DecodeError("JPEG without a size, or cut off")
+
+
+def decode_compressed_into(payload: bytes, header: CompressedHeader, out: np.ndarray) -> None:
+    """Write the picture into `out`: (h, w, 3) uint8 as RGB, or (h, w) float32 metres, 0 or NaN
+    where there was no return.
+
+    The decoder allocates a picture of its own, which is as large as `out`: OpenCV offers no other.
+
+    Raises:
+        DecodeError: broken, or not what `out` takes.
+    """
+    if out.shape[:2] != (header.height, header.width):
+        height, width = out.shape[:2]
+        raise DecodeError(f"image {header.width}x{header.height}, expected {width}x{height}")
+    colour = header.content == "colour"
+    if out.dtype != (np.uint8 if colour else np.float32):
+        raise DecodeError(f"compressed {header.content} where {out.dtype} pixels are expected")
+    data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
+    try:
+        picture = cv2.imdecode(data, _AS_IT_IS if colour else cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape != out.shape:
+        raise DecodeError(f"broken picture of {len(data)} bytes")
+    if colour:
+        if header.is_rgb:
+            np.copyto(out, picture)
+        else:
+            cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=out)
+    elif header.content == "millimetres":
+        np.multiply(picture, M_PER_MM, out=out)
+    else:
+        np.subtract(picture, np.float32(header.b), out=out, dtype=np.float32)
+        with np.errstate(divide="ignore", over="ignore"):
+            np.divide(np.float32(header.a), out, out=out)
+        out[picture == 0] = 0.0

@@ -1,0 +1,74 @@
+"""visualization_msgs/MarkerArray: what RViz and Foxglove draw into the map."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge.bus.wire.cdr import STAMP, U8, U32, Writer
+from edge.geometry import SE2, quaternion_of
+
+_IDS = struct.Struct("<iii")
+_POSE = struct.Struct("<7d")
+_SCALE = struct.Struct("<3d")
+_COLOUR = struct.Struct("<4f")
+
+ARROW, CUBE, SPHERE_LIST, TEXT = 0, 1, 7, 9
+_ADD, _DELETE_ALL = 0, 3
+
+ORIGIN = SE2(0.0, 0.0, 0.0)
+
+RGBA = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marker:
+    """One visualization_msgs/Marker.
+
+    Attributes:
+        group: its namespace; with `id` it is unique.
+        kind: `ARROW`, `CUBE`, `SPHERE_LIST` or `TEXT`.
+        scale_m: along x, y, z; a text's height is its z, a list's spheres have all three.
+        colour: 0 to 1.
+        points_m: (n, 3), of a list.
+    """
+
+    group: str
+    id: int
+    kind: int
+    scale_m: tuple[float, float, float]
+    colour: RGBA
+    pose: SE2 = ORIGIN
+    z_m: float = 0.0
+    text: str = ""
+    points_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def encode_markers(stamp_ns: int, frame_id: str, markers: Sequence[Marker]) -> bytes:
+    """visualization_msgs/MarkerArray that takes the place of all that was sent before."""
+    writer = Writer().write(U32, 4, 1 + len(markers))
+    clear = Marker("", 0, ARROW, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+    _write(writer, stamp_ns, frame_id, clear, _DELETE_ALL)
+    for marker in markers:
+        _write(writer, stamp_ns, frame_id, marker, _ADD)
+    return writer.bytes()
+
+
+def _write(writer: Writer, stamp_ns: int, frame_id: str, marker: Marker, action: int) -> None:
+    T = marker.pose.matrix(marker.z_m)
+    writer.header(stamp_ns, frame_id).string(marker.group)
+    writer.write(_IDS, 4, marker.id, marker.kind, action)
+    writer.write(_POSE, 8, *T[:3, 3], *quaternion_of(T)).write(_SCALE, 8, *marker.scale_m)
+    writer.write(_COLOUR, 4, *marker.colour)
+    writer.write(STAMP, 4, 0, 0).write(U8, 1, 0)  # lasts; is not locked to a frame
+    points = np.ascontiguousarray(marker.points_m, "<f8").reshape(-1)
+    writer.write(U32, 4, len(points) // 3)
+    if len(points):
+        writer.block(8, memoryview(points.view(np.uint8)))
+    writer.write(U32, 4, 0).string("")  # colours of points; texture
+    writer.header(0, "").string("").write(U32, 4, 0)  # the texture's picture
+    writer.write(U32, 4, 0).string(marker.text)  # where it lies; the text
+    writer.string("").string("").write(U32, 4, 0).write(U8, 1, 0)  # a mesh: none

@@ -1,0 +1,128 @@
+"""nav2_msgs/NavigateToPose, as an action is on the wire: three services and two topics.
+
+`send_goal`, `get_result` and `cancel_goal` are services, `feedback` and `status` topics, all below
+`<action>/_action/`. A goal is named by 16 bytes that its client draws.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from edge.bus.wire.cdr import STAMP, U8, U32, DecodeError, Reader, Writer
+from edge.bus.wire.messages import MAP_FRAME, read_pose, write_pose
+from edge.geometry import SE2, se2_of
+
+_UUID = struct.Struct("<16s")
+_I8 = struct.Struct("<b")
+_I16 = struct.Struct("<h")
+_U16 = struct.Struct("<H")
+_F32 = struct.Struct("<f")
+_MOST_GOALS = 1024
+
+# action_msgs/GoalStatus
+ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
+SETTLED = (SUCCEEDED, CANCELED, ABORTED)
+
+
+def encode_send_goal(
+    goal_id: bytes, stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME, tree: str = ""
+) -> bytes:
+    """NavigateToPose_SendGoal_Request; `tree` is Nav2's behavior tree, "" its default one."""
+    writer = Writer().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
+    return write_pose(writer, pose.matrix()).string(tree).bytes()
+
+
+def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
+    """(goal_id, stamp_ns, pose, frame_id) of a NavigateToPose_SendGoal_Request."""
+    reader = Reader(payload)
+    (goal_id,) = reader.read(_UUID, 1)
+    stamp_ns, frame_id = reader.header()
+    return goal_id, stamp_ns, se2_of(read_pose(reader)), frame_id
+
+
+def decode_send_goal_answer(payload: bytes) -> bool:
+    """Whether the goal was accepted."""
+    (accepted,) = Reader(payload).read(U8, 1)
+    return bool(accepted)
+
+
+def encode_get_result(goal_id: bytes) -> bytes:
+    """NavigateToPose_GetResult_Request."""
+    return Writer().write(_UUID, 1, goal_id).bytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How a goal ended: its `status` and what Nav2 says of it (0 and "" where it says nothing)."""
+
+    status: int
+    error_code: int = 0
+    error: str = ""
+
+
+def decode_result(payload: bytes) -> Result:
+    """NavigateToPose_GetResult_Response of any distribution.
+
+    Humble's result is empty; then came an error's code; then its words as well. Each is longer than
+    the one before, so what there is says which it is.
+    """
+    reader = Reader(payload)
+    (status,) = reader.read(_I8, 1)
+    if reader.left < 3:
+        return Result(status)
+    (code,) = reader.read(_U16, 2)
+    return Result(status, code, reader.string() if reader.left >= 4 else "")
+
+
+def encode_cancel(goal_id: bytes) -> bytes:
+    """action_msgs/CancelGoal_Request of one goal."""
+    return Writer().write(_UUID, 1, goal_id).write(STAMP, 4, 0, 0).bytes()
+
+
+def decode_cancel_answer(payload: bytes) -> tuple[int, list[bytes]]:
+    """(return code, goals that are being cancelled); 0: none was refused."""
+    reader = Reader(payload)
+    (code,) = reader.read(_I8, 1)
+    return code, [goal_id for goal_id, _ in _goals(reader, status=False)]
+
+
+def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
+    """(goal_id, status) of an action_msgs/GoalStatusArray."""
+    return _goals(Reader(payload), status=True)
+
+
+def _goals(reader: Reader, status: bool) -> list[tuple[bytes, int]]:
+    (count,) = reader.read(U32, 4)
+    if count > _MOST_GOALS:
+        raise DecodeError(f"{count} goals")
+    goals = []
+    for _ in range(count):
+        (goal_id,) = reader.read(_UUID, 1)
+        reader.skip(STAMP.size, 4)
+        goals.append((goal_id, reader.read(_I8, 1)[0] if status else 0))
+    return goals
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """NavigateToPose_FeedbackMessage: how far a goal is from its end."""
+
+    goal_id: bytes
+    pose: SE2
+    elapsed_ns: int
+    recoveries: int
+    distance_m: float
+
+
+def decode_feedback(payload: bytes) -> Feedback:
+    """NavigateToPose_FeedbackMessage; what later distributions append is not read."""
+    reader = Reader(payload)
+    (goal_id,) = reader.read(_UUID, 1)
+    reader.header()
+    pose = se2_of(read_pose(reader))
+    elapsed_ns = reader.stamp_ns()
+    reader.skip(STAMP.size, 4)
+    (recoveries,) = reader.read(_I16, 2)
+    (distance_m,) = reader.read(_F32, 4)
+    return Feedback(goal_id, pose, elapsed_ns, recoveries, distance_m)

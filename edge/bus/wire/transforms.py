@@ -1,0 +1,65 @@
+"""tf2_msgs/TFMessage and nav_msgs/Path."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.bus.wire.cdr import HEADER, U32, DecodeError, Reader, Writer
+from edge.geometry import se3_from_quaternion
+
+_TRANSFORM = struct.Struct("<7d")
+_SMALLEST = 12 + 1 + _TRANSFORM.size  # bytes of one transform
+MOST_TRANSFORMS = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transform:
+    """geometry_msgs/TransformStamped: `T` (4, 4) maps points of `child` into `parent`."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    T: np.ndarray
+
+
+def decode_transforms(payload: bytes) -> list[Transform]:
+    """The transforms of a tf2_msgs/TFMessage; a frame's leading slash (ROS 1) is left out."""
+    reader = Reader(payload)
+    (count,) = reader.read(U32, 4)
+    if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
+        raise DecodeError(f"{count} transforms in {len(payload)} bytes")
+    return [_read_transform(reader) for _ in range(count)]
+
+
+def _read_transform(reader: Reader) -> Transform:
+    stamp_ns, parent = reader.header()
+    child = reader.string()
+    values = reader.read(_TRANSFORM, 8)
+    if not all(map(math.isfinite, values)):
+        raise DecodeError("transform holds NaN or inf")
+    try:
+        T = se3_from_quaternion(values[:3], values[3:])
+    except ValueError as error:
+        raise DecodeError(str(error)) from None
+    return Transform(stamp_ns, parent.lstrip("/"), child.lstrip("/"), T)
+
+
+def encode_path(stamp_ns: int, frame_id: str, poses: np.ndarray) -> bytes:
+    """nav_msgs/Path of (n, 3) poses: x and y in metres, yaw in radians, all of one stamp."""
+    n = len(poses)
+    writer = Writer().header(stamp_ns, frame_id).write(U32, 4, n)
+    if n == 0:
+        return writer.bytes()
+    values = np.zeros((n, 7))
+    values[:, :2] = poses[:, :2]
+    values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
+    first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
+    # A pose ends at a multiple of eight, so all that follow are laid out alike.
+    again = Writer().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
+    rest = np.tile(np.frombuffer(again[len(HEADER) :], np.uint8), (n - 1, 1))
+    rest[:, -_TRANSFORM.size :] = values[1:].astype("<f8", copy=False).view(np.uint8)
+    return first + rest.tobytes()

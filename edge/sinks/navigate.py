@@ -1,0 +1,208 @@
+"""A client of Nav2's action NavigateToPose: goals out, and what becomes of them back.
+
+Nav2 takes a new goal in the place of the old by itself, so only who wants no goal at all cancels.
+A goal's end is its result, which says why as well; where that is lost, as when a router was started
+anew, the action's `status` has to do.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from edge.bus.ros2.node import Answer, Node
+from edge.bus.wire import DecodeError, navigation
+from edge.bus.wire.navigation import SETTLED, SUCCEEDED
+from edge.text import one_line
+from edge.types import Goal, GoalStatus
+
+log = logging.getLogger("edge.sinks.ros2")
+
+AGAIN_S = 0.5
+RESULT_LATE_S = 1.0
+_ACCEPT_S = 5.0
+_RESULT_S = 600.0
+_KEPT = 16
+_ACTION = "nav2_msgs/action/NavigateToPose"
+_STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "given up"}
+
+
+@dataclass(slots=True)
+class _Driven:
+    """The goal that Nav2 is to have.
+
+    Attributes:
+        stage: `waiting`: to be sent; `sent`: not answered yet; `driving`: accepted.
+        answer: what is waited for: whether it is accepted, then its result.
+        due_s: when to ask again where no answer is on its way.
+        status: how it ended, as the action's `status` says, at `ended_s`; 0 before that.
+        unwanted: to be cancelled as soon as Nav2 has it.
+    """
+
+    goal: Goal
+    stage: Literal["waiting", "sent", "driving"] = "waiting"
+    goal_id: bytes = b""
+    answer: Answer = field(default_factory=lambda: Answer(None))
+    due_s: float = 0.0
+    status: int = 0
+    ended_s: float = 0.0
+    unwanted: bool = False
+    recoveries: int = 0
+
+
+class Navigator:
+    """See the module; for one thread, which calls `beat` again and again.
+
+    Args:
+        action: its ROS name.
+        frame_id: that goals are in.
+        tell: called with what is known of a goal, as the loop wants it.
+    """
+
+    def __init__(
+        self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
+    ) -> None:
+        self._frame_id, self._tell = frame_id, tell
+        below = f"{action}/_action"
+        self._send = node.client(f"{below}/send_goal", f"{_ACTION}_SendGoal")
+        self._result = node.client(f"{below}/get_result", f"{_ACTION}_GetResult")
+        self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal")
+        self._feedback = node.subscription(
+            f"{below}/feedback", (f"{_ACTION}_FeedbackMessage",), _KEPT
+        )
+        self._status = node.subscription(
+            f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _KEPT
+        )
+        self._driven: _Driven | None = None
+        self._malformed = 0
+
+    def send(self, goal: Goal) -> None:
+        """Drive there, and no more to where it was before."""
+        self._driven = _Driven(goal)
+        self.beat()
+
+    def cancel(self) -> None:
+        """Drive nowhere."""
+        driven = self._driven
+        if driven is None:
+            return
+        if driven.stage == "driving":
+            self._take_back(driven)
+        elif driven.stage == "sent":
+            driven.unwanted = True
+            # At once as well, for a service that ends: Nav2 may have it without having said so.
+            self._cancel.ask(navigation.encode_cancel(driven.goal_id), _ACCEPT_S)
+        else:
+            self._driven = None
+
+    def beat(self) -> None:
+        """Look what came; ask again where nothing is on its way."""
+        for _, payload in self._feedback.take():
+            self._attempt(self._feed_back, payload.to_bytes())
+        for _, payload in self._status.take():
+            self._attempt(self._note_status, payload.to_bytes())
+        if self._driven is not None:
+            self._attempt(_STEPS[self._driven.stage], self, self._driven)
+
+    def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
+        """What is malformed is counted, and costs nothing else that came."""
+        try:
+            step(*arguments)
+        except DecodeError as error:
+            self._malformed += 1
+            if self._malformed == 1:
+                log.warning("ros2: navigate_to_pose: %s; further ones are only counted", error)
+
+    # -- one step a stage -------------------------------------------------------------------------
+
+    def _step_waiting(self, driven: _Driven) -> None:
+        if time.monotonic() < driven.due_s or not self._send.served():
+            return
+        driven.due_s = time.monotonic() + AGAIN_S
+        # A new name each time: who has seen one before refuses it.
+        driven.goal_id = uuid.uuid4().bytes
+        request = navigation.encode_send_goal(
+            driven.goal_id, driven.goal.stamp_ns, driven.goal.pose, self._frame_id
+        )
+        driven.answer, driven.stage = self._send.ask(request, _ACCEPT_S), "sent"
+
+    def _step_sent(self, driven: _Driven) -> None:
+        payload = driven.answer.poll()
+        if payload is None:
+            if driven.answer.over:
+                driven.stage = "waiting"
+                self._driven = None if driven.unwanted else driven
+            return
+        if not navigation.decode_send_goal_answer(payload):
+            self._settle(driven, "failed", "refused by navigate_to_pose")
+            return
+        driven.stage, driven.due_s = "driving", 0.0
+        driven.answer = Answer(None)
+        if driven.unwanted:
+            self._take_back(driven)
+            return
+        self._tell(GoalStatus(driven.goal.stamp_ns, "accepted"))
+        self._step_driving(driven)
+
+    def _step_driving(self, driven: _Driven) -> None:
+        payload = driven.answer.poll()
+        if payload is not None:
+            self._end(driven, navigation.decode_result(payload))
+        elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
+            self._end(driven, navigation.Result(driven.status))
+        elif driven.answer.over and time.monotonic() >= driven.due_s:
+            if not self._send.served():
+                self._settle(driven, "failed", "navigate_to_pose is gone")
+                return
+            driven.due_s = time.monotonic() + AGAIN_S
+            request = navigation.encode_get_result(driven.goal_id)
+            driven.answer = self._result.ask(request, _RESULT_S)
+
+    # -- what comes -------------------------------------------------------------------------------
+
+    def _feed_back(self, payload: bytes) -> None:
+        said, driven = navigation.decode_feedback(payload), self._driven
+        if driven is None or driven.stage != "driving" or said.goal_id != driven.goal_id:
+            return
+        if said.recoveries > driven.recoveries:
+            driven.recoveries = said.recoveries
+            reason = f"{said.recoveries} recoveries, {said.distance_m:.1f} m left"
+            self._tell(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
+
+    def _note_status(self, payload: bytes) -> None:
+        driven = self._driven
+        for goal_id, status in navigation.decode_goal_statuses(payload):
+            ours = driven is not None and goal_id == driven.goal_id
+            if ours and status in SETTLED and not driven.status:
+                driven.status, driven.ended_s = status, time.monotonic()
+
+    def _end(self, driven: _Driven, result: navigation.Result) -> None:
+        if result.status == SUCCEEDED:
+            self._settle(driven, "reached", "")
+        elif result.status in SETTLED:
+            code = f" (error {result.error_code})" if result.error_code else ""
+            words = f": {one_line(result.error)}" if result.error else ""
+            self._settle(driven, "failed", f"{_STATES[result.status]} by Nav2{code}{words}")
+        else:
+            self._settle(driven, "failed", f"Nav2 knows nothing of it (status {result.status})")
+
+    def _settle(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+        self._driven = None
+        if not driven.unwanted:
+            self._tell(GoalStatus(driven.goal.stamp_ns, state, reason))
+
+    def _take_back(self, driven: _Driven) -> None:
+        """Nobody waits for what Nav2 says to it: a robot that drives on is told of by its poses."""
+        self._driven = None
+        self._cancel.ask(navigation.encode_cancel(driven.goal_id), _ACCEPT_S)
+
+
+_STEPS: dict[str, Callable[[Navigator, _Driven], None]] = {
+    "waiting": Navigator._step_waiting,
+    "sent": Navigator._step_sent,
+    "driving": Navigator._step_driving,
+}

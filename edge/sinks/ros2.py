@@ -1,0 +1,195 @@
+"""Goals, map, the robot's way and what was found, into a ROS 2 graph that speaks rmw_zenoh.
+
+Answers of the action NavigateToPose go out as `goal_status`, as any controller's do: whatever the
+source, it hears them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from edge.bus import topics
+from edge.bus.ros2.names import DIALECTS
+from edge.bus.ros2.node import Node
+from edge.bus.session import declare_publisher
+from edge.bus.wire import markers, messages, transforms
+from edge.bus.wire.markers import Marker
+from edge.config import Config
+from edge.config.ros2 import Ros2
+from edge.geometry import SE2, Grid
+from edge.host.worker import Worker
+from edge.loop.result import TickResult
+from edge.sinks.navigate import Navigator
+from edge.types import Goal, GoalStatus, Instance
+
+DRAWN_HZ = 1.0
+WAY_POSES, WAY_APART_M = 2000, 0.1
+_CLOSE_S = 1.0
+_FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
+_THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
+_REFUTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
+_GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
+_WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
+
+
+class Ros2Sink:
+    """Speaks to the graph of `ros2`; no method blocks."""
+
+    def __init__(self, config: Config, session: zenoh.Session) -> None:
+        settings = config.ros2
+        self._frame = settings.map_frame
+        self._node = Node(session, settings.domain, f"{settings.node}_sink", DIALECTS[settings.via])
+        self._map = self._publisher(settings, "map", "nav_msgs/msg/OccupancyGrid", latched=True)
+        self._path = self._publisher(settings, "path", "nav_msgs/msg/Path")
+        self._markers = self._publisher(settings, "markers", "visualization_msgs/msg/MarkerArray")
+        self._goal = None
+        self._navigator = None
+        self._answers = None
+        if settings.goals == "topic":
+            self._goal = self._publisher(settings, "goal", "geometry_msgs/msg/PoseStamped")
+        else:
+            self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
+            action = settings.topic("navigate_to_pose")
+            self._navigator = Navigator(self._node, action, self._frame, self._tell)
+        self._unheard: Goal | None = None
+        self._way = Way(WAY_POSES, WAY_APART_M)
+        self._driving = False
+        self._period_ns = {
+            "map": int(1e9 / config.report.map_hz),
+            "drawings": int(1e9 / DRAWN_HZ),
+        }
+        self._last_ns: dict[str, int] = {}
+        self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
+
+    def _publisher(self, settings: Ros2, name: str, type_name: str, latched: bool = False) -> Any:
+        return self._node.publisher(settings.topic(name), type_name, latched)
+
+    # -- on the loop's thread -------------------------------------------------------------------
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        for goal in result.goals:
+            self._driving = True
+            self._worker.submit(("goal", goal), key="goal")
+        if self._driving and result.goal is None:
+            self._driving = False
+            self._worker.submit(("goal", None), key="goal")
+        now_ns = result.now_ns
+        if result.pose is not None:
+            self._way.add(result.pose)
+        if self._is_due("map", now_ns):
+            self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
+        if self._is_due("drawings", now_ns):
+            drawn = (
+                now_ns, self._way.poses(), result.frontiers(), result.instances(), result.goal
+            )  # fmt: skip
+            self._worker.submit(("drawings", drawn), key="drawings")
+
+    def close(self) -> None:
+        """Take the goal back, and send what is left."""
+        self._worker.submit(("goal", None), key="goal")
+        if self._worker.close(_CLOSE_S):
+            self._node.close()
+            if self._answers is not None:
+                self._answers.undeclare()
+
+    def _is_due(self, name: str, now_ns: int) -> bool:
+        last_ns = self._last_ns.get(name)
+        # A clock that was set back must not silence the sink.
+        if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:
+            return False
+        self._last_ns[name] = now_ns
+        return True
+
+    # -- on the worker's thread ------------------------------------------------------------------
+
+    def _deliver(self, what: tuple[str, Any]) -> None:
+        name, item = what
+        if name == "goal":
+            self._drive(item)
+        elif name == "map":
+            stamp_ns, take = item
+            self._map.put(_encode_map(stamp_ns, take, self._frame))
+        else:
+            stamp_ns, way, frontiers, instances, goal = item
+            self._path.put(transforms.encode_path(stamp_ns, self._frame, way))
+            drawn = markers_of(frontiers, instances, goal)
+            self._markers.put(markers.encode_markers(stamp_ns, self._frame, drawn))
+
+    def _drive(self, goal: Goal | None) -> None:
+        if self._navigator is None:
+            self._unheard = goal
+        elif goal is None:
+            self._navigator.cancel()
+        else:
+            self._navigator.send(goal)
+        self._beat()
+
+    def _beat(self) -> None:
+        self._node.look()
+        if self._navigator is not None:
+            self._navigator.beat()
+        # To a planner each message is a new goal: it is sent once, when somebody hears it.
+        elif self._unheard is not None and self._goal is not None and self._goal.heard():
+            goal, self._unheard = self._unheard, None
+            self._goal.put(messages.encode_pose_stamped(goal.stamp_ns, goal.pose, self._frame))
+
+    def _tell(self, answer: GoalStatus) -> None:
+        said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+        self._answers.put(json.dumps(said).encode())
+
+
+def _encode_map(stamp_ns: int, take: Callable[[], Grid], frame_id: str) -> bytes:
+    return messages.encode_occupancy_grid(stamp_ns, take(), frame_id)
+
+
+class Way:
+    """Where the robot has been: the last poses, some way apart, in a preallocated ring."""
+
+    def __init__(self, capacity: int, apart_m: float) -> None:
+        self._poses = np.zeros((capacity, 3))
+        self._apart_m = apart_m
+        self._n = 0
+
+    def add(self, pose: SE2) -> None:
+        if self._n:
+            last = self._poses[(self._n - 1) % len(self._poses)]
+            if math.hypot(pose.x_m - last[0], pose.y_m - last[1]) < self._apart_m:
+                return
+        self._poses[self._n % len(self._poses)] = pose.x_m, pose.y_m, pose.yaw_rad
+        self._n += 1
+
+    def poses(self) -> np.ndarray:
+        """(n, 3) x, y, yaw, oldest first: a copy."""
+        first = self._n % len(self._poses)
+        if self._n <= len(self._poses):
+            return self._poses[: self._n].copy()
+        return np.roll(self._poses, -first, axis=0)
+
+
+def markers_of(
+    frontiers_m: np.ndarray, instances: list[Instance], goal: Goal | None
+) -> list[Marker]:
+    """What there is to draw: frontiers as spheres, things as cubes with their names, the goal."""
+    drawn = []
+    if len(frontiers_m):
+        points = np.zeros((len(frontiers_m), 3))
+        points[:, :2] = frontiers_m
+        drawn.append(
+            Marker("frontiers", 0, markers.SPHERE_LIST, (0.1,) * 3, _FRONTIER, points_m=points)
+        )
+    for i, thing in enumerate(instances):
+        x, y, z = map(float, thing.center_m)
+        colour = _REFUTED if thing.state == "refuted" else _THING
+        at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
+        drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
+        drawn.append(Marker("names", i, markers.TEXT, (0.0, 0.0, 0.2), _WORDS, at, z + 0.4, words))
+    if goal is not None:
+        drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, goal.pose, 0.1))
+    return drawn

@@ -1,0 +1,167 @@
+"""Our node in a graph with `zenoh-ros2-sdk`, an independent rmw_zenoh: each sees the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from patience import eventually
+from ros_messages import STORE, header, to_ros
+from ros_router import ours, router
+from ros_sdk import definition, peers, publisher, sdk, subscriber
+
+from edge.bus.ros2 import graph, names
+from edge.bus.ros2.names import Endpoint
+from edge.bus.ros2.node import Node
+from edge.bus.wire import messages, navigation
+from edge.geometry import SE2, Grid
+
+POSE, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Image"
+GRID, COMPRESSED = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/CompressedImage"
+
+
+@pytest.fixture(scope="module")
+def port():
+    with router() as port, peers(port):
+        yield port
+
+
+@pytest.fixture
+def session(port):
+    with ours(port) as session:
+        yield session
+
+
+@pytest.fixture
+def node(session):
+    node = Node(session, 0, "edge_test")
+    yield node
+    node.close()
+
+
+def dependencies(text: str) -> str:
+    """A definition with those of its parts behind it."""
+    parts = ("unique_identifier_msgs/msg/UUID", "builtin_interfaces/msg/Time")
+    return text + "".join(f"{'=' * 80}\nMSG: {p}\n{definition(p)}\n" for p in parts)
+
+
+def listed(port: int) -> dict[str, list[str]]:
+    """What `ros2 topic list -t` would say."""
+    from zenoh_ros2_sdk.discovery import get_topic_names_and_types
+
+    return dict(get_topic_names_and_types(0, router_port=port))
+
+
+def looked(node: Node, what):
+    """What is asked, once the node has seen it."""
+
+    def ask():
+        node._looked_s = 0.0
+        node.look()
+        return what()
+
+    return eventually(ask)
+
+
+def test_a_peer_hears_us_and_lists_our_topic(port, node):
+    heard = []
+    peer = subscriber(port, "/goal_pose", POSE, heard.append)
+    mine = node.publisher("/goal_pose", POSE)
+    assert looked(node, mine.heard)
+    mine.put(messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0)))
+    (message,) = eventually(lambda: list(heard))
+    assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
+    assert listed(port)["/goal_pose"] == [POSE]
+    peer.close()
+
+
+def test_a_late_subscriber_gets_a_latched_map(port, node):
+    # The peer spells a name of several parts wrong where it looks for its publishers.
+    mine = node.publisher("/map", GRID, latched=True)
+    for k in (1, 2):
+        grid = Grid(np.full((2, 3), k, np.int8), (0.0, 0.0), 0.05)
+        mine.put(messages.encode_occupancy_grid(k, grid))
+    eventually(lambda: "/map" in listed(port))  # it asks once
+    heard = []
+    peer = subscriber(port, "/map", GRID, heard.append, qos=names.LATCHED)
+    (message,) = eventually(lambda: list(heard))
+    assert message.data.tolist() == [2] * 6
+    peer.close()
+
+
+def test_we_hear_a_peer_and_which_type_it_sends(port, node):
+    subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
+    assert subscription.type == IMAGE
+    peer = publisher(port, "/camera/image", COMPRESSED)
+    assert looked(node, lambda: subscription.type == COMPRESSED)
+    message = STORE.types[COMPRESSED](header(3, "camera"), "jpeg", np.arange(4, dtype=np.uint8))
+    peer.publish(header=message.header, format="jpeg", data=message.data)
+    ((type_name, payload),) = eventually(subscription.take)
+    assert (type_name, payload.to_bytes()) == (COMPRESSED, to_ros(message))
+    peer.close()
+
+
+def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
+    mine = node.publisher("/goal_pose", POSE)
+    assert mine.hash == names.known_hash(POSE)
+    humble = publisher(port, "/chatter", "nav_msgs/msg/Odometry", type_hash=names.NO_HASH)
+    assert looked(node, lambda: mine.hash == names.NO_HASH)
+    humble.close()
+    assert looked(node, lambda: mine.hash == names.known_hash(POSE))
+
+
+def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
+    name = "nav2_msgs/action/NavigateToPose_GetResult"
+    client = node.client("/navigate_to_pose/_action/get_result", name)
+    assert (client.hash, client.served(), client.ask(b"x", 1.0).over) == (None, False, True)
+    server = Endpoint("SS", "other", "/nav", client.topic, name, "RIHS01_ab")
+    with session.liveliness().declare_token(
+        names.endpoint_token(0, 90, 91, server, names.RELIABLE)
+    ):
+        assert looked(node, lambda: client.hash == "RIHS01_ab")
+        assert client.served()
+    assert looked(node, lambda: not client.served())
+
+
+def test_what_a_node_leaves_is_nothing(port, session):
+    node = Node(session, 0, "leaves")
+    node.publisher("/left", POSE)
+    eventually(lambda: "/left" in listed(port))
+    node.close()
+    eventually(lambda: "/left" not in listed(port))
+
+
+def test_a_service_of_a_peer_answers(port, node):
+    name = "action_msgs/srv/CancelGoal"
+    request = "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"
+    asked = []
+
+    def answer(request):
+        asked.append(bytes(request.goal_id.uuid))
+        return store.types["action_msgs/srv/msg/CancelGoal_Response"](2)
+
+    server = sdk.ROS2ServiceServer(
+        "/nav/cancel", name, answer, dependencies(request), "int8 return_code", router_port=port,
+        type_hash=names.known_hash(name),
+    )  # fmt: skip
+    store = server.session_mgr.store
+    client = node.client("/nav/cancel", name)
+    assert looked(node, client.served)
+    reply = client.ask(navigation.encode_cancel(bytes(range(16))), 5.0)
+    payload = eventually(reply.poll)
+    assert (payload[4], asked) == (2, [bytes(range(16))])
+    assert (reply.over, reply.poll()) == (True, None)
+    server.close()
+
+
+def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):
+    monkeypatch.setattr(graph, "_MOST", 4)
+    seen = graph.Graph(session, 0)
+    with ours(port) as other:
+        said = [Endpoint("MP", "z", "/n", f"/t{i}", POSE, "RIHS01_0") for i in range(9)]
+        tokens = [names.endpoint_token(0, 0, i, e, names.RELIABLE) for i, e in enumerate(said)]
+        open_tokens = [other.liveliness().declare_token(token) for token in tokens]
+        eventually(lambda: seen.look() and "more than 4 endpoints" in caplog.text)
+        eventually(lambda: not seen.look())
+        assert sum(bool(seen.endpoints("MP", e.topic)) for e in said) == 4
+        del open_tokens
+    seen.close()

@@ -1,0 +1,76 @@
+"""A million broken payloads: each decodes, or is a DecodeError in one line."""
+
+from __future__ import annotations
+
+import random
+import resource
+
+import numpy as np
+import pytest
+from test_wire_compressed import BGR, DEPTH_MM, picture, ros
+from test_wire_messages import DECODERS, PAYLOADS
+from test_wire_navigation import CASES
+
+from edge.bus.wire import DecodeError
+from edge.bus.wire.compressed import decode_compressed_header, decode_compressed_into
+
+MUTATIONS = 1_000_000
+PICTURES = 20_000  # each is opened
+MOST_MB = 300.0  # OpenCV makes room for what a chunk says that it holds
+
+
+def mutated(payload: bytes, rng: random.Random) -> bytes:
+    """With some bytes changed, a piece doubled or left out, or the end cut off."""
+    data = bytearray(payload)
+    for _ in range(rng.randint(1, 4)):
+        data[rng.randrange(len(data))] = rng.choice((0, 1, 127, 128, 255, rng.randrange(256)))
+    kind = rng.randrange(8)
+    at = rng.randrange(len(data))
+    if kind == 0:
+        del data[at:]
+    elif kind == 1:
+        del data[at : at + rng.randrange(16)]
+    elif kind == 2:
+        data[at:at] = data[at : at + rng.randrange(16)]
+    return bytes(data)
+
+
+def hold(decode, payloads: list[bytes], n: int) -> None:
+    rng = random.Random(1)
+    for i in range(n):
+        said = ""
+        try:
+            decode(mutated(payloads[i % len(payloads)], rng))
+        except DecodeError as error:
+            said = str(error)
+        assert "\n" not in said
+
+
+EVERY = {**{name: (DECODERS[name], [PAYLOADS[name]]) for name in DECODERS},
+         **{name: (case.decode, [case.payload]) for name, case in CASES.items()},
+         "compressed header": (
+             decode_compressed_header, [ros("jpeg", picture(".jpg", BGR)),
+                                        ros("16UC1; png", picture(".png", DEPTH_MM))])}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVERY)
+def test_a_million_broken_payloads(name):
+    decode, payloads = EVERY[name]
+    hold(decode, payloads, MUTATIONS // len(EVERY))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["jpeg", "png", "16UC1; png"])
+def test_broken_pictures(words):
+    kind, array = (".jpg", BGR) if words == "jpeg" else (".png", BGR)
+    out = np.zeros((30, 20, 3), np.uint8)
+    if words == "16UC1; png":
+        array, out = DEPTH_MM, np.zeros((30, 20), np.float32)
+
+    def decode(payload: bytes) -> None:
+        decode_compressed_into(payload, decode_compressed_header(payload), out)
+
+    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    hold(decode, [ros(words, picture(kind, array))], PICTURES)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3 < before_mb + MOST_MB

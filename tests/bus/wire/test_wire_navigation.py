@@ -1,0 +1,175 @@
+"""tf, paths, markers and Nav2's action against `rosbags`, which knows them from ROS's own texts."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ros_messages import FAREWELLS, STORE, from_ros, header, pose, to_ros
+
+from edge.bus.wire import DecodeError, markers, navigation, transforms
+from edge.geometry import SE2
+
+ID = bytes(range(16))
+GOAL = SE2(1.5, -2.0, 0.5)
+
+
+def ros_id(goal_id: bytes = ID):
+    return STORE.types["unique_identifier_msgs/msg/UUID"](np.frombuffer(goal_id, np.uint8))
+
+
+def transform(parent: str, child: str, x_m: float):
+    types = STORE.types
+    moved = types["geometry_msgs/msg/Vector3"](x_m, 2.0, 3.0)
+    turned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(0.25), math.cos(0.25))
+    return types["geometry_msgs/msg/TransformStamped"](
+        header(7, parent), child, types["geometry_msgs/msg/Transform"](moved, turned)
+    )
+
+
+@pytest.mark.parametrize("names", [(), ("a",), ("base_link", "camera_link", "x")])
+def test_transforms(names):
+    sent = [transform("/odom", name, float(i)) for i, name in enumerate(names)]
+    payload = to_ros(STORE.types["tf2_msgs/msg/TFMessage"](sent))
+    got = transforms.decode_transforms(payload)
+    assert [(t.stamp_ns, t.parent, t.child, t.T[0, 3]) for t in got] == [
+        (7, "odom", name, float(i)) for i, name in enumerate(names)
+    ]
+    for t in got:
+        np.testing.assert_allclose(t.T[:2, :2], [[math.cos(0.5), -math.sin(0.5)],
+                                                 [math.sin(0.5), math.cos(0.5)]])  # fmt: skip
+
+
+@pytest.mark.parametrize("frame_id", ["map", "", "odometry", "m"])
+@pytest.mark.parametrize("n", [0, 1, 2, 5])
+def test_a_path(frame_id, n):
+    poses = np.arange(3.0 * n).reshape(n, 3) / 10
+    path = from_ros(transforms.encode_path(10**9 + 5, frame_id, poses), "nav_msgs/msg/Path")
+    assert (path.header.frame_id, path.header.stamp.nanosec) == (frame_id, 5)
+    got = [
+        (p.header.frame_id, p.pose.position.x, p.pose.position.y,
+         2 * math.atan2(p.pose.orientation.z, p.pose.orientation.w))
+        for p in path.poses
+    ]  # fmt: skip
+    assert got == [(frame_id, x, y, pytest.approx(yaw)) for x, y, yaw in poses]
+
+
+def test_markers():
+    points = np.arange(9.0).reshape(3, 3)
+    sent = [
+        markers.Marker("frontiers", 0, markers.SPHERE_LIST, (0.1,) * 3, (1, 0, 0, 1),
+                       points_m=points),
+        markers.Marker("things", 5, markers.TEXT, (0, 0, 0.2), (1, 1, 1, 0.5), GOAL, 1.0, "bed"),
+    ]  # fmt: skip
+    payload = markers.encode_markers(9, "map", sent)
+    clear, dots, text = from_ros(payload, "visualization_msgs/msg/MarkerArray").markers
+    assert to_ros(from_ros(payload, "visualization_msgs/msg/MarkerArray")) == payload
+    assert (clear.action, clear.ns) == (3, "")
+    assert (dots.action, dots.type, dots.ns, dots.header.frame_id) == (0, 7, "frontiers", "map")
+    assert [[p.x, p.y, p.z] for p in dots.points] == points.tolist()
+    assert (text.id, text.text, text.pose.position.z, text.scale.z) == (5, "bed", 1.0, 0.2)
+    assert (text.color.a, text.lifetime.sec) == (0.5, 0)
+
+
+def test_no_markers_take_everything_away():
+    (clear,) = from_ros(
+        markers.encode_markers(9, "map", ()), "visualization_msgs/msg/MarkerArray"
+    ).markers
+    assert clear.action == 3
+
+
+def test_a_goal_for_the_action():
+    name = "nav2_msgs/msg/NavigateToPose_SendGoal_Request"
+    payload = navigation.encode_send_goal(ID, 5, GOAL, "odom")
+    request = from_ros(payload, name)
+    assert bytes(request.goal_id.uuid) == ID
+    assert request.goal.pose.header.frame_id == "odom"
+    assert (request.goal.pose.pose.position.x, request.goal.behavior_tree) == (1.5, "")
+    assert to_ros(request) == payload
+    back = navigation.decode_send_goal(payload)
+    assert back == (ID, 5, SE2(1.5, -2.0, pytest.approx(0.5)), "odom")
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+def test_its_answer(accepted):
+    time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
+    answer = STORE.types["nav2_msgs/msg/NavigateToPose_SendGoal_Response"](accepted, time)
+    assert navigation.decode_send_goal_answer(to_ros(answer)) is accepted
+
+
+@pytest.mark.parametrize("distribution", FAREWELLS)
+def test_its_result_in_every_distribution(distribution):
+    farewell, expected = FAREWELLS[distribution]
+    assert navigation.decode_result(farewell(6, 103, "no way")) == expected
+
+
+def test_what_asks_for_it_and_what_takes_it_back():
+    name = "nav2_msgs/msg/NavigateToPose_GetResult_Request"
+    assert bytes(from_ros(navigation.encode_get_result(ID), name).goal_id.uuid) == ID
+    request = from_ros(navigation.encode_cancel(ID), "action_msgs/msg/CancelGoal_Request")
+    assert bytes(request.goal_info.goal_id.uuid) == ID
+    time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
+    info = STORE.types["action_msgs/msg/GoalInfo"](ros_id(), time)
+    answer = STORE.types["action_msgs/msg/CancelGoal_Response"](2, [info, info])
+    assert navigation.decode_cancel_answer(to_ros(answer)) == (2, [ID, ID])
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_the_states_of_goals(n):
+    types, time = STORE.types, STORE.types["builtin_interfaces/msg/Time"](1, 2)
+    goals = [
+        types["action_msgs/msg/GoalStatus"](
+            types["action_msgs/msg/GoalInfo"](ros_id(bytes([k]) * 16), time), 4 + k
+        )
+        for k in range(n)
+    ]
+    payload = to_ros(types["action_msgs/msg/GoalStatusArray"](goals))
+    assert navigation.decode_goal_statuses(payload) == [(bytes([k]) * 16, 4 + k) for k in range(n)]
+
+
+def feedback_payload() -> bytes:
+    types = STORE.types
+    duration = types["builtin_interfaces/msg/Duration"]
+    where = types["geometry_msgs/msg/PoseStamped"](header(5, "map"), pose(GOAL))
+    inner = types["nav2_msgs/msg/NavigateToPose_Feedback"](
+        where, duration(3, 500_000_000), duration(9, 0), 2, 4.25
+    )
+    return to_ros(types["nav2_msgs/msg/NavigateToPose_FeedbackMessage"](ros_id(), inner))
+
+
+def test_feedback():
+    got = navigation.decode_feedback(feedback_payload())
+    assert (got.goal_id, got.elapsed_ns, got.recoveries) == (ID, 3_500_000_000, 2)
+    assert (got.pose.x_m, got.distance_m) == (1.5, 4.25)
+
+
+CASES = {
+    "transforms": SimpleNamespace(
+        decode=transforms.decode_transforms,
+        payload=to_ros(STORE.types["tf2_msgs/msg/TFMessage"]([transform("odom", "base", 1.0)])),
+    ),
+    "feedback": SimpleNamespace(decode=navigation.decode_feedback, payload=feedback_payload()),
+    "result": SimpleNamespace(
+        decode=navigation.decode_result, payload=FAREWELLS["kilted"][0](4, 1, "done")
+    ),
+    "goal": SimpleNamespace(
+        decode=navigation.decode_send_goal, payload=navigation.encode_send_goal(ID, 5, GOAL)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(data=st.data())
+def test_changed_and_truncated_payloads_decode_or_raise_in_one_line(name, data):
+    case = CASES[name]
+    payload = bytearray(case.payload)
+    for _ in range(data.draw(st.integers(0, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    cut = bytes(payload[: data.draw(st.integers(0, len(payload)))])
+    with contextlib.suppress(DecodeError):
+        case.decode(cut)

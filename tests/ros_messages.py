@@ -1,0 +1,87 @@
+"""ROS 2 messages by `rosbags`: those that it knows, and Nav2's action from its own texts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from edge.bus.wire.navigation import Result
+from edge.geometry import SE2
+
+_ACTION = {
+    "NavigateToPose_Goal": "geometry_msgs/PoseStamped pose\nstring behavior_tree",
+    "NavigateToPose_SendGoal_Request": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/NavigateToPose_Goal goal"
+    ),
+    "NavigateToPose_SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp",
+    "NavigateToPose_GetResult_Request": "unique_identifier_msgs/UUID goal_id",
+    "HumbleResult": "int8 status\nuint8 structure_needs_at_least_one_member",
+    "JazzyResult": "int8 status\nuint16 error_code",
+    "KiltedResult": "int8 status\nuint16 error_code\nstring error_msg",
+    "NavigateToPose_Feedback": (
+        "geometry_msgs/PoseStamped current_pose\nbuiltin_interfaces/Duration navigation_time\n"
+        "builtin_interfaces/Duration estimated_time_remaining\nint16 number_of_recoveries\n"
+        "float32 distance_remaining"
+    ),
+    "NavigateToPose_FeedbackMessage": (
+        "unique_identifier_msgs/UUID goal_id\nnav2_msgs/NavigateToPose_Feedback feedback"
+    ),
+}
+_CANCEL = {
+    "CancelGoal_Request": "action_msgs/GoalInfo goal_info",
+    "CancelGoal_Response": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
+}
+
+
+def _store():
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for package, texts in (("nav2_msgs", _ACTION), ("action_msgs", _CANCEL)):
+        for name, text in texts.items():
+            store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
+    return store
+
+
+STORE = _store()
+
+
+def from_ros(payload: bytes, name: str) -> Any:
+    return STORE.deserialize_cdr(payload, name)
+
+
+def to_ros(message: Any) -> bytes:
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def header(stamp_ns: int, frame_id: str) -> Any:
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    return STORE.types["std_msgs/msg/Header"](time, frame_id)
+
+
+def pose(at: SE2) -> Any:
+    types, half = STORE.types, 0.5 * at.yaw_rad
+    return types["geometry_msgs/msg/Pose"](
+        types["geometry_msgs/msg/Point"](at.x_m, at.y_m, 0.0),
+        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half)),
+    )
+
+
+def _farewell(name: str, n_fields: int) -> Callable[..., bytes]:
+    kind = STORE.types[f"nav2_msgs/msg/{name}"]
+
+    def encode(status: int, code: int, text: str) -> bytes:
+        values = (0,) if name == "HumbleResult" else (code, text)[:n_fields]
+        return to_ros(kind(status, *values))
+
+    return encode
+
+
+FAREWELLS: dict[str, tuple[Callable[..., bytes], Result]] = {
+    "humble": (_farewell("HumbleResult", 1), Result(6)),
+    "jazzy": (_farewell("JazzyResult", 1), Result(6, 103)),
+    "kilted": (_farewell("KiltedResult", 2), Result(6, 103, "no way")),
+}
+"""How each distribution's action ends, as (encode(status, code, text), what is read of 6, 103 and
+"no way")."""

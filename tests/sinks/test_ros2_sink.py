@@ -1,0 +1,300 @@
+"""The sink over a real router: goals to a Nav2 and back, drawings, and the map for who is late."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from nav2 import ACTION, Nav2
+from patience import eventually
+from results import result
+from ros_messages import from_ros
+from ros_router import ours, router, zenoh_settings
+from simulated import simulated
+
+from edge.bus.ros2 import names
+from edge.bus.ros2.names import BRIDGE
+from edge.bus.ros2.node import Node
+from edge.geometry import SE2
+from edge.sinks import navigate
+from edge.sinks.ros2 import Ros2Sink, Way, markers_of
+from edge.sources.goal_status import GoalStatusInbox
+from edge.types import Goal, GoalStatus, Instance
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
+    return Goal(stamp_ns, SE2(x_m, 2.0, 0.5), "frontier", 7, (x_m, 2.5), 0.4, "chair")
+
+
+def driving(stamp_ns: int, x_m: float = 1.0):
+    """A tick in which a goal goes out."""
+    one = goal(stamp_ns, x_m)
+    return result(goals=(one,), goal=one)
+
+
+@pytest.fixture(scope="module")
+def port():
+    with router() as port:
+        yield port
+
+
+@pytest.fixture
+def theirs(port):
+    with ours(port) as session:
+        yield session
+
+
+@pytest.fixture
+def session(port):
+    with ours(port) as session:
+        yield session
+
+
+@pytest.fixture
+def make(port, session):
+    made = []
+
+    def sink(**settings) -> Ros2Sink:
+        config = simulated({"sinks": ["ros2"], "ros2": settings})
+        config = config.model_copy(update={"zenoh": zenoh_settings(port)})
+        made.append(Ros2Sink(config, session))
+        return made[-1]
+
+    sink.made = made
+    yield sink
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def answers(port, session):
+    """What the loop would hear of its goals."""
+    inbox = GoalStatusInbox(session, zenoh_settings(port))
+    heard: list[GoalStatus] = []
+
+    def after(n: int) -> list[GoalStatus]:
+        def enough():
+            heard.extend(inbox.poll())
+            return len(heard) >= n
+
+        eventually(enough)
+        return heard
+
+    yield after
+    inbox.close()
+
+
+@pytest.fixture
+def nav2(theirs):
+    nav2 = Nav2(theirs)
+    yield nav2
+    nav2.close()
+
+
+def first_goal(nav2: Nav2) -> bytes:
+    eventually(lambda: nav2.goals)
+    goal_id = nav2.goals[-1][0]
+    eventually(lambda: nav2.asked(goal_id))
+    return goal_id
+
+
+@pytest.mark.parametrize("distribution", ["humble", "jazzy", "kilted"])
+@pytest.mark.parametrize(
+    ("status", "state", "reason"),
+    [(SUCCEEDED, "reached", ""), (ABORTED, "failed", "given up by Nav2"),
+     (CANCELED, "failed", "cancelled by Nav2"), (0, "failed", "knows nothing of it")],
+)  # fmt: skip
+def test_a_goal_and_its_end(make, theirs, answers, distribution, status, state, reason):
+    nav2 = Nav2(theirs, distribution)
+    make().tick(driving(123, x_m=3.0))
+    goal_id = first_goal(nav2)
+    assert (nav2.goals[0][1].pose.pose.position.x, len(nav2.goals)) == (3.0, 1)
+    assert nav2.goals[0][1].pose.header.frame_id == "map"
+    assert answers(1) == [GoalStatus(123, "accepted")]
+    nav2.end(goal_id, status)
+    _, end = answers(2)
+    assert (end.stamp_ns, end.state) == (123, state)
+    assert reason in end.reason
+    nav2.close()
+
+
+def test_a_goal_through_a_bridge(make, theirs, answers):
+    nav2 = Nav2(theirs, "jazzy", dialect=BRIDGE)
+    make(via="bridge").tick(driving(9))
+    goal_id = first_goal(nav2)
+    nav2.feed_back(goal_id, 1, 2.0)
+    assert answers(2)[1].reason == "1 recoveries, 2.0 m left"
+    nav2.end(goal_id, ABORTED, 103)
+    assert answers(3)[2] == GoalStatus(9, "failed", "given up by Nav2 (error 103)")
+    nav2.close()
+
+
+def test_why_nav2_gave_up(make, nav2, answers):
+    make().tick(driving(5))
+    nav2.end(first_goal(nav2), ABORTED, 103, "no\nvalid path")
+    assert answers(2)[1].reason == "given up by Nav2 (error 103): no valid path"
+
+
+def test_a_refused_goal_has_failed(make, nav2, answers):
+    nav2.accepts = False
+    make().tick(driving(5))
+    assert answers(1) == [GoalStatus(5, "failed", "refused by navigate_to_pose")]
+
+
+def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers):
+    sink = make()
+    sink.tick(driving(5))
+    nav2 = Nav2(theirs)
+    assert answers(1) == [GoalStatus(5, "accepted")]
+    nav2.close()
+
+
+def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers):
+    sink = make()
+    sink.tick(driving(1))
+    old = first_goal(nav2)
+    sink.tick(driving(2))
+    eventually(lambda: len(nav2.goals) == 2)
+    new = first_goal(nav2)
+    nav2.end(old, ABORTED)  # what Nav2 says of one that was taken over
+    nav2.end(new, SUCCEEDED)
+    assert [(a.stamp_ns, a.state) for a in answers(3)] == [
+        (1, "accepted"), (2, "accepted"), (2, "reached"),
+    ]  # fmt: skip
+    assert nav2.cancelled == []
+
+
+def test_nowhere_to_go_cancels_and_is_not_answered(make, nav2, answers):
+    sink = make()
+    sink.tick(driving(1))
+    goal_id = first_goal(nav2)
+    answers(1)
+    sink.tick(result())
+    assert eventually(lambda: nav2.cancelled) == [goal_id]
+    nav2.end(goal_id, CANCELED)
+    sink.tick(driving(2))
+    assert [(a.stamp_ns, a.state) for a in answers(2)] == [(1, "accepted"), (2, "accepted")]
+
+
+def test_closing_takes_the_goal_back(make, nav2):
+    make().tick(driving(1))
+    goal_id = first_goal(nav2)
+    make.made.pop().close()
+    assert eventually(lambda: nav2.cancelled) == [goal_id]
+
+
+def test_recoveries_are_told(make, nav2, answers):
+    make().tick(driving(1))
+    goal_id = first_goal(nav2)
+    for recoveries in (0, 1, 1):
+        nav2.feed_back(goal_id, recoveries, 4.25)
+    nav2.feed_back(bytes(16), 9, 1.0)  # of another's goal
+    told = answers(2)[1]
+    assert told == GoalStatus(1, "accepted", "1 recoveries, 4.2 m left")
+    nav2.end(goal_id, SUCCEEDED)
+    assert len(answers(3)) == 3
+
+
+def test_a_lost_result_is_asked_for_again(make, nav2, answers, monkeypatch):
+    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    make().tick(driving(1))
+    goal_id = first_goal(nav2)
+    nav2.lose(goal_id)
+    eventually(lambda: nav2.asked(goal_id))
+    nav2.end(goal_id, SUCCEEDED)
+    assert answers(2)[1].state == "reached"
+
+
+def test_the_status_tells_what_the_result_does_not(make, nav2, answers, monkeypatch):
+    monkeypatch.setattr(navigate, "RESULT_LATE_S", 0.0)
+    make().tick(driving(1))
+    goal_id = first_goal(nav2)
+    nav2.say_status(bytes(16), ABORTED)  # of another's goal
+    nav2.say_status(goal_id, 2)  # it drives
+    nav2.say_status(goal_id, SUCCEEDED)
+    assert [a.state for a in answers(2)] == ["accepted", "reached"]
+
+
+def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch):
+    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    nav2 = Nav2(theirs)
+    make().tick(driving(1))
+    goal_id = first_goal(nav2)
+    nav2.close()
+    nav2.lose(goal_id)
+    assert answers(2)[1] == GoalStatus(1, "failed", "navigate_to_pose is gone")
+
+
+def test_what_is_no_answer_is_counted_and_asked_for_again(
+    make, nav2, answers, theirs, caplog, monkeypatch
+):
+    monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
+    nav2.junk = 2
+    make().tick(driving(1))
+    eventually(lambda: len(nav2.goals) == 3)
+    assert answers(1) == [GoalStatus(1, "accepted")]
+    assert caplog.text.count("navigate_to_pose: not little-endian") == 1
+    goal_id = first_goal(nav2)
+    for topic in ("status", "feedback"):
+        for _ in range(20):
+            theirs.put(names.any_key(0, f"{ACTION}/{topic}").replace("*", "x"), b"junk")
+    nav2.end(goal_id, SUCCEEDED)
+    assert answers(2)[1].state == "reached"
+
+
+def test_a_goal_on_a_topic_is_sent_once_to_who_hears_it(make, theirs):
+    sink = make(goals="topic", map_frame="odom")
+    sink.tick(driving(7, x_m=4.0))
+    node = Node(theirs, 0, "planner")
+    planner = node.subscription("/goal_pose", ("geometry_msgs/msg/PoseStamped",), 8)
+    ((type_name, payload),) = eventually(planner.take)
+    message = from_ros(payload.to_bytes(), type_name)
+    assert (message.header.frame_id, message.pose.position.x) == ("odom", 4.0)
+    assert planner.take() == []
+    node.close()
+
+
+def test_map_and_drawings(make, theirs):
+    sink = make(map_frame="world")
+    sink.tick(result(10**9, pose=SE2(1.0, 2.0, 0.0), frontiers=lambda: np.ones((2, 2), np.float32)))
+    node = Node(theirs, 0, "rviz")
+    late = node.subscription("/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 8, latched=True)
+    ((type_name, payload),) = eventually(late.take)
+    grid = from_ros(payload.to_bytes(), type_name)
+    assert (grid.header.frame_id, grid.data.tolist()) == ("world", [-1, 0, 100, 0])
+    path = node.subscription("/edge/path", ("nav_msgs/msg/Path",), 8)
+    drawn = node.subscription("/edge/markers", ("visualization_msgs/msg/MarkerArray",), 8)
+    ticks = iter(range(2, 10**6))
+
+    def heard(subscription):
+        sink.tick(result(next(ticks) * 10**9, pose=SE2(1.0, 2.0, 0.0),
+                         frontiers=lambda: np.ones((2, 2), np.float32)))  # fmt: skip
+        return subscription.take()
+
+    type_name, payload = eventually(lambda: heard(path))[0]
+    (at,) = from_ros(payload.to_bytes(), type_name).poses
+    assert (at.pose.position.x, at.header.frame_id) == (1.0, "world")
+    type_name, payload = eventually(lambda: heard(drawn))[0]
+    _, frontiers = from_ros(payload.to_bytes(), type_name).markers
+    assert len(frontiers.points) == 2
+    node.close()
+
+
+def test_what_is_drawn():
+    assert markers_of(np.zeros((0, 2), np.float32), [], None) == []
+    thing = Instance(3, "bed", np.array([1.0, 2.0, 0.5]), np.zeros((1, 3)), 0.75, 1, 0, 0)
+    cube, text, arrow = markers_of(np.zeros((0, 2), np.float32), [thing], goal(1))
+    assert (cube.pose.x_m, cube.z_m, text.text) == (1.0, 0.5, "bed 0.75")
+    assert (arrow.group, arrow.pose) == ("goal", goal(1).pose)
+
+
+@pytest.mark.parametrize(("n", "kept"), [(0, 0), (3, 3), (4, 4), (11, 4)])
+def test_the_way_is_as_long_as_it_may_be(n, kept):
+    way = Way(4, 0.1)
+    for i in range(n):
+        way.add(SE2(float(i), 0.0, math.pi))
+        way.add(SE2(i + 0.05, 0.0, 0.0))  # too near
+    assert way.poses()[:, 0].tolist() == [float(i) for i in range(n)][-kept:] * (kept > 0)
