@@ -18,7 +18,10 @@ from edge.config.named import find_named
 if TYPE_CHECKING:
     from edge.loop.source import Source
 
-REGISTRY = {"zenoh": "edge.sources.zenoh:ZenohSource"}
+REGISTRY = {
+    "zenoh": "edge.sources.zenoh:ZenohSource",
+    "zmq": "edge.sources.zmq:ZmqSource",
+}
 """Imported only where they are named: a source may need packages of its own."""
 
 NEEDS = (
