@@ -49,15 +49,23 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: stop.set())
     plan = json.loads(sys.stdin.readline())
-    # Whoever started it holds the other end: it must not outlive them.
-    watch = threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True)
-    watch.start()
+    threading.Thread(target=_watch_input, args=(stop,), daemon=True).start()
     try:
         run(plan, stop)
     except Unusable as error:
         log.error("%s", error)
         return os.EX_UNAVAILABLE
     return os.EX_OK
+
+
+def _watch_input(stop: threading.Event) -> None:
+    """Whoever started the node holds the other end of its input: it must not outlive them.
+
+    Read past Python's buffer, whose lock a thread must not hold when the interpreter ends.
+    """
+    while os.read(0, 4096):
+        pass
+    stop.set()
 
 
 def run(plan: dict[str, Any], stop: threading.Event) -> None:

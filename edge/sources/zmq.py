@@ -15,6 +15,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,7 @@ log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
 _PAUSE_S = 0.0003
+_LOOK_S = 1.0
 _MOST_PX = 1e7
 _BYTES_PX = {
     "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
@@ -134,7 +136,8 @@ class ZmqSource:
         self._synchronizer = TimeSynchronizer(config)
         self._decoder = CdrDecoder(self._synchronizer)
         self._clock = clock
-        self._address = one_line(address)
+        self._address = address
+        self._look_s = 0.0
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._zmq, self._context, self._camera = _connect(config, address, self._max_bytes)
         self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
@@ -201,14 +204,14 @@ class ZmqSource:
             try:
                 parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
             except self._zmq.Again:
-                self._notice_end()
+                self._look_after()
                 return n
             self._offer(parts)
         return KEPT
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
         self._synchronizer.counters["received"] += 1
-        topic = self._address
+        topic = one_line(self._address)
         try:
             if len(parts) != 2:
                 raise ValueError(f"expected two parts, header and pixels, got {len(parts)}")
@@ -224,20 +227,26 @@ class ZmqSource:
         frame = _FRAMES[header.topic](header.image.stamp_ns, self._clock(), into)
         self._synchronizer.offer(frame)
 
-    def _notice_end(self) -> None:
-        """Say once that the camera hung up, which is also what becomes of one that sends too much."""
-        if self._hung_up_told:
+    def _look_after(self) -> None:
+        """Look for a camera that hung up, once a second; which is also what becomes of one that
+        sends too much: ZeroMQ itself would not come back to that."""
+        now_s = time.monotonic()
+        if now_s < self._look_s:
             return
-        try:
-            self._hung_up.recv_multipart(self._zmq.NOBLOCK)
-        except self._zmq.Again:
+        self._look_s = now_s + _LOOK_S
+        if not self._hung_up.poll(0):
             return
-        self._hung_up_told = True
-        limit_mb = self._max_bytes / 1e6
-        log.warning(
-            "%s: hung up, or sent more than %g MB (source.max_message_mb); it is looked for again "
-            "(further times are not told)", self._address, limit_mb,
-        )  # fmt: skip
+        while self._hung_up.poll(0):
+            self._hung_up.recv_multipart()
+        with suppress(self._zmq.ZMQError):  # it has let go of the address already
+            self._camera.disconnect(self._address)
+        self._camera.connect(self._address)
+        if not self._hung_up_told:
+            self._hung_up_told = True
+            log.warning(
+                "%s: hung up, or sent more than %g MB (source.max_message_mb); it is looked for "
+                "again (further times are not told)", one_line(self._address), self._max_bytes / 1e6,
+            )  # fmt: skip
 
 
 def _connect(

@@ -28,6 +28,7 @@ def test_it_is_as_short_as_it_says(code):
     assert len(lines) <= MAX_LINES
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_controller_of_ones_own_drives_the_robot_to_its_target(code, edge, endpoint, tmp_path):  # noqa: F811
     (tmp_path / "my_controller.py").write_text(code, "utf-8")

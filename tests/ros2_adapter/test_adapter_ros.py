@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import queue
 import signal
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zenoh
 from patience import PATIENCE_S, eventually
+from processes import Process, running
 from ros_peer_facts import ABORTED, ENDLESS, PIXELS, REACHED, REJECTED
 from simulated import simulated
 
@@ -27,39 +24,7 @@ from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
 
-STOP_S = 30.0
 PEER = Path(__file__).with_name("ros_peer.py")
-
-
-class Process:
-    """A process whose lines of output are kept."""
-
-    def __init__(self, command: list[str], environ: dict[str, str]) -> None:
-        self.process = subprocess.Popen(
-            command, env={**os.environ, **environ}, stdin=subprocess.PIPE, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        self.lines: list[str] = []
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
-
-    def says(self, what: str, times: int = 1) -> None:
-        eventually(
-            lambda: sum(what in line for line in self.lines) >= times or self._ended(),
-            f"never said {what!r}: {self.lines}",
-        )
-        assert sum(what in line for line in self.lines) >= times, self.lines
-
-    def _ended(self) -> bool:
-        return self.process.poll() is not None
-
-    def end(self) -> int:
-        self.process.stdin.close()
-        self.process.terminate()
-        return self.process.wait(STOP_S)
 
 
 @pytest.fixture(scope="module")
@@ -136,16 +101,6 @@ def service(config) -> Iterator[Service]:
         yield Service(config[0], session)
 
 
-@contextmanager
-def running(command: list[str], environ: dict[str, str]) -> Iterator[Process]:
-    process = Process(command, environ)
-    try:
-        yield process
-    finally:
-        if process.process.poll() is None:
-            process.end()
-
-
 @pytest.fixture(scope="module")
 def robot(ros_python, ros_environ) -> Iterator[Process]:
     with running([ros_python, "-u", str(PEER)], ros_environ) as peer:
@@ -161,6 +116,8 @@ def adapter(config, service, robot, ros_environ) -> Iterator[Process]:
     with running(command, {**ros_environ, **path}) as process:
         process.says("passes 3 topics in and 2 out")
         yield process
+        if process.process.poll() is None:
+            assert process.end() == 0
 
 
 def test_messages_of_ros_reach_the_service_as_they_are(adapter, service):
@@ -205,7 +162,7 @@ def test_what_the_action_says_of_a_goal_is_its_answer(adapter, service, robot):
         got = service.outcome(10**18 + i, x_m)
         assert got[-1] == answers[-1]
         assert set(got) <= set(answers)
-    assert sum(f'"asked": {REACHED}' in line for line in robot.lines) == 1, "repeated, driven once"
+    assert robot.count(f'"asked": {REACHED}') == 1, "repeated, driven once"
 
 
 def test_a_replaced_goal_is_cancelled_and_so_is_one_that_is_given_up(adapter, service, robot):
