@@ -25,7 +25,9 @@ log = logging.getLogger("edge.ros2_adapter")
 
 LOOK_S = 0.005  # between two looks at what Zenoh brought
 PATIENCE_S = 5.0  # for a first message, and for the action to accept or reject a goal
-GONE_S = 3.0  # the service repeats a goal every second: without it nobody looks where the robot goes
+GONE_S = (
+    3.0  # the service repeats a goal every second: without it nobody looks where the robot goes
+)
 REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
 FEEDBACK_S = 1.0
 SETTLE_S = 0.5
@@ -149,7 +151,9 @@ def find_type(name: str) -> Any:
         return getattr(import_module(f"{package}.{kind}"), cls)
     except (ImportError, AttributeError):
         debian = f"ros-{os.environ.get('ROS_DISTRO', '$ROS_DISTRO')}-{package.replace('_', '-')}"
-        raise Unusable(f"{name} is not installed for {sys.executable}: apt install {debian}") from None
+        raise Unusable(
+            f"{name} is not installed for {sys.executable}: apt install {debian}"
+        ) from None
 
 
 def _line(text: object) -> str:

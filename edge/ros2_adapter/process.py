@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 
-
 from edge.bus import topics
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
@@ -84,9 +83,7 @@ def make_plan(config: Config) -> dict[str, Any]:
     }
 
 
-def _passed(
-    config: Config, part: str, name: str, passed: Passed, max_bytes: int
-) -> dict[str, Any]:
+def _passed(config: Config, part: str, name: str, passed: Passed, max_bytes: int) -> dict[str, Any]:
     kind = passed.type or _TYPES.get(name, "").replace("/", "/msg/")
     if not kind:
         raise ConfigError(
@@ -112,11 +109,11 @@ def command_of(config: Config) -> list[str]:
     for key, path in (("python", adapter.python), ("setup", adapter.setup)):
         if path is not None and not os.access(path, os.R_OK):
             raise UnavailableError(f"{config.path}: ros2_adapter.{key}: cannot read {path}")
-    # -P, where it exists, and -E would take ROS's packages from its Python.
     start = [adapter.python, "-u", str(NODE)]
     if adapter.setup is None:
         return start
-    script = f"source {shlex.quote(adapter.setup)} </dev/null && exec {shlex.join(start)}"
+    # Setup files may read their input, and end with whatever their last command did.
+    script = f"source {shlex.quote(adapter.setup)} </dev/null; exec {shlex.join(start)}"
     return ["bash", "-c", script]
 
 
@@ -148,9 +145,7 @@ def _run_node(command: list[str], plan: dict[str, Any], stop: threading.Event) -
     environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
     # A session of its own keeps the terminal's Ctrl-C for this process. Its input stays open: where
     # it closes, the node ends, so that it outlives nobody.
-    node = subprocess.Popen(
-        command, stdin=subprocess.PIPE, env=environ, start_new_session=True
-    )
+    node = subprocess.Popen(command, stdin=subprocess.PIPE, env=environ, start_new_session=True)
     try:
         with suppress(BrokenPipeError):
             node.stdin.write(json.dumps(plan).encode() + b"\n")

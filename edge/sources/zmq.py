@@ -249,16 +249,12 @@ class ZmqSource:
             )  # fmt: skip
 
 
-def _connect(
-    config: Config, address: str, max_bytes: int
-) -> tuple[Any, zmq.Context, zmq.Socket]:
+def _connect(config: Config, address: str, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
     where = f"{config.path}: source"
     try:
         import zmq
     except ImportError:
-        raise ConfigError(
-            f"{where}.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'"
-        ) from None
+        raise ConfigError(f"{where}.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
     context = zmq.Context()
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.MAXMSGSIZE, max_bytes)

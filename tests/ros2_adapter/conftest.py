@@ -23,9 +23,7 @@ def ros_environ(tmp_path_factory, worker_id="") -> dict[str, str]:
         pytest.skip("no g++ here to make nav2_msgs with")
     folder = tmp_path_factory.mktemp("ros") / "messages"
     script = HERE / "ros_messages.py"
-    made = subprocess.run(
-        [ROS_PYTHON, script, folder], capture_output=True, text=True, check=False
-    )
+    made = subprocess.run([ROS_PYTHON, script, folder], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     return {
         "PYTHONPATH": str(folder), "LD_LIBRARY_PATH": str(folder),

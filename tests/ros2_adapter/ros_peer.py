@@ -23,7 +23,6 @@ from ros_peer_facts import ABORTED, ENDLESS, PIXELS, REJECTED
 from sensor_msgs.msg import Image
 
 
-
 def say(**what: object) -> None:
     print(json.dumps(what), flush=True)
 

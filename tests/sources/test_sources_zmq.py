@@ -193,7 +193,9 @@ def test_the_publisher_of_the_page_is_seen_with_a_lidar_over_zenoh(tmp_path):
     code, section = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE, re.DOTALL)
     assert len([line for line in code.splitlines() if line]) <= MAX_LINES + 2  # its imports
     (tmp_path / "publisher.py").write_text(code, "utf-8")
-    film = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 30, (64, 48))
+    film = cv2.VideoWriter(
+        str(tmp_path / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 30, (64, 48)
+    )
     for _ in range(300):
         film.write(np.full((48, 64, 3), (20, 60, 200), np.uint8))
     film.release()
