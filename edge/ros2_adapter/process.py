@@ -19,7 +19,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-
 from edge.bus import topics
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
