@@ -1,4 +1,4 @@
-"""The adapter's node, run as a file by the robot's own ROS Python: rclpy and zenoh, nothing of `edge`.
+"""The adapter's node, run as a file by the robot's own ROS Python: rclpy, zenoh, no `edge`.
 
 `python3 node.py` reads its plan, one line of JSON (see `edge.ros2_adapter.process`), from standard
 input, and ends when that is closed. Messages are passed as the bytes that they are; only goals are
@@ -25,9 +25,7 @@ log = logging.getLogger("edge.ros2_adapter")
 
 LOOK_S = 0.005  # between two looks at what Zenoh brought
 PATIENCE_S = 5.0  # for a first message, and for the action to accept or reject a goal
-GONE_S = (
-    3.0  # the service repeats a goal every second: without it nobody looks where the robot goes
-)
+GONE_S = 3.0  # without a goal's repetition: nobody looks where the robot goes
 REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
 FEEDBACK_S = 1.0
 SETTLE_S = 0.5
@@ -162,7 +160,7 @@ def _line(text: object) -> str:
 
 
 def make_qos(passed: dict[str, Any]) -> Any:
-    """Best effort takes messages of reliable publishers too; latched ones come to whoever is late."""
+    """Best effort hears reliable publishers too; what is latched comes to whoever is late."""
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
     reliable, latched = passed["reliable"], passed["latched"]
@@ -195,7 +193,7 @@ class FromRos:
 
 
 class FirstMessages:
-    """Says once of every topic that is silent why that may be: most mistakes are names and types."""
+    """Says once of every silent topic why that may be: most mistakes are names and types."""
 
     def __init__(self, node: Any, topics: list[FromRos]) -> None:
         self._node, self._topics = node, topics

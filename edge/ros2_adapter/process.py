@@ -1,4 +1,4 @@
-"""`edge ros2-adapter`: tells the node what to pass, starts it in ROS's Python, and again when it fails.
+"""`edge ros2-adapter`: starts the node in ROS's Python with its plan, and again when it fails.
 
 The node is another process because it needs another Python: the one that ROS 2 was built for, which
 has none of our packages. It gets a plan, so that the configuration is read in one place only.

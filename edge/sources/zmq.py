@@ -5,9 +5,9 @@ Each message has two parts. The header, at most 4 KB of JSON:
     {"topic": "camera/rgb", "stamp": <ns>, "height": 480, "width": 640, "encoding": "bgr8",
      "intrinsics": [fx, fy, cx, cy]}
 
-and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`; `encoding` one
-of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m, little-endian);
-`intrinsics`, in pixels, may be left out of all but the first of a camera that stays as it is.
+and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`; `encoding`
+one of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m,
+little-endian); `intrinsics`, in pixels, are needed once, and again when they change.
 """
 
 from __future__ import annotations
@@ -245,7 +245,8 @@ class ZmqSource:
             self._hung_up_told = True
             log.warning(
                 "%s: hung up, or sent more than %g MB (source.max_message_mb); it is looked for "
-                "again (further times are not told)", one_line(self._address), self._max_bytes / 1e6,
+                "again (further times are not told)",
+                one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip
 
 

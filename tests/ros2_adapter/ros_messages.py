@@ -1,8 +1,8 @@
 """nav2_msgs for a Python of ROS 2 that comes from the package index, which has no such package.
 
-`python ros_messages.py FOLDER` generates the action NavigateToPose from its definition with ROS's own
-generators and compiles it there; the folder then belongs on PYTHONPATH and LD_LIBRARY_PATH. The hash
-of the type comes out as the one that robots have, so it is that type and no likeness of it.
+`python ros_messages.py FOLDER` generates the action NavigateToPose from its definition with ROS's
+own generators and compiles it there; the folder then belongs on PYTHONPATH and LD_LIBRARY_PATH. The
+hash of the type comes out as the one that robots have, so it is that type and no likeness of it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A robot's ROS 2, for the tests: `python ros_peer.py`, in ROS's Python, never in ours.
 
-It publishes a camera's image; says in JSON lines what comes to it; answers each goal that is published
-with an odometry at its place; and serves NavigateToPose as the goal's x says: 1 is reached, 2 aborted,
-3 rejected, 4 driven to until it is cancelled.
+It publishes a camera's image; says in JSON lines what comes to it; answers each goal that is
+published with an odometry at its place; and serves NavigateToPose as the goal's x says, which
+`ros_peer_facts.py` names.
 """
 
 from __future__ import annotations

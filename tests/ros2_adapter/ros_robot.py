@@ -1,4 +1,4 @@
-"""A robot on ROS 2, out of the simulated one: `python ros_robot.py SIMULATOR PREFIX`, in ROS's Python.
+"""A robot on ROS 2, out of the simulated one: `python ros_robot.py ENDPOINT PREFIX` in its Python.
 
 The simulator and the reference controller connect to it over Zenoh, and to nobody else. What the
 sensors say it publishes on DDS; it serves NavigateToPose by giving the goal to the controller, with

@@ -1,8 +1,7 @@
-"""The simulated robot as one of ROS 2's, driven to its target through DDS, the adapter and Zenoh."""
+"""The simulated robot as one of ROS 2's, driven home through DDS, the adapter and Zenoh."""
 
 from __future__ import annotations
 
-import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -45,5 +44,4 @@ def test_a_robot_of_ros_is_driven_to_its_target(ros_python, ros_environ, edge, e
         stack.enter_context(running(command, {**ros_environ, **path}))
         assert service.wait() == 0, service.output
     assert "reached: television" in service.output
-    goals = [json.loads(line)["goal"] for line in robot.lines if "goal" in line]
-    assert len(goals) == len(set(goals)) > 0
+    assert robot.count("goal") > 0

@@ -1,4 +1,4 @@
-"""The adapter beside a live ROS 2 (rclpy, Fast DDS): what goes through it, and what becomes of goals."""
+"""The adapter beside a live ROS 2 (rclpy, Fast DDS): what it passes, and what becomes of goals."""
 
 from __future__ import annotations
 
