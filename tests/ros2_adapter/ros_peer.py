@@ -70,6 +70,8 @@ class Peer:
         )
         while x == ENDLESS and not handle.is_cancel_requested:
             time.sleep(0.02)
+            if not rclpy.ok():
+                return NavigateToPose.Result()
         if x == ENDLESS:
             handle.canceled()
             say(cancelled=x)

@@ -65,7 +65,7 @@ class Robot:
         print(json.dumps({"goal": stamp_ns}), flush=True)
         self._newest = stamp_ns
         payload, told_s = serialize_message(pose), 0.0
-        while True:
+        while rclpy.ok():
             state, reason = self._state.get(stamp_ns, ("", ""))
             if state == "reached":
                 handle.succeed()
@@ -81,6 +81,7 @@ class Robot:
                 self._put("goal", payload)
                 handle.publish_feedback(NavigateToPose.Feedback(distance_remaining=1.0))
             time.sleep(0.02)
+        return NavigateToPose.Result()
 
 
 def main(endpoint: str, prefix: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import sys
 import threading
 from pathlib import Path
@@ -15,6 +16,7 @@ from simulated import simulated
 
 from edge.cli.main import main
 from edge.config import Config, ConfigError, load
+from edge.config.yaml_text import parse_yaml
 from edge.errors import UnavailableError
 from edge.ros2_adapter import process
 
@@ -70,6 +72,14 @@ def test_the_ready_configuration_has_a_plan():
         "edge/camera/rgb", "edge/camera/depth", "edge/camera/info", "edge/odom",
     }  # fmt: skip
     assert plan["goals"]["action"] == "/navigate_to_pose"
+
+
+def test_the_section_of_the_page_has_a_plan_too():
+    page = Path(__file__).parents[2] / "docs" / "ros2-adapter.md"
+    (block,) = re.findall(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    plan = process.make_plan(simulated(parse_yaml(block)))
+    scan = next(passed for passed in plan["sensors"] if passed["key"] == "edge/lidar/scan")
+    assert (scan["reliable"], scan["depth"]) == (True, 10)
 
 
 @pytest.mark.parametrize(

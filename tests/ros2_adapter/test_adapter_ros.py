@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import zenoh
 from patience import PATIENCE_S, eventually
@@ -173,19 +174,29 @@ def test_a_replaced_goal_is_cancelled_and_so_is_one_that_is_given_up(adapter, se
     robot.says('"cancelled"', times=2)
 
 
-def test_a_node_that_crashes_is_started_again_and_ends_with_its_parent(adapter, service):
-    import psutil
+def node_of(adapter: Process) -> psutil.Process:
+    return eventually(lambda: psutil.Process(adapter.process.pid).children())[0]
 
-    def node() -> psutil.Process:
-        return eventually(lambda: psutil.Process(adapter.process.pid).children())[0]
 
-    first = node()
-    first.send_signal(signal.SIGSEGV)
+def test_a_node_that_crashes_is_started_again(adapter, service):
+    node_of(adapter).send_signal(signal.SIGSEGV)
     adapter.says("the node ended (signal 11): started again in 1 s")
     adapter.says("passes 3 topics in and 2 out", times=2)
     service.drain("camera/rgb")
     service.next("camera/rgb")
-    second = node()
+
+
+def test_when_the_action_goes_away_its_goal_has_failed(adapter, service, robot):
+    answers = service.answers(10**18 + 100, ENDLESS)
+    assert next(answers)[0] == "accepted"
+    robot.end()
+    while (answer := next(answers))[0] == "accepted":
+        pass
+    assert answer == ("failed", "/navigate_to_pose is gone")
+
+
+def test_the_node_outlives_nobody(adapter):
+    node = node_of(adapter)
     adapter.process.kill()
     adapter.process.wait()
-    second.wait(PATIENCE_S)
+    node.wait(PATIENCE_S)
