@@ -99,6 +99,9 @@ def compile_all(prefix: Path, folder: Path) -> None:
 
 
 def main(folder: Path) -> None:
+    if not Path(sysconfig.get_path("include"), "Python.h").exists():
+        print(f"no Python.h for {sys.executable}: nav2_msgs cannot be made", file=sys.stderr)
+        sys.exit(os.EX_UNAVAILABLE)
     prefix = Path(sys.prefix)
     os.environ["AMENT_PREFIX_PATH"] = str(prefix)
     generate(prefix, folder)
