@@ -36,7 +36,16 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, add in _OWN.items():
         add(commands).set_defaults(handler=handlers.get(name))
-    for add in (_mission, model_parsers.add, _record, _bench, _eval, _install_service, _doctor):
+    for add in (
+        _mission,
+        model_parsers.add,
+        _record,
+        _ros2_adapter,
+        _bench,
+        _eval,
+        _install_service,
+        _doctor,
+    ):
         add(commands)
     return parser
 
@@ -132,6 +141,18 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
         "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
     )
     record.set_defaults(handler=lazy("edge.sources.recording", "run"))
+
+
+def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
+    adapter = commands.add_parser(
+        "ros2-adapter", help="pass topics and goals between the robot's ROS 2 and the service"
+    )
+    adapter.add_argument("config", nargs="?", default="ros2-adapter", help=f"{CONFIG} "
+                         "(default: %(default)s)")  # fmt: skip
+    adapter.add_argument(
+        "--launch-file", action="store_true", help="only print where the file for ros2 launch is"
+    )
+    adapter.set_defaults(handler=lazy("edge.ros2_adapter.process", "run"))
 
 
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 REGISTRY = {
     "zenoh": "edge.sources.zenoh:ZenohSource",
     "ros2": "edge.sources.ros2:Ros2Source",
+    "zmq": "edge.sources.zmq:ZmqSource",
 }
 """Imported only where they are named: a source may need packages of its own."""
 

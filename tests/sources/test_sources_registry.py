@@ -79,7 +79,7 @@ def names(*cases):
 
 
 @names(
-    ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, or module:Class\)"),
+    ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, or module:Class\)"),
     ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
     ("no_such_module:A", {}, "kind: 'no_such_module:A': ModuleNotFoundError: .* PYTHONPATH"),
     ("edge.sources:Nothing", {}, "kind: 'edge.sources:Nothing': AttributeError"),

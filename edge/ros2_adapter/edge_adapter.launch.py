@@ -1,0 +1,25 @@
+"""Starts the adapter with the robot: `ros2 launch edge_adapter.launch.py config:=my-robot.yaml`.
+
+It needs nothing of `edge` in ROS's Python, only the command, by default the one on the path.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess
+from launch.substitutions import LaunchConfiguration
+
+
+def generate_launch_description():
+    """What `ros2 launch` asks for."""
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("config", description="configuration of edge, a YAML file"),
+            DeclareLaunchArgument("edge", default_value="edge", description="the command"),
+            ExecuteProcess(
+                cmd=[LaunchConfiguration("edge"), "ros2-adapter", LaunchConfiguration("config")],
+                name="edge_adapter",
+                output="screen",
+                respawn=True,
+                respawn_delay=5.0,
+            ),
+        ]
+    )

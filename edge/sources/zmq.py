@@ -1,0 +1,273 @@
+"""A camera over ZeroMQ: JSON header and raw buffer; odometry, LiDAR and answers come over Zenoh.
+
+Each message has two parts. The header, at most 4 KB of JSON:
+
+    {"topic": "camera/rgb", "stamp": <ns>, "height": 480, "width": 640, "encoding": "bgr8",
+     "intrinsics": [fx, fy, cx, cy]}
+
+and the pixels, row by row without padding. `topic` is `camera/rgb` or `camera/depth`; `encoding`
+one of sensor_msgs/Image's (rgb8, bgr8, rgba8, bgra8, mono8; 16UC1 in mm, 32FC1 in m,
+little-endian); `intrinsics`, in pixels, are needed once, and again when they change.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zenoh
+
+from edge.bus import topics
+from edge.bus.session import Ring
+from edge.bus.wire import images
+from edge.config import Config, ConfigError
+from edge.geometry import SE2, CameraModel
+from edge.sources.goal_status import GoalStatusInbox
+from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
+from edge.sources.streams import KEPT
+from edge.sources.synchronizer import TimeSynchronizer
+from edge.sources.zenoh import CdrDecoder
+from edge.text import one_line, read_json_object
+from edge.types import Observation
+
+if TYPE_CHECKING:
+    import zmq
+
+log = logging.getLogger("edge.sources.zmq")
+
+MAX_HEADER = 4096
+_PAUSE_S = 0.0003
+_LOOK_S = 1.0
+_MOST_PX = 1e7
+_BYTES_PX = {
+    "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
+}  # fmt: skip
+_FRAMES: dict[str, type[Frame]] = {"camera/rgb": Image, "camera/depth": DepthImage}
+_FIELDS = ("topic", "stamp", "height", "width", "encoding", "intrinsics")
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a message says of its pixels.
+
+    Attributes:
+        camera: None where it says nothing of it.
+    """
+
+    topic: str
+    image: images.ImageHeader
+    camera: CameraModel | None
+
+
+def parse_header(data: bytes, n_bytes: int) -> Header:
+    """The header of a buffer of `n_bytes`.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    said = read_json_object(data, MAX_HEADER)
+    if unknown := said.keys() - set(_FIELDS):
+        names = ", ".join(_FIELDS)
+        raise ValueError(f"unknown {one_line(min(unknown), 40)!r} (there are {names})")
+    topic, encoding = said.get("topic"), said.get("encoding")
+    if topic not in _FRAMES:
+        raise ValueError(f"topic: unknown {topic!r:.40} (choices: {', '.join(_FRAMES)})")
+    if encoding not in _BYTES_PX:
+        raise ValueError(f"encoding: unknown {encoding!r:.40} (choices: {', '.join(_BYTES_PX)})")
+    stamp_ns, height, width = (_whole(said, name) for name in ("stamp", "height", "width"))
+    step = width * _BYTES_PX[encoding]
+    if height * step != n_bytes:
+        raise ValueError(f"{width}x{height} {encoding} is {height * step} bytes, got {n_bytes}")
+    image = images.ImageHeader(stamp_ns, "", height, width, encoding, step, 0, False)
+    return Header(topic, image, _camera(said.get("intrinsics"), width, height))
+
+
+def _whole(said: dict[str, Any], name: str) -> int:
+    value = said.get(name)
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise ValueError(f"{name}: expected a whole number, got {value!r:.40}")
+    return value
+
+
+def _camera(intrinsics: object, width: int, height: int) -> CameraModel | None:
+    """Raises ValueError where it is neither None nor a camera."""
+    if intrinsics is None:
+        return None
+    is_four = isinstance(intrinsics, list) and len(intrinsics) == 4
+    if not is_four or not all(type(v) in (int, float) and abs(v) <= _MOST_PX for v in intrinsics):
+        raise ValueError(f"intrinsics: expected [fx, fy, cx, cy] in px, got {intrinsics!r:.40}")
+    return CameraModel(width, height, *map(float, intrinsics))
+
+
+def _into(buffer: memoryview, header: images.ImageHeader, out: np.ndarray) -> int:
+    if (header.height, header.width) != out.shape[:2]:
+        height, width = out.shape[:2]
+        says = f"the intrinsics are of {width}x{height}"
+        raise WrongSizeError(f"{header.width}x{header.height}, {says}")
+    images.decode_image_into(buffer, header, out)
+    return header.height
+
+
+class ZmqSource:
+    """A camera that publishes at `address`, the rest under `zenoh.prefix` (an
+    `edge.loop.source.Source`).
+
+    This end connects, so nobody but who listens at that address is heard. What is larger than
+    `source.max_message_mb` is not taken in: ZeroMQ then ends the connection, and makes it anew.
+
+    Raises:
+        ConfigError: pyzmq is not installed, the address is none, or a cloud is asked for and no
+            LiDAR is described.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        session: zenoh.Session,
+        address: str,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._synchronizer = TimeSynchronizer(config)
+        self._decoder = CdrDecoder(self._synchronizer)
+        self._clock = clock
+        self._address = address
+        self._look_s = 0.0
+        self._max_bytes = int(config.source.max_message_mb * 1e6)
+        self._zmq, self._context, self._camera = _connect(config, address, self._max_bytes)
+        self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
+        self._hung_up_told = False
+        kept = {topics.ODOMETRY: config.source.odometry_ring}
+        if "cloud_m" in self._synchronizer.streams:
+            kept |= {topics.CLOUD: KEPT, topics.SCAN: KEPT}
+        self._rings = {
+            topic: Ring(session, config.zenoh.key(topic.key), n) for topic, n in kept.items()
+        }
+        self.inbox = GoalStatusInbox(session, config.zenoh)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        return self._synchronizer.counters
+
+    @property
+    def epoch(self) -> int:
+        return self._synchronizer.odometry.epoch
+
+    @property
+    def pose(self) -> SE2 | None:
+        return self._synchronizer.odometry.newest_pose
+
+    def poll(self) -> Observation | None:
+        """See `edge.loop.source.Source`."""
+        self._drain()
+        return self._synchronizer.poll()
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `edge.loop.source.Source`; looks every 0.3 ms, as rings cannot be waited on."""
+        deadline_s = time.monotonic() + timeout_s
+        while not self._drain():
+            if time.monotonic() >= deadline_s:
+                return False
+            time.sleep(_PAUSE_S)
+        return True
+
+    def close(self) -> None:
+        for ring in self._rings.values():
+            ring.close()
+        self.inbox.close()
+        self._camera.disable_monitor()
+        self._context.destroy(linger=0)
+
+    def _drain(self) -> int:
+        """Hand what came to the synchronizer, odometry first; how many messages it was."""
+        n = 0
+        for topic, ring in self._rings.items():
+            samples = ring.take()
+            n += len(samples)
+            for sample in samples:
+                size = len(sample.payload)
+                if size > self._max_bytes:
+                    self._synchronizer.count(topic.key, "oversized", f"{size} bytes")
+                else:
+                    self._decoder.offer(topic, sample.payload.to_bytes())
+        self.counters["overrun"] = sum(ring.overruns for ring in self._rings.values())
+        return n + self._drain_camera()
+
+    def _drain_camera(self) -> int:
+        """At most as many messages as the queue holds: a flood must not keep the loop."""
+        for n in range(KEPT):
+            try:
+                parts = self._camera.recv_multipart(self._zmq.NOBLOCK, copy=False)
+            except self._zmq.Again:
+                self._look_after()
+                return n
+            self._offer(parts)
+        return KEPT
+
+    def _offer(self, parts: list[zmq.Frame]) -> None:
+        self._synchronizer.counters["received"] += 1
+        topic = one_line(self._address)
+        try:
+            if len(parts) != 2:
+                raise ValueError(f"expected two parts, header and pixels, got {len(parts)}")
+            if len(parts[0]) > MAX_HEADER:
+                raise ValueError(f"a header of {len(parts[0])} bytes, at most {MAX_HEADER}")
+            header = parse_header(parts[0].bytes, len(parts[1]))
+        except ValueError as error:
+            self._synchronizer.count(topic, "malformed", str(error))
+            return
+        if header.camera is not None:
+            self._synchronizer.offer(CameraInfo(header.camera))
+        into = partial(_into, parts[1].buffer, header.image)
+        frame = _FRAMES[header.topic](header.image.stamp_ns, self._clock(), into)
+        self._synchronizer.offer(frame)
+
+    def _look_after(self) -> None:
+        """Look for a camera that hung up, once a second; which is also what becomes of one that
+        sends too much: ZeroMQ itself would not come back to that."""
+        now_s = time.monotonic()
+        if now_s < self._look_s:
+            return
+        self._look_s = now_s + _LOOK_S
+        if not self._hung_up.poll(0):
+            return
+        while self._hung_up.poll(0):
+            self._hung_up.recv_multipart()
+        with suppress(self._zmq.ZMQError):  # it has let go of the address already
+            self._camera.disconnect(self._address)
+        self._camera.connect(self._address)
+        if not self._hung_up_told:
+            self._hung_up_told = True
+            log.warning(
+                "%s: hung up, or sent more than %g MB (source.max_message_mb); it is looked for "
+                "again (further times are not told)",
+                one_line(self._address), self._max_bytes / 1e6,
+            )  # fmt: skip
+
+
+def _connect(config: Config, address: str, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
+    where = f"{config.path}: source"
+    try:
+        import zmq
+    except ImportError:
+        raise ConfigError(f"{where}.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'") from None
+    context = zmq.Context()
+    socket = context.socket(zmq.SUB)
+    socket.setsockopt(zmq.MAXMSGSIZE, max_bytes)
+    socket.setsockopt(zmq.RCVHWM, KEPT)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.subscribe(b"")
+    try:
+        socket.connect(address)
+    except (zmq.ZMQError, TypeError) as error:
+        context.destroy(linger=0)
+        said = f"{one_line(address)}: {one_line(error)}"
+        raise ConfigError(
+            f"{where}.options.address: {said}; expected one like tcp://127.0.0.1:5555"
+        ) from None
+    return zmq, context, socket

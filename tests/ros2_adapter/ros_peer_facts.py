@@ -1,0 +1,5 @@
+"""What `ros_peer.py` and its tests agree on; for both Pythons."""
+
+# What becomes of a goal goes by its x.
+REACHED, ABORTED, REJECTED, ENDLESS = 1.0, 2.0, 3.0, 4.0
+PIXELS = bytes(range(48)) * 4  # of an image of 8x8 rgb8
