@@ -19,7 +19,9 @@ from edge.host.resources import data_dir
 SOURCES = sorted(Path(edge.__file__).parent.rglob("*.py"))
 EVERYWHERE = re.compile(r"0\.0\.0\.0|\[?::\]?(:\d+)?")
 ADDRESS = re.compile(r"(^|_)(host|address|bind|endpoint|listen)$")
-SECRET = re.compile(r"(^|_)(password|passwd|secret|api_key|bearer|auth_token|access_token)$")
+SECRET = re.compile(
+    r"(^|_)(password|passwd|secret|api_key|bearer|authorization|auth_token|access_token)$"
+)
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 

@@ -29,11 +29,13 @@ _ALERTS = {
     "UNKNOWN_CA": "it does not trust who signed our certificate",
     "DECRYPT_ERROR": "it does not trust who signed our certificate",
     "BAD_CERTIFICATE": "it does not take our certificate",
-    "CERTIFICATE_EXPIRED": "our certificate is out of date, or its clock is",
+    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock there is wrong ({file})",
     "CERTIFICATE_REVOKED": "our certificate was revoked",
     "CERTIFICATE_UNKNOWN": "it does not take our certificate",
     "ACCESS_DENIED": "it does not take our certificate",
 }
+# X509_V_ERR_CERT_NOT_YET_VALID and …_HAS_EXPIRED; a robot's clock may begin in 1970.
+_OUT_OF_DATE = (9, 10)
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _NOT_TAKEN_IN = (
     "somebody is there and takes no session: either it asks for a user and a password, or for "
@@ -95,6 +97,9 @@ def _tls_refusal(
             # Under TLS 1.3 our certificate is judged when we are through with the handshake.
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
+        if error.verify_code in _OUT_OF_DATE:
+            said = one_line(error.verify_message)
+            return f"its certificate is out of date, or the clock here is wrong ({said})"
         return (
             f"its certificate is not trusted ({one_line(error.verify_message)}); "
             f"see transport/link/tls/root_ca_certificate in {file}"

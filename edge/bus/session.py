@@ -20,7 +20,14 @@ import zenoh
 from edge import config
 from edge.bus.refusal import why_refused
 from edge.bus.topics import Qos, Topic
-from edge.bus.zenoh_file import get, lay_over, open_to, read_zenoh_file, unreadable
+from edge.bus.zenoh_file import (
+    get,
+    lay_over,
+    open_to,
+    read_zenoh_file,
+    shuts_all_out,
+    unreadable,
+)
 from edge.errors import ConfigError, Stopped, UnavailableError
 from edge.host.interruptible import start_unjoined
 from edge.text import one_line, without_secrets
@@ -29,6 +36,7 @@ log = logging.getLogger("edge.bus.session")
 
 CLOSE_S = 2.0
 OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
+SHUT = "access_control allows nothing below {}/ (zenoh.prefix): nobody is heard or told anything"
 ENVELOPE_BYTES = 65536
 """More than Zenoh puts around a message: its key, an attachment, what it was sent with."""
 
@@ -172,6 +180,8 @@ def open_session(
     key, name = zenoh_file_of(settings, role)
     for address in open_to(found):
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
+    if shuts_all_out(found, settings.prefix):
+        log.warning("%s: %s", key, SHUT.format(settings.prefix))
     told: set[str | None] = set()
     before: str | None = None
     while True:

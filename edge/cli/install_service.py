@@ -3,6 +3,9 @@
 The unit is hardened as far as numba (which compiles), Zenoh's shared memory, cameras and GPUs
 allow: no `MemoryDenyWriteExecute`, no `PrivateIPC`, no `PrivateDevices`. Neither is `PrivateUsers`
 set, under which groups mean nothing, nor `ProcSubset=pid`, under which no CPU is found.
+
+Files with secrets stay root's: the service gets copies of them (`LoadCredential=`,
+`edge.host.credentials`).
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ import os
 import pwd
 import stat
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
+from edge.bus.zenoh_file import certificates, read_zenoh_file, secrets
 from edge.config import Config, DetectorOnnx, load
 from edge.errors import WILL_NOT_MEND, UnavailableError, UserError
 from edge.host import resources
@@ -22,6 +27,7 @@ from edge.host.files import save
 from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
+STATE = Path("/var/lib")
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
 _UNREADABLE = "{path}: user {user} cannot read it; put it where all can (such as /opt), {instead}"
@@ -49,7 +55,7 @@ Environment=EDGE_CACHE_DIR=%C/{name}
 StateDirectory={name}
 CacheDirectory={name}
 WorkingDirectory=%S/{name}
-{user}
+{user}{credentials}
 TimeoutStopSec=30
 WatchdogSec={watchdog_s:g}
 # Says in the journal where every thread is, before SIGKILL ends it.
@@ -97,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: the configuration cannot be used.
-        UserError: the user is not there, or could not read what it is to run.
+        UserError: the user is not there, or could not read or write what the configuration names.
         FileError: the unit cannot be written.
     """
     config = load(args.config)
@@ -127,14 +133,23 @@ def unit(config: Config, name: str, user: str | None) -> str:
     Raises:
         UserError: see `run`.
     """
-    needed = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
+    at = STATE / name
+    files, copied = _named(config, at)
+    here = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
+    needed = (*here, *files)
     _check_readable(needed, user)
+    _check_there(copied)
+    _check_writable(config, at)
     words = (sys.executable, "-m", "edge.cli", "run", config.path)
     priority = config.loop.priority
     return _UNIT.format(
         name=name,
         command=" ".join(map(_word, words)),
         user=_user(user),
+        credentials="".join(
+            f"\nLoadCredential={secret}:{str(path).replace('%', '%%')}"
+            for secret, path in copied.items()
+        ),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # The loop is known to hang before it is killed, so that `/healthz` says so first.
         watchdog_s=2 * HANGS_S,
@@ -142,6 +157,43 @@ def unit(config: Config, name: str, user: str | None) -> str:
         real_time=f"LimitRTPRIO={priority}" if priority else "RestrictRealtime=yes",
         devices="\n".join(f"DeviceAllow={device} rw" for device in _DEVICES),
     )
+
+
+def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
+    """Files that the configuration names and the service reads: those that anybody may, and those
+    with secrets, by the names of their copies.
+
+    Args:
+        at: the service's working directory.
+    """
+    key, name = "zenoh.file", config.zenoh.file
+    found = read_zenoh_file(key, name)
+    hidden = secrets(found, key, name)
+    if config.http.token_file is not None:
+        hidden["http.token_file"] = config.http.token_file
+    plain = certificates(found)
+    if name is not None and key not in hidden:
+        plain.append(name)
+    return (
+        [at / resources.expand(path) for path in plain],
+        {secret: at / resources.expand(path) for secret, path in hidden.items()},
+    )
+
+
+def _check_there(copied: Mapping[str, Path]) -> None:
+    """Raises UnavailableError for the first file that systemd could not make a copy of."""
+    for secret, path in copied.items():
+        if not os.path.isfile(path):  # unlike Path.is_file, whoever may look at it
+            raise UnavailableError(f"{secret}: {path}: no such file, or only root may look (sudo)")
+
+
+def _check_writable(config: Config, at: Path) -> None:
+    checkpoint = config.mission.checkpoint
+    if checkpoint is not None and not (at / resources.expand(checkpoint)).is_relative_to(at):
+        raise UserError(
+            f"mission.checkpoint: {checkpoint}: the service can write below {at} alone; "
+            "give a path relative to that"
+        )
 
 
 def _user(user: str | None) -> str:

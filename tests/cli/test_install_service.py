@@ -153,6 +153,61 @@ def test_a_user_who_is_not_there_is_refused():
         unit(settings(), "edge", "no-such-user")
 
 
+@pytest.fixture
+def secure(tmp_path) -> dict[str, dict]:
+    """Sections that name files with secrets, which are there."""
+    for name in ("service.key", "users.txt", "ca.crt", "http.token"):
+        (tmp_path / name).touch(0o600)
+    (tmp_path / "service.json5").write_text(f"""{{transport: {{
+      link: {{tls: {{listen_private_key: "{tmp_path}/service.key",
+                     root_ca_certificate: "{tmp_path}/ca.crt"}}}},
+      auth: {{usrpwd: {{dictionary_file: "{tmp_path}/users.txt"}}}},
+    }}}}""")
+    return {
+        "zenoh": {"file": str(tmp_path / "service.json5")},
+        "http": {"token_file": str(tmp_path / "http.token")},
+    }
+
+
+@ANALYZE
+def test_secrets_are_handed_over_and_stay_roots(secure, tmp_path, anywhere):
+    text = unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+    assert lines(text, "LoadCredential") == [
+        f"listen_private_key:{tmp_path}/service.key",
+        f"dictionary_file:{tmp_path}/users.txt",
+        f"http.token_file:{tmp_path}/http.token",
+    ]
+    done = analyze("verify", text, tmp_path)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+def test_what_is_no_secret_must_be_readable(secure, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(install_service, "_check_readable", lambda paths, user: asked.extend(paths))
+    unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+    assert {tmp_path / "ca.crt", tmp_path / "service.json5"} < set(asked)
+    assert not {tmp_path / "service.key", tmp_path / "http.token"} & set(asked)
+
+
+def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
+    (tmp_path / "http.token").unlink()
+    with pytest.raises(UserError, match=r"^http.token_file: .*http.token: no such file"):
+        unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+
+
+@pytest.mark.parametrize(
+    ("checkpoint", "is_taken"),
+    [("mission.json", True), ("/var/lib/edge/mission.json", True), ("/data/mission.json", False)],
+)
+def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken, anywhere):
+    config = simulated({"mission": {"checkpoint": checkpoint}}, "/etc/edge/robot.yaml")
+    if is_taken:
+        unit(config, "edge", None)
+        return
+    with pytest.raises(UserError, match=r"^mission.checkpoint: /data.*below /var/lib/edge alone"):
+        unit(config, "edge", None)
+
+
 def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsys):
     me, out = pwd.getpwuid(os.getuid()).pw_name, tmp_path / "edge.service"
     words = ["install-service", str(private), "--user", me, "--out"]
