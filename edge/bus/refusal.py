@@ -11,14 +11,14 @@ import ssl
 
 import zenoh
 
-from edge.bus.zenoh_file import get, host_and_port, parameters, protocol, unreadable
+from edge.bus.certificate import out_of_date
+from edge.bus.zenoh_file import TLS, get, host_and_port, parameters, protocol, unreadable
 from edge.host.interruptible import start_unjoined
 from edge.text import one_line
 
 PROBE_S = 0.5
 _NAME_S = 1.0  # to find the address of a name; the resolver's own patience is longer
 
-_TLS = "transport/link/tls"
 _CLIENTS = "root_ca_certificate", "connect_certificate", "connect_private_key"
 _IN_PLACE = "_base64"
 
@@ -34,8 +34,6 @@ _ALERTS = {
     "CERTIFICATE_UNKNOWN": "it does not take our certificate",
     "ACCESS_DENIED": "it does not take our certificate",
 }
-# X509_V_ERR_CERT_NOT_YET_VALID and …_HAS_EXPIRED; a robot's clock may begin in 1970.
-_OUT_OF_DATE = (9, 10)
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _NOT_TAKEN_IN = (
     "somebody is there and takes no session: either it asks for a user and a password, or for "
@@ -86,7 +84,7 @@ def _probe(endpoint: str, found: zenoh.Config, file: str) -> str | None:
 def _tls_refusal(
     plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
 ) -> str:
-    if _IN_PLACE in endpoint or any(get(found, f"{_TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
+    if _IN_PLACE in endpoint or any(get(found, f"{TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
         return _NOT_TAKEN_IN_BY_TLS.format(file=file)
     try:
         context = _context(endpoint, found)
@@ -97,7 +95,7 @@ def _tls_refusal(
             # Under TLS 1.3 our certificate is judged when we are through with the handshake.
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
-        if error.verify_code in _OUT_OF_DATE:
+        if out_of_date(error):
             said = one_line(error.verify_message)
             return f"its certificate is out of date, or the clock here is wrong ({said})"
         return (
@@ -122,7 +120,7 @@ def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
     said = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return said.get(parameter, get(found, f"{_TLS}/{key}"))
+        return said.get(parameter, get(found, f"{TLS}/{key}"))
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (

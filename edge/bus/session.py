@@ -18,6 +18,7 @@ from typing import Literal
 import zenoh
 
 from edge import config
+from edge.bus.certificate import judge
 from edge.bus.refusal import why_refused
 from edge.bus.topics import Qos, Topic
 from edge.bus.zenoh_file import (
@@ -182,6 +183,8 @@ def open_session(
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
     if shuts_all_out(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
+    if get(found, "listen/endpoints") and (fault := judge(found)) is not None:
+        log.warning("%s: listen_certificate: %s", key, fault)
     told: set[str | None] = set()
     before: str | None = None
     while True:

@@ -30,6 +30,7 @@ from edge.host.ports import is_loopback
 from edge.text import one_line
 
 BLOCKED_S = 1.0
+TLS = "transport/link/tls"
 
 # Whoever connects and says nothing holds one of Zenoh's places for connections that are not yet
 # sessions: 100 for 10 s each, so 120 idle ones keep everybody out. These are more places, given
@@ -53,14 +54,13 @@ _SHARED_MEMORY = "transport/shared_memory/enabled"
 _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 _ATTEMPT_MS = 500
-_TLS = "transport/link/tls"
 _USERS = "transport/auth/usrpwd/dictionary_file"
-_SECRETS = (f"{_TLS}/listen_private_key", f"{_TLS}/connect_private_key", _USERS)
+_SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
 # Where one of these is said, the file itself is a secret.
 _SECRET_WORDS = (
     "transport/auth/usrpwd/password",
-    f"{_TLS}/listen_private_key_base64",
-    f"{_TLS}/connect_private_key_base64",
+    f"{TLS}/listen_private_key_base64",
+    f"{TLS}/connect_private_key_base64",
 )
 _WITH_CERTIFICATES = ("tls", "quic")
 _ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
@@ -121,7 +121,7 @@ def lay_over(
     listening = _all_of(found, "listen/endpoints", mode)
     connecting = _all_of(found, "connect/endpoints", mode)
     if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
-        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {_TLS}")
+        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {TLS}")
     first = [_patient_for(endpoint)] if listens else [endpoint]
     values = {
         "mode": mode,
@@ -159,7 +159,7 @@ def open_to(found: zenoh.Config) -> list[str]:
     """
     if get(found, _USERS) is not None:
         return []
-    mutual = "true" if get(found, f"{_TLS}/enable_mtls") else "false"
+    mutual = "true" if get(found, f"{TLS}/enable_mtls") else "false"
 
     def is_open(endpoint: str) -> bool:
         kind, host = protocol(endpoint), host_and_port(endpoint)[0]
@@ -212,11 +212,11 @@ def _patient_for(endpoint: str) -> str:
 def unreadable(found: zenoh.Config, listens: bool) -> str | None:
     """Which file for TLS or users cannot be read, of those that who listens, or connects, needs;
     Zenoh names none."""
-    keys = [f"{_TLS}/root_ca_certificate"]
+    keys = [f"{TLS}/root_ca_certificate"]
     if listens:
-        keys += [f"{_TLS}/listen_certificate", f"{_TLS}/listen_private_key", _USERS]
+        keys += [f"{TLS}/listen_certificate", f"{TLS}/listen_private_key", _USERS]
     else:
-        keys += [f"{_TLS}/connect_certificate", f"{_TLS}/connect_private_key"]
+        keys += [f"{TLS}/connect_certificate", f"{TLS}/connect_private_key"]
     for key in keys:
         path = get(found, key)
         if path is not None and not os.access(path, os.R_OK):
@@ -227,7 +227,7 @@ def unreadable(found: zenoh.Config, listens: bool) -> str | None:
 def certificates(found: zenoh.Config) -> list[str]:
     """The files with certificates that are named, which are no secrets."""
     kinds = ("root_ca_certificate", "listen_certificate", "connect_certificate")
-    paths = [get(found, f"{_TLS}/{kind}") for kind in kinds]
+    paths = [get(found, f"{TLS}/{kind}") for kind in kinds]
     return [path for path in paths if path is not None]
 
 

@@ -99,6 +99,8 @@ def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
     (codes,) = lines(unit(settings(), "edge", None), "RestartPreventExitStatus")
     assert tuple(map(int, codes.split())) == WILL_NOT_MEND
     assert set(WILL_NOT_MEND) < EXIT_CODES.keys()
+    page = (Path(__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
+    assert " ".join(page.split()).count("not after {}, {} and {}".format(*WILL_NOT_MEND)) == 1
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
+from fnmatch import fnmatch
 from itertools import chain, repeat
+from pathlib import Path
 
 import pytest
 from patience import eventually
@@ -241,6 +244,15 @@ def test_every_live_key_is_there():
         for name in key.split("."):
             assert isinstance(section, Section)
             section = getattr(section, name)
+
+
+def test_the_page_names_them_all_and_no_other():
+    page = (Path(__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| switched"))
+    named = [name.rpartition(".")[2] for name in re.findall(r"`([\w.*]+)`", row)]
+    live = [key.rpartition(".")[2] for key in LIVE]
+    assert [key for key in live if not any(fnmatch(key, name) for name in named)] == []
+    assert [name for name in named if not any(fnmatch(key, name) for key in live)] == []
 
 
 def test_sections_that_differ():
