@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Literal
 
@@ -132,13 +132,14 @@ def zenoh_session(
     stop: threading.Event | None = None,
     exact: bool = False,
     most_bytes: int | None = None,
+    tell: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
     """A session as from `open_session`, closed at exit however its peers do.
 
     For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
     After `CLOSE_S` it goes on in a thread, which nobody waits for (`edge.host.interruptible`).
     """
-    opened = open_session(settings, role, stop, exact, most_bytes)
+    opened = open_session(settings, role, stop, exact, most_bytes, tell)
     try:
         yield opened
     finally:
@@ -159,6 +160,7 @@ def open_session(
     stop: threading.Event | None = None,
     exact: bool = False,
     most_bytes: int | None = None,
+    tell: Callable[[str], None] = lambda what: None,
 ) -> zenoh.Session:
     """A session; the caller closes it (an unclosed one can hang the process's exit).
 
@@ -169,6 +171,7 @@ def open_session(
     Args:
         stop: gives up waiting when it is set.
         exact, most_bytes: see `session_config`.
+        tell: is told again and again what is waited for.
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
@@ -196,13 +199,14 @@ def open_session(
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
         refused = why_refused(settings.endpoint, found, name or key)
+        level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying on"
+        if refused is None:
+            level, what = logging.INFO, f"waiting for somebody at {settings.address}"
+        tell(what)
         # Who is just starting, or busy, refuses once.
         if refused not in told and refused == before:
             told.add(refused)
-            if refused is None:
-                log.info("waiting for somebody at %s", settings.address)
-            else:
-                log.warning("refused at %s: %s; trying on", settings.address, refused)
+            log.log(level, what)
         before = refused
         if stop.wait(_PAUSE_S):
             raise NotTakenIn(settings.address, refused)

@@ -167,6 +167,8 @@ def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
         at: the service's working directory.
     """
     key, name = "zenoh.file", config.zenoh.file
+    if name is not None:
+        name = str(at / resources.expand(name))
     found = read_zenoh_file(key, name)
     hidden = secrets(found, key, name)
     if config.http.token_file is not None:

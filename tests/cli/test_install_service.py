@@ -17,7 +17,7 @@ from edge.cli import install_service
 from edge.cli.install_service import unit
 from edge.cli.main import main
 from edge.config import Config
-from edge.errors import EXIT_CODES, WILL_NOT_MEND, UserError
+from edge.errors import EXIT_CODES, WILL_NOT_MEND, ConfigError, UserError
 
 MOST_EXPOSED = 2.0
 ANALYZE = pytest.mark.skipif(
@@ -189,6 +189,12 @@ def test_what_is_no_secret_must_be_readable(secure, tmp_path, monkeypatch):
     unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
     assert {tmp_path / "ca.crt", tmp_path / "service.json5"} < set(asked)
     assert not {tmp_path / "service.key", tmp_path / "http.token"} & set(asked)
+
+
+def test_relative_paths_are_the_services_own(secure, anywhere):
+    secure["zenoh"] = {"file": "service.json5"}
+    with pytest.raises(ConfigError, match=r"^zenoh.file: /var/lib/edge/service.json5: no such"):
+        unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
 
 
 def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
