@@ -16,7 +16,7 @@ import os
 import pwd
 import stat
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from edge.bus.zenoh_file import certificates, read_zenoh_file, secrets
@@ -30,6 +30,7 @@ UNITS = Path("/etc/systemd/system")
 STATE = Path("/var/lib")
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
+_TEMPORARY = ("/tmp", "/var/tmp")  # of which the service has its own
 _UNREADABLE = "{path}: user {user} cannot read it; put it where all can (such as /opt), {instead}"
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
@@ -218,11 +219,15 @@ def _edge() -> str:
 
 
 def _in_a_home(path: Path) -> bool:
-    return any(place.is_relative_to(home) for home in _HOMES for place in (path, path.resolve()))
+    return _is_below(path, _HOMES) or _is_below(path.resolve(), _HOMES)
+
+
+def _is_below(path: Path, folders: Iterable[str]) -> bool:
+    return any(path.is_relative_to(folder) for folder in folders)
 
 
 def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
-    """Raises UserError for the first path that the service's user could not read."""
+    """Raises UserError for the first path that the service, or its user, could not read."""
     uid, gids = None, frozenset[int]()
     if user is not None:
         try:
@@ -233,6 +238,8 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
     instead = "or run it as yourself by --user" if user is None else "or let that user read it"
     for path in paths:
         for place in (path, path.resolve()):
+            if _is_below(place, _TEMPORARY):
+                raise UserError(f"{place}: the service has a /tmp of its own; put it elsewhere")
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
                     raise UserError(_UNREADABLE.format(

@@ -130,8 +130,9 @@ def test_groups_that_are_not_here_are_not_asked_for(monkeypatch, anywhere):
 
 
 @pytest.fixture
-def private(tmp_path) -> Path:
-    """A configuration in a folder that its owner alone can read."""
+def private(tmp_path, monkeypatch) -> Path:
+    """A configuration in a folder that its owner alone can read, and that is no temporary one."""
+    monkeypatch.setattr(install_service, "_TEMPORARY", ())
     folder = tmp_path / "mine"
     folder.mkdir(mode=0o700)
     file = folder / "robot.yaml"
@@ -143,6 +144,13 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
     with pytest.raises(UserError, match=r"cannot read it; put it where all can.*--user") as caught:
         unit(settings(private), "edge", None)
     assert "\n" not in str(caught.value)
+
+
+def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
+    me = pwd.getpwuid(os.getuid()).pw_name
+    monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))
+    with pytest.raises(UserError, match=r"robot.yaml: the service has a /tmp of its own; put"):
+        unit(settings(private), "edge", me)
 
 
 def test_who_owns_it_may_run_it(private):
