@@ -3,8 +3,8 @@
 TLS, users, access control and all else that Zenoh knows is said there, in Zenoh's words (JSON5), by
 `zenoh.file` and `zenoh.client_file`. Relative paths in it are, as Zenoh takes them, relative to the
 working directory. Files with secrets may be handed over by the service manager
-(`edge.host.credentials`): the service's file as `zenoh.file`, others by the last word of their key,
-as `listen_private_key`. Of what `edge` sets as well,
+(`edge.host.credentials`), under the last word of their key, as `listen_private_key`; the service's
+file itself as `zenoh.file.json5`. Of what `edge` sets as well,
 
 - `mode` is `zenoh.mode`'s: a file that says another is refused;
 - endpoints add up: `zenoh.endpoint` comes first, further ones of the file behind it;
@@ -78,7 +78,7 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
     """
     if name is None:
         return zenoh.Config()
-    path = handed_over(key, name)
+    path = handed_over(_own_name(key, name), name)
     if not path.is_file():
         raise ConfigError(f"{key}: {name}: no such file")
     try:
@@ -87,11 +87,16 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
         raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
     for secret in _SECRETS:
         if (file := get(found, secret)) is not None:
-            found.insert_json5(secret, json.dumps(str(handed_over(last_word(secret), file))))
+            found.insert_json5(secret, json.dumps(str(handed_over(_last_word(secret), file))))
     return found
 
 
-def last_word(key: str) -> str:
+def _own_name(key: str, name: str) -> str:
+    """Of a copy of the file itself: by its suffix Zenoh knows the format."""
+    return key + os.path.splitext(name)[1]
+
+
+def _last_word(key: str) -> str:
     return key.rpartition("/")[2]
 
 
@@ -237,9 +242,10 @@ def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
     Args:
         key, name: of the file that `found` is from, which may hold one.
     """
-    files = {last_word(secret): get(found, secret) for secret in _SECRETS}
+    files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
     if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
-        files[key] = str(handed_over(key, name))
+        own = _own_name(key, name)
+        files[own] = str(handed_over(own, name))
     return {name: path for name, path in files.items() if path is not None}
 
 

@@ -175,7 +175,7 @@ def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
     if config.http.token_file is not None:
         hidden["http.token_file"] = config.http.token_file
     plain = certificates(found)
-    if name is not None and key not in hidden:
+    if name is not None and name not in hidden.values():
         plain.append(name)
     return (
         [at / resources.expand(path) for path in plain],

@@ -269,7 +269,7 @@ def test_what_the_service_manager_hands_over_is_taken_in_the_place_of_files(
         "dictionary_file": "/root/only/users.txt",
     }
     assert certificates(found) == ["/root/only/service.crt"]
-    (copies / "zenoh.file").write_text('{namespace: "of/the/copy"}')
+    (copies / "zenoh.file.json5").write_text('{namespace: "of/the/copy"}')
     assert of(said, "listen", "namespace") == "of/the/copy"
 
 

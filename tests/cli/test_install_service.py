@@ -199,6 +199,13 @@ def test_what_is_no_secret_must_be_readable(secure, tmp_path, monkeypatch):
     assert not {tmp_path / "service.key", tmp_path / "http.token"} & set(asked)
 
 
+def test_a_zenoh_file_with_a_password_is_handed_over_itself(tmp_path, anywhere):
+    file = tmp_path / "client.json5"
+    file.write_text('{transport: {auth: {usrpwd: {user: "me", password: "pw"}}}}')
+    config = simulated({"zenoh": {"file": str(file), "mode": "client"}}, "/etc/edge/robot.yaml")
+    assert lines(unit(config, "edge", None), "LoadCredential") == [f"zenoh.file.json5:{file}"]
+
+
 def test_relative_paths_are_the_services_own(secure, anywhere):
     secure["zenoh"] = {"file": "service.json5"}
     with pytest.raises(ConfigError, match=r"^zenoh.file: /var/lib/edge/service.json5: no such"):
