@@ -34,6 +34,14 @@ class Hanging:
 """
 
 
+@pytest.fixture(autouse=True)
+def _not_under_nohup() -> Iterator[None]:
+    """The tests themselves may run so, and what ignores SIGHUP would have its children ignore it."""
+    before = signal.signal(signal.SIGHUP, lambda signum, frame: None)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 class Manager:
     """The end of the socket that systemd would have."""
 
