@@ -36,7 +36,7 @@ class Hanging:
 
 @pytest.fixture(autouse=True)
 def _not_under_nohup() -> Iterator[None]:
-    """The tests themselves may run so, and what ignores SIGHUP would have its children ignore it."""
+    """Where the tests themselves do, their children would ignore SIGHUP, too."""
     before = signal.signal(signal.SIGHUP, lambda signum, frame: None)
     yield
     signal.signal(signal.SIGHUP, before)
