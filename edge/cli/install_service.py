@@ -56,7 +56,7 @@ Environment=EDGE_CACHE_DIR=%C/{name}
 StateDirectory={name}
 CacheDirectory={name}
 WorkingDirectory=%S/{name}
-{user}{credentials}
+{user}
 TimeoutStopSec=30
 WatchdogSec={watchdog_s:g}
 # Says in the journal where every thread is, before SIGKILL ends it.
@@ -146,11 +146,7 @@ def unit(config: Config, name: str, user: str | None) -> str:
     return _UNIT.format(
         name=name,
         command=" ".join(map(_word, words)),
-        user=_user(user),
-        credentials="".join(
-            f"\nLoadCredential={secret}:{str(path).replace('%', '%%')}"
-            for secret, path in copied.items()
-        ),
+        user="\n".join([*_user(user), *_credentials(copied)]),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # The loop is known to hang before it is killed, so that `/healthz` says so first.
         watchdog_s=2 * HANGS_S,
@@ -199,12 +195,16 @@ def _check_writable(config: Config, at: Path) -> None:
         )
 
 
-def _user(user: str | None) -> str:
+def _user(user: str | None) -> list[str]:
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
     known = {group.gr_name for group in grp.getgrall()}  # an unknown one would end the start
     if groups := [group for group in _GROUPS if group in known]:
         lines.append(f"SupplementaryGroups={' '.join(groups)}")
-    return "\n".join(lines)
+    return lines
+
+
+def _credentials(copied: Mapping[str, Path]) -> list[str]:
+    return [f"LoadCredential={name}:{path}".replace("%", "%%") for name, path in copied.items()]
 
 
 def _word(text: str) -> str:

@@ -91,11 +91,11 @@ class Service:
         assert self.process.stdout.readline() == "ready\n"
 
     def end(self) -> set[tuple[str, ...]]:
-        """All that has reached it."""
+        """All that has reached it: (`put` or `query`, key, payload)."""
         self.process.terminate()
         said = self.process.stdout.read()
         self.process.wait(PATIENCE_S)
-        return {tuple(line.split()) for line in said.splitlines()}
+        return {tuple(line.split(maxsplit=2)) for line in said.splitlines()}
 
 
 @contextmanager
@@ -117,26 +117,23 @@ def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind, prefix, t
         etc = shutil.copytree(etc, tmp_path / "etc")
         page_commands(etc, "sed -i")
     of = settings_of(etc, kind, free_port(), prefix)
-    reached, heard = {}, {}
-    for who in MAY_PUT:
-        with service(of("robot")) as running, open_session(of(who), "connect") as session:
-            heard[who] = heard_by(session, prefix, MAY_HEAR[who])
-            for _ in range(3):
-                for key in EVERY:
-                    session.put(f"{prefix}/{key}", b"spoofed")
-                for key in REQUESTS:
-                    asked = session.get(f"{prefix}/{key}", payload=b"{}", timeout=PATIENCE_S)
-                    assert bool(list(asked)) == (key in MAY_ASK[who]), (who, key)
-                time.sleep(0.1)
-            session.close()
-            time.sleep(0.2)
-            reached[who] = running.end()
-    expected = {
-        who: {("put", f"{prefix}/{key}") for key in MAY_PUT[who]}
-        | {("query", f"{prefix}/{key}") for key in MAY_ASK[who]}
-        for who in MAY_PUT
-    }
-    assert reached == expected
+    heard = {}
+    with service(of("robot")) as running:
+        for who in MAY_PUT:
+            with open_session(of(who), "connect") as session:
+                heard[who] = heard_by(session, prefix, MAY_HEAR[who])
+                for _ in range(3):
+                    for key in EVERY:
+                        session.put(f"{prefix}/{key}", who)
+                    for key in REQUESTS:
+                        asked = session.get(f"{prefix}/{key}", payload=who, timeout=PATIENCE_S)
+                        assert bool(list(asked)) == (key in MAY_ASK[who]), (who, key)
+                    time.sleep(0.1)
+        time.sleep(0.2)
+        reached = running.end()
+    puts = {("put", f"{prefix}/{key}", who) for who, keys in MAY_PUT.items() for key in keys}
+    asks = {("query", f"{prefix}/{key}", who) for who, keys in MAY_ASK.items() for key in keys}
+    assert reached == puts | asks
     assert heard == MAY_HEAR
 
 
@@ -210,7 +207,7 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
             assert told in said
         with open_session(known, "connect") as session:
             assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
-        assert running.end() == {("query", "edge/mission/request")}
+        assert running.end() == {("query", "edge/mission/request", "{}")}
 
 
 def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
