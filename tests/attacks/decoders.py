@@ -10,14 +10,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 import edge
 from edge.bus.ros2.names import Endpoint, parse_token
 from edge.bus.verbs import read_request
-from edge.bus.wire import compressed, messages, navigation, transforms
-from edge.bus.wire.cdr import STAMP, U8, U32, Writer
+from edge.bus.wire import messages
 from edge.cli.requests import as_text
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.requests import MODEL_VERBS, mission_verbs
@@ -52,6 +50,12 @@ class Decoder:
     covers: tuple[str, ...]
 
 
+def _token(payload: bytes) -> Endpoint:
+    if (found := parse_token(payload.decode("utf-8", "replace"))) is None:
+        raise ValueError("no token")
+    return found
+
+
 def _image_into(out: np.ndarray) -> Callable[[bytes], object]:
     def read(payload: bytes) -> None:
         messages.decode_image_into(payload, messages.decode_image_header(payload), out)
@@ -59,44 +63,11 @@ def _image_into(out: np.ndarray) -> Callable[[bytes], object]:
     return read
 
 
-def _picture(words: str, kind: str, pixels: np.ndarray, before: bytes = b"") -> bytes:
-    """A sensor_msgs/CompressedImage."""
-    data = before + cv2.imencode(kind, pixels)[1].tobytes()
-    return Writer().header(NS, "c").string(words).write(U32, 4, len(data)).bytes(data)
-
-
-def _decompress_into(out: np.ndarray) -> Callable[[bytes], object]:
-    def read(payload: bytes) -> None:
-        header = compressed.decode_compressed_header(payload)
-        compressed.decode_compressed_into(payload, header, out)
-
-    return read
-
-
-def _goal() -> Writer:
-    """What the messages about a goal of an action begin with."""
-    return Writer().write(struct.Struct("<16s"), 1, bytes(range(16)))
-
-
-def _goals(status: bool) -> bytes:
-    """The goals of an answer to a cancellation, or of a status."""
-    writer = Writer() if status else Writer().write(U8, 1, 0)
-    writer.write(U32, 4, 1).write(struct.Struct("<16s"), 1, bytes(range(16))).write(STAMP, 4, 1, 2)
-    return (writer.write(U8, 1, 4) if status else writer).bytes()
-
-
-def _token(payload: bytes) -> Endpoint:
-    if (found := parse_token(payload.decode("utf-8", "replace"))) is None:
-        raise ValueError("no token")
-    return found
-
-
 def _json(*said: object) -> tuple[bytes, ...]:
     return tuple(json.dumps(one).encode() for one in said)
 
 
 _IMAGE = ("decode_image_header", "decode_image_into")
-_COMPRESSED = ("decode_compressed_header", "decode_compressed_into")
 _DEPTH = np.arange(8, dtype=np.float32).reshape(2, 4)
 
 DECODERS = {
@@ -149,77 +120,19 @@ DECODERS = {
         (messages.encode_occupancy_grid(NS, Grid(np.zeros((3, 4), np.int8), (0.0, 0.0), 0.05)),),
         ("decode_occupancy_grid",),
     ),
-    "compressed": Decoder(
-        _decompress_into(_OUT["rgb"]),
-        (_picture("png", ".png", _RGB), _picture("rgb8; jpeg compressed bgr8", ".jpg", _RGB)),
-        _COMPRESSED,
+    "stamp": Decoder(
+        messages.peek_stamp_ns, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_stamp_ns",)
     ),
-    "compressed depth": Decoder(
-        _decompress_into(_OUT["depth"]),
-        (
-            _picture("16UC1; png compressed", ".png", _DEPTH.astype(np.uint16)),
-            _picture(
-                "32FC1; compressedDepth png",
-                ".png",
-                _DEPTH.astype(np.uint16),
-                struct.pack("<iff", 1, 100.0, 1.0),
-            ),
+    "goal status": Decoder(
+        parse_goal_status,
+        _json(
+            {"stamp": NS, "state": "failed", "reason": "stuck", "blocked": [1.5, -2]},
+            {"stamp": NS, "state": "reached"},
         ),
-        _COMPRESSED,
+        ("parse_goal_status",),
     ),
-    "transforms": Decoder(
-        transforms.decode_transforms,
-        (
-            Writer()
-            .write(U32, 4, 1)
-            .header(NS, "map")
-            .string("odom")
-            .write(struct.Struct("<7d"), 8, 1, 2, 0, 0, 0, 0, 1)
-            .bytes(),
-        ),
-        ("decode_transforms",),
-    ),
-    "goal of an action": Decoder(
-        navigation.decode_send_goal,
-        (navigation.encode_send_goal(bytes(16), NS, SE2(1.0, 2.0, 0.5)),),
-        ("decode_send_goal",),
-    ),
-    "its answer": Decoder(
-        navigation.decode_send_goal_answer,
-        (Writer().write(U8, 1, 1).write(STAMP, 4, 1, 2).bytes(),),
-        ("decode_send_goal_answer",),
-    ),
-    "its result": Decoder(
-        navigation.decode_result,
-        (
-            Writer().write(U8, 1, 4).write(U8, 1, 0).bytes(),
-            Writer().write(U8, 1, 6).write(struct.Struct("<H"), 2, 9).string("no path").bytes(),
-        ),
-        ("decode_result",),
-    ),
-    "its cancellation": Decoder(
-        navigation.decode_cancel_answer, (_goals(status=False),), ("decode_cancel_answer",)
-    ),
-    "its status": Decoder(
-        navigation.decode_goal_statuses, (_goals(status=True),), ("decode_goal_statuses",)
-    ),
-    "its feedback": Decoder(
-        navigation.decode_feedback,
-        (
-            messages.write_pose(_goal().header(NS, "map"), POSE)
-            .write(STAMP, 4, 1, 2)
-            .write(STAMP, 4, 3, 4)
-            .write(struct.Struct("<h"), 2, 1)
-            .write(struct.Struct("<f"), 4, 2.5)
-            .bytes(),
-        ),
-        ("decode_feedback",),
-    ),
-    "token": Decoder(
-        _token,
-        (b"@ros2_lv/0/a1/1/2/MP/%/%/nav/%map/nav_msgs::msg::dds_::Path_/RIHS01_0/::,10:,:,:,,",),
-        (),
-    ),
+    "labels": Decoder(parse_labels, _json([], ["chair", "tv stand"]), ("parse_labels",)),
+    "tick": Decoder(parse_tick, _json({"stamp": NS}), ("parse_tick",)),
     "ZeroMQ header": Decoder(
         lambda payload: parse_header(payload, 24),
         _json(
@@ -234,22 +147,11 @@ DECODERS = {
         ),
         (),
     ),
-    "header": Decoder(
-        messages.peek_header, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_header",)
+    "token": Decoder(
+        _token,
+        (b"@ros2_lv/0/a1/1/2/MP/%/%/nav/%map/nav_msgs::msg::dds_::Path_/RIHS01_0/::,10:,:,:,,",),
+        (),
     ),
-    "stamp": Decoder(
-        messages.peek_stamp_ns, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_stamp_ns",)
-    ),
-    "goal status": Decoder(
-        parse_goal_status,
-        _json(
-            {"stamp": NS, "state": "failed", "reason": "stuck", "blocked": [1.5, -2]},
-            {"stamp": NS, "state": "reached"},
-        ),
-        ("parse_goal_status",),
-    ),
-    "labels": Decoder(parse_labels, _json([], ["chair", "tv stand"]), ("parse_labels",)),
-    "tick": Decoder(parse_tick, _json({"stamp": NS}), ("parse_tick",)),
     "request": Decoder(
         lambda payload: read_request(payload, VERBS),
         _json(
