@@ -109,6 +109,7 @@ def open_service(
                 stop,
                 exact=config.loop.lockstep,
                 most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
+                tell=progress,
             )
         )
         policy = unless_stopped(make_policy, stop)

@@ -154,6 +154,10 @@ FAULTS = [
         },
         "f.yaml: policy.by: prior: there is no prior: set perception.prior to cooccurrence,",
     ),
+    (
+        {"http": {"host": "0.0.0.0", "port": 7480}},
+        "f.yaml: http: others can reach host 0.0.0.0: set token_file (docs/service.md), or host",
+    ),
     ({"mapping": {"extent_m": 1e9}}, "f.yaml: mapping.extent_m: input should be less than or"),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
@@ -179,6 +183,18 @@ SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
 )
 def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, perception, source):
     assert simulated({"policy": policy, "perception": perception}).value_source == source
+
+
+@pytest.mark.parametrize(
+    "http",
+    [
+        {"host": "::1", "port": 7480},
+        {"host": "0.0.0.0"},  # and no port: nothing listens
+        {"host": "0.0.0.0", "port": 7480, "token_file": "/etc/edge/http.token"},
+    ],
+)
+def test_pages_need_a_token_only_where_others_can_reach_them(http):
+    assert simulated({"http": http}).http.host == http["host"]
 
 
 @pytest.mark.parametrize("mapping", [{"extent_m": 204}, {"extent_m": 500, "resolution_m": 0.123}])

@@ -11,14 +11,14 @@ import ssl
 
 import zenoh
 
-from edge.bus.zenoh_file import get, host_and_port, parameters, protocol, unreadable
+from edge.bus.certificate import out_of_date
+from edge.bus.zenoh_file import TLS, get, host_and_port, parameters, protocol, unreadable
 from edge.host.interruptible import start_unjoined
 from edge.text import one_line
 
 PROBE_S = 0.5
 _NAME_S = 1.0  # to find the address of a name; the resolver's own patience is longer
 
-_TLS = "transport/link/tls"
 _CLIENTS = "root_ca_certificate", "connect_certificate", "connect_private_key"
 _IN_PLACE = "_base64"
 
@@ -29,7 +29,7 @@ _ALERTS = {
     "UNKNOWN_CA": "it does not trust who signed our certificate",
     "DECRYPT_ERROR": "it does not trust who signed our certificate",
     "BAD_CERTIFICATE": "it does not take our certificate",
-    "CERTIFICATE_EXPIRED": "our certificate is out of date, or its clock is",
+    "CERTIFICATE_EXPIRED": "our certificate is out of date, or the clock there is wrong ({file})",
     "CERTIFICATE_REVOKED": "our certificate was revoked",
     "CERTIFICATE_UNKNOWN": "it does not take our certificate",
     "ACCESS_DENIED": "it does not take our certificate",
@@ -84,7 +84,7 @@ def _probe(endpoint: str, found: zenoh.Config, file: str) -> str | None:
 def _tls_refusal(
     plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
 ) -> str:
-    if _IN_PLACE in endpoint or any(get(found, f"{_TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
+    if _IN_PLACE in endpoint or any(get(found, f"{TLS}/{key}{_IN_PLACE}") for key in _CLIENTS):
         return _NOT_TAKEN_IN_BY_TLS.format(file=file)
     try:
         context = _context(endpoint, found)
@@ -95,6 +95,9 @@ def _tls_refusal(
             # Under TLS 1.3 our certificate is judged when we are through with the handshake.
             secure.recv(1)
     except ssl.SSLCertVerificationError as error:
+        if out_of_date(error):
+            said = one_line(error.verify_message)
+            return f"its certificate is out of date, or the clock here is wrong ({said})"
         return (
             f"its certificate is not trusted ({one_line(error.verify_message)}); "
             f"see transport/link/tls/root_ca_certificate in {file}"
@@ -117,7 +120,7 @@ def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
     said = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return said.get(parameter, get(found, f"{_TLS}/{key}"))
+        return said.get(parameter, get(found, f"{TLS}/{key}"))
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (

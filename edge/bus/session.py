@@ -11,16 +11,24 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Literal
 
 import zenoh
 
 from edge import config
+from edge.bus.certificate import judge
 from edge.bus.refusal import why_refused
 from edge.bus.topics import Qos, Topic
-from edge.bus.zenoh_file import get, lay_over, open_to, read_zenoh_file, unreadable
+from edge.bus.zenoh_file import (
+    get,
+    lay_over,
+    open_to,
+    read_zenoh_file,
+    shuts_all_out,
+    unreadable,
+)
 from edge.errors import ConfigError, Stopped, UnavailableError
 from edge.host.interruptible import start_unjoined
 from edge.text import one_line, without_secrets
@@ -29,6 +37,7 @@ log = logging.getLogger("edge.bus.session")
 
 CLOSE_S = 2.0
 OPEN = "{} is open: whoever reaches it may command the robot; see docs/security.md"
+SHUT = "access_control allows nothing below {}/ (zenoh.prefix): nobody is heard or told anything"
 ENVELOPE_BYTES = 65536
 """More than Zenoh puts around a message: its key, an attachment, what it was sent with."""
 
@@ -123,13 +132,14 @@ def zenoh_session(
     stop: threading.Event | None = None,
     exact: bool = False,
     most_bytes: int | None = None,
+    tell: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
     """A session as from `open_session`, closed at exit however its peers do.
 
     For a peer that takes nothing, Zenoh's closing waits up to 12 s (it flushes, then lingers).
     After `CLOSE_S` it goes on in a thread, which nobody waits for (`edge.host.interruptible`).
     """
-    opened = open_session(settings, role, stop, exact, most_bytes)
+    opened = open_session(settings, role, stop, exact, most_bytes, tell)
     try:
         yield opened
     finally:
@@ -150,6 +160,7 @@ def open_session(
     stop: threading.Event | None = None,
     exact: bool = False,
     most_bytes: int | None = None,
+    tell: Callable[[str], None] = lambda what: None,
 ) -> zenoh.Session:
     """A session; the caller closes it (an unclosed one can hang the process's exit).
 
@@ -160,6 +171,7 @@ def open_session(
     Args:
         stop: gives up waiting when it is set.
         exact, most_bytes: see `session_config`.
+        tell: is told again and again what is waited for.
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
@@ -172,6 +184,10 @@ def open_session(
     key, name = zenoh_file_of(settings, role)
     for address in open_to(found):
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
+    if shuts_all_out(found, settings.prefix):
+        log.warning("%s: %s", key, SHUT.format(settings.prefix))
+    if get(found, "listen/endpoints") and (fault := judge(found)) is not None:
+        log.warning("%s: listen_certificate: %s", key, fault)
     told: set[str | None] = set()
     before: str | None = None
     while True:
@@ -183,13 +199,14 @@ def open_session(
                 cause = str(error) if lacks is None else lacks
                 raise BusError(_explain(settings.address, role, cause)) from None
         refused = why_refused(settings.endpoint, found, name or key)
+        level, what = logging.WARNING, f"refused at {settings.address}: {refused}; trying on"
+        if refused is None:
+            level, what = logging.INFO, f"waiting for somebody at {settings.address}"
+        tell(what)
         # Who is just starting, or busy, refuses once.
         if refused not in told and refused == before:
             told.add(refused)
-            if refused is None:
-                log.info("waiting for somebody at %s", settings.address)
-            else:
-                log.warning("refused at %s: %s; trying on", settings.address, refused)
+            log.log(level, what)
         before = refused
         if stop.wait(_PAUSE_S):
             raise NotTakenIn(settings.address, refused)

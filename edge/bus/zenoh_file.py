@@ -2,7 +2,9 @@
 
 TLS, users, access control and all else that Zenoh knows is said there, in Zenoh's words (JSON5), by
 `zenoh.file` and `zenoh.client_file`. Relative paths in it are, as Zenoh takes them, relative to the
-working directory. Of what `edge` sets as well,
+working directory. Files with secrets may be handed over by the service manager
+(`edge.host.credentials`), under the last word of their key, as `listen_private_key`; the service's
+file itself as `zenoh.file.json5`. Of what `edge` sets as well,
 
 - `mode` is `zenoh.mode`'s: a file that says another is refused;
 - endpoints add up: `zenoh.endpoint` comes first, further ones of the file behind it;
@@ -13,11 +15,9 @@ working directory. Of what `edge` sets as well,
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import os
 import re
-import stat
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,10 +25,12 @@ import zenoh
 
 from edge.config.loop import KEY_IN_ENDPOINT
 from edge.errors import ConfigError
-from edge.host.resources import expand
+from edge.host.credentials import handed_over, open_to_others
+from edge.host.ports import is_loopback
 from edge.text import one_line
 
 BLOCKED_S = 1.0
+TLS = "transport/link/tls"
 
 # Whoever connects and says nothing holds one of Zenoh's places for connections that are not yet
 # sessions: 100 for 10 s each, so 120 idle ones keep everybody out. These are more places, given
@@ -52,10 +54,14 @@ _SHARED_MEMORY = "transport/shared_memory/enabled"
 _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 _ATTEMPT_MS = 500
-_TLS = "transport/link/tls"
 _USERS = "transport/auth/usrpwd/dictionary_file"
-_PASSWORD = "transport/auth/usrpwd/password"
-_OTHERS = stat.S_IROTH | stat.S_IWOTH
+_SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
+# Where one of these is said, the file itself is a secret.
+_SECRET_WORDS = (
+    "transport/auth/usrpwd/password",
+    f"{TLS}/listen_private_key_base64",
+    f"{TLS}/connect_private_key_base64",
+)
 _WITH_CERTIFICATES = ("tls", "quic")
 _ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
@@ -72,13 +78,26 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
     """
     if name is None:
         return zenoh.Config()
-    path = expand(name)
+    path = handed_over(_own_name(key, name), name)
     if not path.is_file():
         raise ConfigError(f"{key}: {name}: no such file")
     try:
-        return zenoh.Config.from_file(str(path))
+        found = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
         raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
+    for secret in _SECRETS:
+        if (file := get(found, secret)) is not None:
+            found.insert_json5(secret, json.dumps(str(handed_over(_last_word(secret), file))))
+    return found
+
+
+def _own_name(key: str, name: str) -> str:
+    """Of a copy of the file itself: by its suffix Zenoh knows the format."""
+    return key + os.path.splitext(name)[1]
+
+
+def _last_word(key: str) -> str:
+    return key.rpartition("/")[2]
 
 
 def lay_over(
@@ -107,7 +126,7 @@ def lay_over(
     listening = _all_of(found, "listen/endpoints", mode)
     connecting = _all_of(found, "connect/endpoints", mode)
     if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
-        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {_TLS}")
+        raise ConfigError(f"endpoints: {KEY_IN_ENDPOINT} belongs under {TLS}")
     first = [_patient_for(endpoint)] if listens else [endpoint]
     values = {
         "mode": mode,
@@ -145,13 +164,13 @@ def open_to(found: zenoh.Config) -> list[str]:
     """
     if get(found, _USERS) is not None:
         return []
-    mutual = "true" if get(found, f"{_TLS}/enable_mtls") else "false"
+    mutual = "true" if get(found, f"{TLS}/enable_mtls") else "false"
 
     def is_open(endpoint: str) -> bool:
         kind, host = protocol(endpoint), host_and_port(endpoint)[0]
         asks = parameters(endpoint).get("enable_mtls", mutual) == "true"
         certified = kind in _WITH_CERTIFICATES and asks
-        return not (kind in _ON_THIS_MACHINE or _is_loopback(host) or certified)
+        return not (kind in _ON_THIS_MACHINE or is_loopback(host) or certified)
 
     endpoints = get(found, "listen/endpoints")
     return [endpoint.partition("#")[0] for endpoint in endpoints if is_open(endpoint)]
@@ -172,13 +191,6 @@ def parameters(endpoint: str) -> dict[str, str]:
     """What an endpoint says behind `#`: `a=1;b=2`."""
     pairs = (pair.partition("=") for pair in endpoint.partition("#")[2].split(";") if pair)
     return {name: value for name, _, value in pairs}
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
@@ -205,11 +217,11 @@ def _patient_for(endpoint: str) -> str:
 def unreadable(found: zenoh.Config, listens: bool) -> str | None:
     """Which file for TLS or users cannot be read, of those that who listens, or connects, needs;
     Zenoh names none."""
-    keys = [f"{_TLS}/root_ca_certificate"]
+    keys = [f"{TLS}/root_ca_certificate"]
     if listens:
-        keys += [f"{_TLS}/listen_certificate", f"{_TLS}/listen_private_key", _USERS]
+        keys += [f"{TLS}/listen_certificate", f"{TLS}/listen_private_key", _USERS]
     else:
-        keys += [f"{_TLS}/connect_certificate", f"{_TLS}/connect_private_key"]
+        keys += [f"{TLS}/connect_certificate", f"{TLS}/connect_private_key"]
     for key in keys:
         path = get(found, key)
         if path is not None and not os.access(path, os.R_OK):
@@ -217,22 +229,39 @@ def unreadable(found: zenoh.Config, listens: bool) -> str | None:
     return None
 
 
-def others_can_read(found: zenoh.Config, name: str | None) -> list[str]:
-    """The files with secrets, of those that are named, that other users of this machine can read or
-    write.
+def certificates(found: zenoh.Config) -> list[str]:
+    """The files with certificates that are named, which are no secrets."""
+    kinds = ("root_ca_certificate", "listen_certificate", "connect_certificate")
+    paths = [get(found, f"{TLS}/{kind}") for kind in kinds]
+    return [path for path in paths if path is not None]
+
+
+def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
+    """The files with secrets, by the names that a service manager gives its copies of them.
 
     Args:
-        name: of the file that `found` is from, which may hold a password.
+        key, name: of the file that `found` is from, which may hold one.
     """
-    keys = f"{_TLS}/listen_private_key", f"{_TLS}/connect_private_key", _USERS
-    paths = [get(found, key) for key in keys]
-    if name is not None and get(found, _PASSWORD) is not None:
-        paths.append(str(expand(name)))
-    return [
-        path
-        for path in paths
-        if path is not None and os.access(path, os.F_OK) and os.stat(path).st_mode & _OTHERS
-    ]
+    files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
+    if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
+        own = _own_name(key, name)
+        files[own] = str(handed_over(own, name))
+    return {name: path for name, path in files.items() if path is not None}
+
+
+def others_can_read(found: zenoh.Config, key: str, name: str | None) -> list[str]:
+    """Of `secrets`, those that other users of this machine can read or write."""
+    return [path for path in secrets(found, key, name).values() if open_to_others(path)]
+
+
+def shuts_all_out(found: zenoh.Config, prefix: str) -> bool:
+    """Whether access rules deny everybody every key below a prefix: they name another one's."""
+    control = get(found, "access_control")
+    if not control["enabled"] or control["default_permission"] == "allow":
+        return False
+    ours = zenoh.KeyExpr(f"{prefix}/**")
+    allowed = (rule for rule in control["rules"] or () if rule["permission"] == "allow")
+    return not any(ours.intersects(key) for rule in allowed for key in rule["key_exprs"])
 
 
 _PLACE = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")

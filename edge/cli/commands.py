@@ -6,20 +6,21 @@ import logging
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from edge.cli.console import ConsoleSink
-from edge.config import Config
+from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
-from edge.host.pages import serve
+from edge.host.credentials import read_token
+from edge.host.pages import Pages, serve
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
-from edge.loop.vitals import Vitals
+from edge.loop.vitals import PROBES, Vitals
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
 from edge.text import one_line
@@ -47,6 +48,9 @@ def run_service(
 ) -> int:
     """Run the service; the exit code, see `edge.errors`.
 
+    What is told to stop has done what it was to do, whatever became of its last mission; with
+    `once` that is the outcome.
+
     Args:
         asked, formula: the mission as given on the command line; see `open_service`.
         reload: None: the configuration stays.
@@ -56,7 +60,8 @@ def run_service(
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(report)
-    return _conclude(_serve(config, stop, once, asked, formula, reload), report)
+    code = _conclude(_serve(config, stop, once, asked, formula, reload), report)
+    return code if once else os.EX_OK
 
 
 def _prepare(report: str | None) -> None:
@@ -77,7 +82,7 @@ def _serve(
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
     sinks = [ConsoleSink(), recorder]
     with (
-        serve(vitals.pages(), config.http.host, config.http.port),
+        _served(vitals.pages(), config.http),
         open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
     ):
         if reload is not None:
@@ -88,6 +93,13 @@ def _serve(
         loop(running, stop, once, partial(vitals.beat, running))
         vitals.stopping()
         return recorder.record(running.service.result(), running.source.counters)
+
+
+def _served(pages: Pages, http: Http) -> AbstractContextManager[int | None]:
+    """The pages over HTTP, as is configured; see `edge.host.pages.serve`."""
+    unasked = http.port is None or http.token_file is None
+    token = None if unasked else read_token("http.token_file", http.token_file)
+    return serve(pages, http.host, http.port, token, PROBES)
 
 
 def _conclude(record: RunRecord, report: str | None) -> int:

@@ -136,19 +136,29 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_strangers(config: Config) -> Iterator[Finding]:
     """Who may come in, and who may read what keeps them out."""
-    from edge.bus.session import OPEN, session_config, zenoh_file_of
-    from edge.bus.zenoh_file import open_to, others_can_read
+    from edge.bus.certificate import judge
+    from edge.bus.session import OPEN, SHUT, session_config, zenoh_file_of
+    from edge.bus.zenoh_file import open_to, others_can_read, shuts_all_out
+    from edge.host.credentials import open_to_others, read_token
 
-    for address in open_to(session_config(config.zenoh, "listen")):
+    settings, http = config.zenoh, config.http
+    served = session_config(settings, "listen")
+    for address in open_to(served):
         todo = "listen on 127.0.0.1, or ask for certificates (docs/security.md)"
         yield Finding("warn", OPEN.format(address), todo)
+    if shuts_all_out(served, settings.prefix):
+        todo = "write the keys of its rules anew (docs/security.md)"
+        yield Finding("warn", SHUT.format(settings.prefix), todo)
+    if (fault := judge(served)) is not None:
+        yield Finding("warn", f"listen_certificate: {fault}", "see docs/security.md")
     paths = [
         path
         for role in ("listen", "connect")
-        for path in others_can_read(
-            session_config(config.zenoh, role), zenoh_file_of(config.zenoh, role)[1]
-        )
+        for path in others_can_read(session_config(settings, role), *zenoh_file_of(settings, role))
     ]
+    if http.token_file is not None:
+        read_token("http.token_file", http.token_file)
+        paths += [http.token_file] * open_to_others(resources.expand(http.token_file))
     for path in dict.fromkeys(paths):
         what = f"{path} holds a secret, and every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")

@@ -3,6 +3,9 @@
 The unit is hardened as far as numba (which compiles), Zenoh's shared memory, cameras and GPUs
 allow: no `MemoryDenyWriteExecute`, no `PrivateIPC`, no `PrivateDevices`. Neither is `PrivateUsers`
 set, under which groups mean nothing, nor `ProcSubset=pid`, under which no CPU is found.
+
+Files with secrets stay root's: the service gets copies of them (`LoadCredential=`,
+`edge.host.credentials`).
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ import os
 import pwd
 import stat
 import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from edge.bus.zenoh_file import certificates, read_zenoh_file, secrets
 from edge.config import Config, DetectorOnnx, load
 from edge.errors import WILL_NOT_MEND, UnavailableError, UserError
 from edge.host import resources
@@ -22,8 +27,10 @@ from edge.host.files import save
 from edge.loop.vitals import HANGS_S
 
 UNITS = Path("/etc/systemd/system")
+STATE = Path("/var/lib")
 _GROUPS = ("video", "render")
 _HOMES = ("/home", "/root", "/run/user")
+_TEMPORARY = ("/tmp", "/var/tmp")  # of which the service has its own
 _UNREADABLE = "{path}: user {user} cannot read it; put it where all can (such as /opt), {instead}"
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
@@ -97,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: the configuration cannot be used.
-        UserError: the user is not there, or could not read what it is to run.
+        UserError: the user is not there, or could not read or write what the configuration names.
         FileError: the unit cannot be written.
     """
     config = load(args.config)
@@ -127,14 +134,19 @@ def unit(config: Config, name: str, user: str | None) -> str:
     Raises:
         UserError: see `run`.
     """
-    needed = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
+    at = STATE / name
+    files, copied = _named(config, at)
+    here = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
+    needed = (*here, *files)
     _check_readable(needed, user)
+    _check_there(copied)
+    _check_writable(config, at)
     words = (sys.executable, "-m", "edge.cli", "run", config.path)
     priority = config.loop.priority
     return _UNIT.format(
         name=name,
         command=" ".join(map(_word, words)),
-        user=_user(user),
+        user="\n".join([*_user(user), *_credentials(copied)]),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # The loop is known to hang before it is killed, so that `/healthz` says so first.
         watchdog_s=2 * HANGS_S,
@@ -144,12 +156,55 @@ def unit(config: Config, name: str, user: str | None) -> str:
     )
 
 
-def _user(user: str | None) -> str:
+def _named(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
+    """Files that the configuration names and the service reads: those that anybody may, and those
+    with secrets, by the names of their copies.
+
+    Args:
+        at: the service's working directory.
+    """
+    key, name = "zenoh.file", config.zenoh.file
+    if name is not None:
+        name = str(at / resources.expand(name))
+    found = read_zenoh_file(key, name)
+    hidden = secrets(found, key, name)
+    if config.http.token_file is not None:
+        hidden["http.token_file"] = config.http.token_file
+    plain = certificates(found)
+    if name is not None and name not in hidden.values():
+        plain.append(name)
+    return (
+        [at / resources.expand(path) for path in plain],
+        {secret: at / resources.expand(path) for secret, path in hidden.items()},
+    )
+
+
+def _check_there(copied: Mapping[str, Path]) -> None:
+    """Raises UnavailableError for the first file that systemd could not make a copy of."""
+    for secret, path in copied.items():
+        if not os.path.isfile(path):  # unlike Path.is_file, whoever may look at it
+            raise UnavailableError(f"{secret}: {path}: no such file, or only root may look (sudo)")
+
+
+def _check_writable(config: Config, at: Path) -> None:
+    checkpoint = config.mission.checkpoint
+    if checkpoint is not None and not (at / resources.expand(checkpoint)).is_relative_to(at):
+        raise UserError(
+            f"mission.checkpoint: {checkpoint}: the service can write below {at} alone; "
+            "give a path relative to that"
+        )
+
+
+def _user(user: str | None) -> list[str]:
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
     known = {group.gr_name for group in grp.getgrall()}  # an unknown one would end the start
     if groups := [group for group in _GROUPS if group in known]:
         lines.append(f"SupplementaryGroups={' '.join(groups)}")
-    return "\n".join(lines)
+    return lines
+
+
+def _credentials(copied: Mapping[str, Path]) -> list[str]:
+    return [f"LoadCredential={name}:{path}".replace("%", "%%") for name, path in copied.items()]
 
 
 def _word(text: str) -> str:
@@ -164,11 +219,15 @@ def _edge() -> str:
 
 
 def _in_a_home(path: Path) -> bool:
-    return any(place.is_relative_to(home) for home in _HOMES for place in (path, path.resolve()))
+    return _is_below(path, _HOMES) or _is_below(path.resolve(), _HOMES)
+
+
+def _is_below(path: Path, folders: Iterable[str]) -> bool:
+    return any(path.is_relative_to(folder) for folder in folders)
 
 
 def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
-    """Raises UserError for the first path that the service's user could not read."""
+    """Raises UserError for the first path that the service, or its user, could not read."""
     uid, gids = None, frozenset[int]()
     if user is not None:
         try:
@@ -179,6 +238,8 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
     instead = "or run it as yourself by --user" if user is None else "or let that user read it"
     for path in paths:
         for place in (path, path.resolve()):
+            if _is_below(place, _TEMPORARY):
+                raise UserError(f"{place}: the service has a /tmp of its own; put it elsewhere")
             for step in (*place.parents, place):
                 if not _may_read(step, uid, gids):
                     raise UserError(_UNREADABLE.format(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from edge.config.section import Positive, Section
-from edge.text import without_secrets
+from edge.host.ports import is_loopback
+from edge.text import one_line, without_secrets
 
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$")]
 KEY_IN_ENDPOINT = "private_key_base64"
@@ -106,11 +107,23 @@ class Report(Section):
 
 
 class Http(Section):
-    """Pages about the service, such as `/readyz` (docs/service.md), on `port`; null: none. Whoever
-    reaches `host` may read them, so by default that is this machine alone."""
+    """Pages about the service, such as `/readyz` (docs/service.md), on `port`; null: none.
+
+    `token_file` holds what whoever reads them must know. Where others than this machine can reach
+    `host`, there must be one."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    token_file: FilePath | None = None
+
+    @model_validator(mode="after")
+    def _asks_who_is_there(self) -> Http:
+        if self.port is not None and self.token_file is None and not is_loopback(self.host):
+            raise ValueError(
+                f"others can reach host {one_line(self.host)}: set token_file (docs/service.md), "
+                "or host to 127.0.0.1"
+            )
+        return self
 
 
 class Sink(Section):

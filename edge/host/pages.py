@@ -1,4 +1,9 @@
-"""A small HTTP server: pages that are made when they are asked for, for few who ask seldom."""
+"""A small HTTP server: pages that are made when they are asked for, for few who ask seldom.
+
+Where there is a token, it is asked for. Only of the pages that are probes everybody is told the
+status, without a word: an orchestrator's probe has no token (nor asks Kubernetes' own API server
+for one at its `/readyz`), and would end what is well if it were refused.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +11,16 @@ import json
 import logging
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from socketserver import ThreadingMixIn
 from typing import Any
 
 from edge.errors import UnavailableError
+from edge.host.credentials import Token
 from edge.text import one_line
 
 log = logging.getLogger("edge.host.pages")
@@ -41,12 +47,24 @@ def json_page(said: object, status: HTTPStatus = HTTPStatus.OK) -> Page:
     return Page(json.dumps(said, ensure_ascii=False).encode() + b"\n", "application/json", status)
 
 
+def _page(said: str, status: HTTPStatus) -> Page:
+    return Page(f"{said}\n".encode(), "text/plain; charset=utf-8", status)
+
+
 @contextmanager
-def serve(pages: Pages, host: str, port: int | None) -> Iterator[int | None]:
+def serve(
+    pages: Pages,
+    host: str,
+    port: int | None,
+    token: Token | None = None,
+    probes: Collection[str] = (),
+) -> Iterator[int | None]:
     """Answer GET and HEAD while the block runs; with no port, nothing is done.
 
     Args:
         port: 0 takes a free one.
+        token: must be known to whoever asks; None: nothing need be.
+        probes: pages of which others are told the status.
 
     Yields:
         The port.
@@ -58,11 +76,12 @@ def serve(pages: Pages, host: str, port: int | None) -> Iterator[int | None]:
         yield None
         return
     try:
-        server = _Server(host, port, pages)
-    except OSError as error:
+        server = _Server(host, port, pages, token, probes)
+    except (OSError, UnicodeError) as error:  # UnicodeError: a label that no host name may have
+        reason = getattr(error, "strerror", None) or one_line(error)
         raise UnavailableError(
-            f"http.port: cannot listen on {one_line(host)} port {port}: "
-            f"{error.strerror or one_line(error)}; set http.port to a free one, or to null"
+            f"http.port: cannot listen on {one_line(host)} port {port}: {reason}; "
+            "set http.port to a free one, or to null"
         ) from None
     thread = threading.Thread(
         target=server.serve_forever, args=(_LOOK_S,), name="pages", daemon=True
@@ -83,8 +102,10 @@ class _Server(ThreadingMixIn, HTTPServer):
     daemon_threads, block_on_close = True, False
     request_queue_size = 4 * MOST_OPEN
 
-    def __init__(self, host: str, port: int, pages: Pages) -> None:
-        self.pages = pages
+    def __init__(
+        self, host: str, port: int, pages: Pages, token: Token | None, probes: Collection[str]
+    ) -> None:
+        self.pages, self.token, self.probes = pages, token, probes
         self._open: dict[socket.socket, None] = {}
         self._hand = threading.Lock()
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -122,21 +143,28 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "edge", ""
 
     def do_GET(self) -> None:
-        make = self.server.pages.get(self.path.partition("?")[0])
-        self._answer(self._nothing() if make is None else make())
+        path, token = self.path.partition("?")[0], self.server.token
+        if token is None or token.is_borne_by(self.headers.get("Authorization", "")):
+            make = self.server.pages.get(path)
+            self._answer(self._nothing() if make is None else make())
+        elif path in self.server.probes:
+            self._answer(replace(self.server.pages[path](), body=b""))
+        else:
+            self._answer(_page("who asks must know the token", HTTPStatus.UNAUTHORIZED))
 
     do_HEAD = do_GET
 
     def _nothing(self) -> Page:
         there = ", ".join(sorted(self.server.pages))
-        return Page(f"no such page (there are: {there})\n".encode(), "text/plain; charset=utf-8",
-                    HTTPStatus.NOT_FOUND)  # fmt: skip
+        return _page(f"no such page (there are: {there})", HTTPStatus.NOT_FOUND)
 
     def _answer(self, page: Page) -> None:
         self.send_response(page.status)
         self.send_header("Content-Type", page.kind)
         self.send_header("Content-Length", str(len(page.body)))
         self.send_header("Cache-Control", "no-store")
+        if page.status == HTTPStatus.UNAUTHORIZED:
+            self.send_header("WWW-Authenticate", 'Bearer realm="edge"')
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(page.body)

@@ -1,7 +1,8 @@
-"""Free TCP ports of this machine."""
+"""This machine's own addresses, and its free TCP ports."""
 
 from __future__ import annotations
 
+import ipaddress
 import random
 import socket
 from pathlib import Path
@@ -11,6 +12,14 @@ FIRST = 20_000
 
 _USUAL_EPHEMERAL = 32_768
 _TRIES = 100
+
+
+def is_loopback(host: str) -> bool:
+    """Whether what listens at this address, or name, can be reached from this machine alone."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def free_port() -> int:

@@ -18,7 +18,7 @@ from edge.host.interruptible import start_unjoined
 from edge.loop.service import Service
 from edge.loop.warmup import warm_policy
 from edge.perception.similarity import is_running_detector, similarity_card
-from edge.perception.swap.swapper import OVER
+from edge.perception.swap.swapper import OVER, Swapper
 from edge.policies import make_policy
 from edge.policies.base import Policy
 from edge.text import one_line
@@ -68,12 +68,14 @@ class _Ready:
     Attributes:
         changed: its keys that differ from the present one's.
         policy: made for it; None: the present one stays.
-        model: of a detector that must be put in the place of the present one; None: it stays.
+        running: the model that was at work when this was made.
+        model: of a detector that must be put in its place; None: it stays.
     """
 
     config: Config
     changed: tuple[str, ...]
     policy: Policy | None
+    running: str
     model: str | None
 
 
@@ -123,15 +125,17 @@ class Reloader:
     def _begin(self) -> None:
         self._asked.clear()
         log.info("reload: reading the configuration")
-        present, worker = self._service.config, self._service.swapper.running
+        present, running = self._service.config, self._service.swapper.running
         preparing: Future[_Ready] = Future()
         self._preparing = preparing
 
         def prepare() -> None:
             try:
-                preparing.set_result(_prepare(present, self._reread(), worker))
-            except BaseException as error:
+                preparing.set_result(_prepare(present, self._reread(), running))
+            except Exception as error:
                 preparing.set_exception(error)
+            except BaseException as error:  # a module of one's own would end the process
+                preparing.set_exception(ReloadError(f"it raised {type(error).__name__}"))
 
         start_unjoined("reload", prepare)
 
@@ -139,14 +143,15 @@ class Reloader:
         if not preparing.done():
             return
         self._preparing = None
-        ready = preparing.result()
+        ready, swapper = preparing.result(), self._service.swapper
+        if any(_below(key, _DETECTOR) for key in ready.changed):
+            _check_at_rest(swapper, ready.running)
         if not ready.changed:
             self._end("nothing has changed", now_ns)
         elif ready.model is None:
             self._switch(ready, now_ns)
         else:
-            new = ready.config.perception
-            self._service.swapper.request(ready.model, False, now_ns, new)
+            swapper.request(ready.model, False, now_ns, ready.config.perception)
             self._swapping = ready
 
     def _wait_for_model(self, ready: _Ready, now_ns: int) -> None:
@@ -186,7 +191,22 @@ def _prepare(present: Config, new: Config, running: str) -> _Ready:
     if new.policy != present.policy:
         warm_policy(new)
         policy = make_policy(new.policy, new.path)
-    return _Ready(new, changed, policy, _model(present.perception, new.perception, running))
+    model = _model(present.perception, new.perception, running)
+    return _Ready(new, changed, policy, running, model)
+
+
+def _check_at_rest(swapper: Swapper, running: str) -> None:
+    """Refuse a change of the detector that was made ready while another model came, or comes."""
+    swap = swapper.status()
+    if swap["state"] not in ("idle", *OVER):
+        raise ReloadError(
+            f"perception.detector: {swap['model']} is still {swap['state']}; "
+            "reload again when that is over"
+        )
+    if swapper.running != running:
+        raise ReloadError(
+            f"perception.detector: {swapper.running} has come meanwhile; reload again"
+        )
 
 
 def _model(present: Perception, new: Perception, running: str) -> str | None:

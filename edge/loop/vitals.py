@@ -22,6 +22,8 @@ STEP_S = 300.0
 """No step of the start takes longer without saying that it goes on."""
 HANGS_S = 10.0
 """A loop without a beat for so long hangs, and so does a detector at one image."""
+PROBES = ("/healthz", "/readyz")
+"""Pages whose status is for everybody, and what they say for who knows the token."""
 _LOOK_S = 1.0
 _UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
 
@@ -116,10 +118,10 @@ class Vitals:
 
     def pages(self) -> Pages:
         """`/healthz` is 200 while it lives, `/readyz` while nothing is amiss; else 503."""
-        return {"/healthz": lambda: self._page(self.hangs()), "/readyz": self._ready_page}
-
-    def _ready_page(self) -> Page:
-        return self._page(self.amiss())
+        return {
+            "/healthz": lambda: self._page(self.hangs()),
+            "/readyz": lambda: self._page(self.amiss()),
+        }
 
     def _page(self, why: tuple[str, ...]) -> Page:
         status = HTTPStatus.SERVICE_UNAVAILABLE if why else HTTPStatus.OK

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import edge
+from edge.bus.ros2.names import Endpoint, parse_token
 from edge.bus.verbs import read_request
 from edge.bus.wire import messages
 from edge.cli.requests import as_text
@@ -21,6 +22,7 @@ from edge.loop.requests import MODEL_VERBS, mission_verbs
 from edge.motion.process import parse_tick
 from edge.sources.goal_status import parse_goal_status
 from edge.sources.truth import parse_labels
+from edge.sources.zmq import parse_header
 from edge.text import read_json_object
 
 NS = 1_700_000_000_123_456_789
@@ -46,6 +48,12 @@ class Decoder:
     reads: Callable[[bytes], object]
     seeds: tuple[bytes, ...]
     covers: tuple[str, ...]
+
+
+def _token(payload: bytes) -> Endpoint:
+    if (found := parse_token(payload.decode("utf-8", "replace"))) is None:
+        raise ValueError("no token")
+    return found
 
 
 def _image_into(out: np.ndarray) -> Callable[[bytes], object]:
@@ -125,6 +133,25 @@ DECODERS = {
     ),
     "labels": Decoder(parse_labels, _json([], ["chair", "tv stand"]), ("parse_labels",)),
     "tick": Decoder(parse_tick, _json({"stamp": NS}), ("parse_tick",)),
+    "ZeroMQ header": Decoder(
+        lambda payload: parse_header(payload, 24),
+        _json(
+            {
+                "topic": "camera/rgb",
+                "encoding": "rgb8",
+                "stamp": NS,
+                "height": 2,
+                "width": 4,
+                "intrinsics": [3.0, 3.0, 1.5, 0.5],
+            },
+        ),
+        (),
+    ),
+    "token": Decoder(
+        _token,
+        (b"@ros2_lv/0/a1/1/2/MP/%/%/nav/%map/nav_msgs::msg::dds_::Path_/RIHS01_0/::,10:,:,:,,",),
+        (),
+    ),
     "request": Decoder(
         lambda payload: read_request(payload, VERBS),
         _json(

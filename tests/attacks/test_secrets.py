@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
 from edge_processes import write_config
+from patience import PATIENCE_S
 
 from edge.host.ports import free_port
 from edge.host.resources import data_dir
@@ -45,6 +47,7 @@ def config(endpoint, tmp_path) -> Path:
         (tmp_path / f"{name}.json5").write_text(client.replace("of the operator", password))
     broken = client.replace('"of the operator"', f'{{"{SECRET}": "{SECRET}"}}')
     (tmp_path / "broken.json5").write_text(broken)
+    (tmp_path / "token").write_text(2 * SECRET)
     server = f"http://127.0.0.1:{free_port()}/v1?key={SECRET}"
     options = {"password": SECRET, "urls": [f"https://me:{SECRET}@example.org/a"]}
     return write_config(
@@ -55,6 +58,7 @@ def config(endpoint, tmp_path) -> Path:
             "client_file": str(tmp_path / "client.json5"),
             "shared_memory": False,
         },
+        http={"port": free_port(), "token_file": str(tmp_path / "token")},
         mission={"target": "bed", "translator": {"kind": "llm", "url": server}},
         sinks=["zenoh", {"kind": "own_sink:Sink", "options": options}],
     )
@@ -81,6 +85,15 @@ def say(tmp_path, environ) -> Callable[..., str]:
     return run
 
 
+def asked(port: int) -> str:
+    """What the service says over HTTP to who knows its token."""
+    connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    connection.request("GET", "/readyz", headers={"Authorization": f"Bearer {2 * SECRET}"})
+    body = connection.getresponse().read()
+    connection.close()
+    return body.decode()
+
+
 def is_told(text: str) -> list[str]:
     """The lines with the secret in any of its shapes."""
     return [line for line in text.splitlines() if any(shape in line for shape in SHAPES)]
@@ -97,6 +110,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
     service = edge("--log-level", "debug", "run", config, "--report", report, **environ)
     service.says("ready:")
     said = {
+        "page": asked(json.loads(config.read_text())["http"]["port"]),
         "status": say("mission", "status", config, "--json"),
         "new": say("mission", "new", config, "go to the bed"),
         "swap": say("models", "use", config, "no-such-model"),
@@ -107,7 +121,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
         "broken file": say(
             "mission", "status", config, EDGE__ZENOH__CLIENT_FILE=str(tmp_path / "broken.json5")
         ),
-        "second service": say("run", config),
+        "second service": say("run", config, EDGE__HTTP__PORT="null"),
         "doctor": say("doctor", config),
         "doctor --json": say("doctor", config, "--json"),
         "config": say("config", config),
@@ -123,6 +137,7 @@ def test_no_secret_is_told(edge, config, tmp_path, environ, say):
     said["arguments"] = json.dumps(arguments)
     # Each came as far as its secret.
     for name, words in {
+        "page": '"state": "running"',
         "status": '"phase"',
         "new": "refused: ",
         "swap": "no-such-model",

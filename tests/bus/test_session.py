@@ -90,8 +90,10 @@ def test_who_connects_waits_until_somebody_comes(free_endpoint):
 def test_waiting_can_be_stopped(free_endpoint):
     stop = threading.Event()
     stop.set()
+    told = []
     with pytest.raises(Stopped, match=f"nobody was at {free_endpoint}"):
-        bus.open_session(Zenoh(endpoint=free_endpoint), "connect", stop)
+        bus.open_session(Zenoh(endpoint=free_endpoint), "connect", stop, tell=told.append)
+    assert told == [f"waiting for somebody at {free_endpoint}"]
 
 
 @pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:port", "carrier-pigeon/home"])

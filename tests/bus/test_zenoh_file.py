@@ -10,8 +10,17 @@ import pytest
 
 from edge.bus import zenoh_file
 from edge.bus.session import BusError, open_session, session_config
-from edge.bus.zenoh_file import get, open_to, others_can_read, parameters
+from edge.bus.zenoh_file import (
+    certificates,
+    get,
+    open_to,
+    others_can_read,
+    parameters,
+    secrets,
+    shuts_all_out,
+)
 from edge.config import ConfigError, Zenoh, parse
+from edge.host.credentials import COPIES
 from edge.host.resources import data_dir
 
 OURS = "tcp/127.0.0.1:17447"
@@ -69,6 +78,23 @@ def test_what_the_file_says_counts_more_than_our_defaults(settings, key):
         text = f"{{{part}: {text}}}"
     assert of(settings(text), "listen", key) == theirs
     assert of(settings("{}"), "listen", key) == ours
+
+
+@pytest.mark.parametrize(
+    ("text", "role", "mode", "stamps"),
+    [
+        # A publisher that keeps its last message, as a ROS 2 node's for its map, wants stamps.
+        ("{}", "connect", "peer", True),
+        ("{}", "listen", "client", True),
+        ("{}", "listen", "peer", False),
+        ("{timestamping: {enabled: true}}", "listen", "peer", True),
+        ("{timestamping: {enabled: false}}", "connect", "peer", False),
+    ],
+)
+def test_clients_stamp_what_they_send_unless_the_file_says_otherwise(
+    settings, text, role, mode, stamps
+):
+    assert of(settings(text, mode=mode), role, "timestamping/enabled") is stamps
 
 
 @pytest.mark.parametrize(("here", "there"), [(True, False), (False, True), (True, True)])
@@ -197,22 +223,77 @@ def test_what_is_open_to_strangers(settings, endpoint, text, open_):
     assert open_to(session_config(settings(text, endpoint=endpoint), "listen")) == open_
 
 
+KEYS = """{transport: {
+  link: {tls: {listen_private_key: "{at}/service.key", listen_certificate: "{at}/service.crt"}},
+  auth: {usrpwd: {dictionary_file: "{at}/users.txt"}},
+}}"""
+
+
+def secret_paths(settings: Zenoh, role: str = "listen") -> list[str]:
+    return others_can_read(session_config(settings, role), "zenoh.file", settings.file)
+
+
 def test_secrets_that_others_can_read(settings, tmp_path):
-    key, users = tmp_path / "service.key", tmp_path / "users.txt"
-    for file in (key, users):
-        file.touch(0o600)
-    said = settings(
-        f'{{transport: {{link: {{tls: {{listen_private_key: "{key}"}}}}, '
-        f'auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}'
-    )
-    assert others_can_read(session_config(said, "listen"), said.file) == []
-    os.chmod(users, 0o604)
-    assert others_can_read(session_config(said, "listen"), said.file) == [str(users)]
-    said = settings(PASSWORD % "")
+    for name in ("service.key", "users.txt"):
+        (tmp_path / name).touch(0o600)
+    (tmp_path / "service.crt").touch(0o644)
+    said = settings(KEYS.replace("{at}", str(tmp_path)))
+    assert secret_paths(said) == []
+    (tmp_path / "users.txt").chmod(0o604)
+    assert secret_paths(said) == [str(tmp_path / "users.txt")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [PASSWORD % "", '{transport: {link: {tls: {connect_private_key_base64: "SENTINEL"}}}}'],
+)
+def test_a_file_with_a_secret_in_it_is_one(settings, text):
+    said = settings(text)
     os.chmod(said.file, 0o604)
-    assert others_can_read(session_config(said, "connect"), said.file) == [said.file]
+    assert secret_paths(said, "connect") == [said.file]
     os.chmod(said.file, 0o600)
-    assert others_can_read(session_config(said, "connect"), said.file) == []
+    assert secret_paths(said, "connect") == []
+
+
+def test_what_the_service_manager_hands_over_is_taken_in_the_place_of_files(
+    settings, tmp_path, monkeypatch
+):
+    said = settings(KEYS.replace("{at}", "/root/only"))
+    copies = tmp_path / "copies"
+    copies.mkdir()
+    (copies / "listen_private_key").touch()
+    monkeypatch.setenv(COPIES, str(copies))
+    found = session_config(said, "listen")
+    assert secrets(found, "zenoh.file", said.file) == {
+        "listen_private_key": str(copies / "listen_private_key"),
+        "dictionary_file": "/root/only/users.txt",
+    }
+    assert certificates(found) == ["/root/only/service.crt"]
+    (copies / "zenoh.file.json5").write_text('{namespace: "of/the/copy"}')
+    assert of(said, "listen", "namespace") == "of/the/copy"
+
+
+RULES = """{access_control: {enabled: %s, default_permission: "%s", rules: [
+  {id: "a", permission: "%s", flows: ["ingress"], messages: ["put"], key_exprs: ["edge/*", "x"]},
+], subjects: [{id: "all"}], policies: [{subjects: ["all"], rules: ["a"]}]}}"""
+
+
+@pytest.mark.parametrize(
+    ("text", "prefix", "shut"),
+    [
+        ("{}", "edge", False),
+        (RULES % ("true", "deny", "allow"), "edge", False),
+        (RULES % ("true", "deny", "allow"), "robots/a", True),
+        (RULES % ("true", "deny", "deny"), "edge", True),
+        (RULES % ("true", "allow", "deny"), "robots/a", False),
+        (RULES % ("false", "deny", "allow"), "robots/a", False),
+    ],
+)
+def test_rules_for_another_prefix_are_noticed(settings, text, prefix, shut, caplog):
+    said = settings(text, prefix=prefix, endpoint="tcp/127.0.0.1:0")
+    assert shuts_all_out(session_config(said, "listen"), prefix) is shut
+    open_session(said, "listen").close()
+    assert (f"nothing below {prefix}/" in caplog.text) is shut
 
 
 @pytest.mark.parametrize(

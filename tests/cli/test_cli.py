@@ -11,14 +11,18 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from simulated import simulated
 
 from edge.bus.session import BusError
+from edge.cli import commands as run_commands
 from edge.cli import main as cli
 from edge.cli.main import main
 from edge.cli.parsers import make_parser
@@ -287,6 +291,20 @@ def test_what_a_command_ends_with_says_how(outcome, code, monkeypatch):
     monkeypatch.setattr("edge.cli.commands.run_service", run_service)
     assert main(["run", "demo"]) == code
     assert code > 128 or code in EXIT_CODES
+
+
+@pytest.mark.parametrize(
+    ("once", "phase", "code"),
+    [(True, "failed", FAILED), (True, "reached", 0), (False, "failed", 0), (False, "reached", 0)],
+)
+def test_a_service_that_is_told_to_stop_has_not_failed_with_its_mission(
+    once, phase, code, monkeypatch
+):
+    mission = SimpleNamespace(phase=phase)
+    record = SimpleNamespace(latency=SimpleNamespace(table=str), mission=mission)
+    monkeypatch.setattr(run_commands, "_serve", lambda *_: record)
+    monkeypatch.setattr(run_commands, "summary", lambda status: status.phase)
+    assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
 
 
 def test_the_exit_codes_are_told():

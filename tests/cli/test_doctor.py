@@ -200,6 +200,32 @@ def test_who_may_come_in(tmp_path):
     assert levels(doctor.check_strangers, shut) == []
 
 
+def test_rules_that_are_for_another_prefix_are_told():
+    rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
+    for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
+        settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})
+        assert levels(doctor.check_strangers, settings) == expected
+
+
+def test_what_is_wrong_with_the_certificate_is_told(monkeypatch):
+    monkeypatch.setattr("edge.bus.certificate.judge", lambda found: "a.crt: runs out in 3 days")
+    (finding,) = doctor.check_strangers(SIM)
+    assert finding.level == "warn"
+    assert finding.what == "listen_certificate: a.crt: runs out in 3 days"
+
+
+def test_the_token_of_the_pages_is_looked_at(tmp_path):
+    token = tmp_path / "token"
+    settings = simulated({"http": {"token_file": str(token)}})
+    assert [f.level for f in doctor.examine(settings) if str(token) in f.what] == ["fail"]
+    token.write_text("0123456789abcdef")
+    token.chmod(0o604)
+    (finding,) = doctor.check_strangers(settings)
+    assert (finding.level, finding.todo) == ("warn", f"chmod o= {token}")
+    token.chmod(0o600)
+    assert levels(doctor.check_strangers, settings) == []
+
+
 def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     settings = simulated({"zenoh": {"file": "gone.json5"}})
     findings = [f for f in doctor.examine(settings) if "gone.json5" in f.what]

@@ -17,7 +17,7 @@ from edge.cli import install_service
 from edge.cli.install_service import unit
 from edge.cli.main import main
 from edge.config import Config
-from edge.errors import EXIT_CODES, WILL_NOT_MEND, UserError
+from edge.errors import EXIT_CODES, WILL_NOT_MEND, ConfigError, UserError
 
 MOST_EXPOSED = 2.0
 ANALYZE = pytest.mark.skipif(
@@ -99,6 +99,8 @@ def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
     (codes,) = lines(unit(settings(), "edge", None), "RestartPreventExitStatus")
     assert tuple(map(int, codes.split())) == WILL_NOT_MEND
     assert set(WILL_NOT_MEND) < EXIT_CODES.keys()
+    page = (Path(__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
+    assert " ".join(page.split()).count("not after {}, {} and {}".format(*WILL_NOT_MEND)) == 1
 
 
 @pytest.mark.parametrize(
@@ -128,8 +130,9 @@ def test_groups_that_are_not_here_are_not_asked_for(monkeypatch, anywhere):
 
 
 @pytest.fixture
-def private(tmp_path) -> Path:
-    """A configuration in a folder that its owner alone can read."""
+def private(tmp_path, monkeypatch) -> Path:
+    """A configuration in a folder that its owner alone can read, and that is no temporary one."""
+    monkeypatch.setattr(install_service, "_TEMPORARY", ())
     folder = tmp_path / "mine"
     folder.mkdir(mode=0o700)
     file = folder / "robot.yaml"
@@ -143,6 +146,13 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
     assert "\n" not in str(caught.value)
 
 
+def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
+    me = pwd.getpwuid(os.getuid()).pw_name
+    monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))
+    with pytest.raises(UserError, match=r"robot.yaml: the service has a /tmp of its own; put"):
+        unit(settings(private), "edge", me)
+
+
 def test_who_owns_it_may_run_it(private):
     me = pwd.getpwuid(os.getuid()).pw_name
     assert lines(unit(settings(private), "edge", me), "User") == [me]
@@ -151,6 +161,74 @@ def test_who_owns_it_may_run_it(private):
 def test_a_user_who_is_not_there_is_refused():
     with pytest.raises(UserError, match=r"^--user: 'no-such-user': there is no such user here$"):
         unit(settings(), "edge", "no-such-user")
+
+
+@pytest.fixture
+def secure(tmp_path) -> dict[str, dict]:
+    """Sections that name files with secrets, which are there."""
+    for name in ("service.key", "users.txt", "ca.crt", "http.token"):
+        (tmp_path / name).touch(0o600)
+    (tmp_path / "service.json5").write_text(f"""{{transport: {{
+      link: {{tls: {{listen_private_key: "{tmp_path}/service.key",
+                     root_ca_certificate: "{tmp_path}/ca.crt"}}}},
+      auth: {{usrpwd: {{dictionary_file: "{tmp_path}/users.txt"}}}},
+    }}}}""")
+    return {
+        "zenoh": {"file": str(tmp_path / "service.json5")},
+        "http": {"token_file": str(tmp_path / "http.token")},
+    }
+
+
+@ANALYZE
+def test_secrets_are_handed_over_and_stay_roots(secure, tmp_path, anywhere):
+    text = unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+    assert lines(text, "LoadCredential") == [
+        f"listen_private_key:{tmp_path}/service.key",
+        f"dictionary_file:{tmp_path}/users.txt",
+        f"http.token_file:{tmp_path}/http.token",
+    ]
+    done = analyze("verify", text, tmp_path)
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+def test_what_is_no_secret_must_be_readable(secure, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(install_service, "_check_readable", lambda paths, user: asked.extend(paths))
+    unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+    assert {tmp_path / "ca.crt", tmp_path / "service.json5"} < set(asked)
+    assert not {tmp_path / "service.key", tmp_path / "http.token"} & set(asked)
+
+
+def test_a_zenoh_file_with_a_password_is_handed_over_itself(tmp_path, anywhere):
+    file = tmp_path / "client.json5"
+    file.write_text('{transport: {auth: {usrpwd: {user: "me", password: "pw"}}}}')
+    config = simulated({"zenoh": {"file": str(file), "mode": "client"}}, "/etc/edge/robot.yaml")
+    assert lines(unit(config, "edge", None), "LoadCredential") == [f"zenoh.file.json5:{file}"]
+
+
+def test_relative_paths_are_the_services_own(secure, anywhere):
+    secure["zenoh"] = {"file": "service.json5"}
+    with pytest.raises(ConfigError, match=r"^zenoh.file: /var/lib/edge/service.json5: no such"):
+        unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+
+
+def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
+    (tmp_path / "http.token").unlink()
+    with pytest.raises(UserError, match=r"^http.token_file: .*http.token: no such file"):
+        unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
+
+
+@pytest.mark.parametrize(
+    ("checkpoint", "is_taken"),
+    [("mission.json", True), ("/var/lib/edge/mission.json", True), ("/data/mission.json", False)],
+)
+def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken, anywhere):
+    config = simulated({"mission": {"checkpoint": checkpoint}}, "/etc/edge/robot.yaml")
+    if is_taken:
+        unit(config, "edge", None)
+        return
+    with pytest.raises(UserError, match=r"^mission.checkpoint: /data.*below /var/lib/edge alone"):
+        unit(config, "edge", None)
 
 
 def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsys):

@@ -12,14 +12,15 @@ import pytest
 from patience import PATIENCE_S
 
 from edge.errors import UnavailableError
+from edge.host.credentials import Token
 from edge.host.pages import MOST_OPEN, Page, json_page, serve
 
 HERE = "127.0.0.1"
 
 
-def ask(port: int, path: str, method: str = "GET") -> tuple[int, bytes]:
+def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes]:
     connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
-    connection.request(method, path)
+    connection.request(method, path, headers=headers)
     answer = connection.getresponse()
     body = answer.read()
     connection.close()
@@ -52,6 +53,33 @@ def test_pages_are_made_when_they_are_asked_for():
         ask(port, "/down")
 
 
+@pytest.mark.parametrize(
+    ("path", "stranger", "known"),
+    [
+        ("/probe", (503, b""), (503, b"why")),
+        ("/page", (401, b"who asks must know the token\n"), (200, b"secret")),
+        ("/else", (401, b"who asks must know the token\n"), (404, None)),
+    ],
+)
+def test_without_the_token_probes_tell_their_status_and_nothing_else_is_told(path, stranger, known):
+    pages = {
+        "/probe": lambda: Page(b"why", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
+        "/page": lambda: Page(b"secret", "text/plain"),
+    }
+    with serve(pages, HERE, 0, Token(b"right"), ("/probe",)) as port:
+        assert ask(port, path) == ask(port, path, Authorization="Bearer wrong") == stranger
+        status, body = ask(port, path, Authorization="Bearer right")
+        assert (status, body if known[1] else None) == known
+
+
+def test_whoever_is_refused_is_told_how_to_ask():
+    with serve({}, HERE, 0, Token(b"right")) as port:
+        connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
+        connection.request("GET", "/")
+        assert connection.getresponse().getheader("WWW-Authenticate") == 'Bearer realm="edge"'
+        connection.close()
+
+
 def test_those_who_keep_connections_open_lock_nobody_out():
     with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
         idle = [socket.create_connection((HERE, port)) for _ in range(3 * MOST_OPEN)]
@@ -72,6 +100,15 @@ def test_nonsense_is_refused(nonsense):
             with suppress(ConnectionResetError):  # what it has not read, it does not wait for
                 assert b"here" not in sock.recv(1 << 16)
         assert ask(port, "/") == (200, b"here")
+
+
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 64])
+def test_a_host_that_is_none_is_one_line(host):
+    with (
+        pytest.raises(UnavailableError, match=rf"^http.port: cannot listen on {host} port "),
+        serve({}, host, 0),
+    ):
+        pass
 
 
 def test_a_port_that_is_taken_is_one_line_with_what_to_do():

@@ -1,4 +1,4 @@
-"""Ports for a service of one's own: free, and out of the way of outgoing connections."""
+"""Ports for a service of one's own: free, and out of the way of outgoing connections; addresses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from edge.host import ports
-from edge.host.ports import free_port
+from edge.host.ports import free_port, is_loopback
 
 
 def test_a_port_can_be_bound_and_no_outgoing_connection_gets_it(monkeypatch, tmp_path):
@@ -38,3 +38,21 @@ def test_a_port_that_is_taken_is_not_given(monkeypatch, tmp_path):
         monkeypatch.setattr(ports, "EPHEMERAL", tmp_path / "range")
         ports.EPHEMERAL.write_text(f"{port + 1} 65535")
         assert free_port() != port
+
+
+@pytest.mark.parametrize(
+    ("host", "own"),
+    [
+        ("127.0.0.1", True),
+        ("127.9.9.9", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("::", False),
+        ("192.168.1.2", False),
+        ("robot.local", False),
+        ("", False),
+    ],
+)
+def test_which_addresses_are_this_machines_own(host, own):
+    assert is_loopback(host) is own

@@ -1,7 +1,7 @@
 """A service as Zenoh sees it: `python secure_peer.py SETTINGS`, the section `zenoh` as JSON.
 
-Sends on every key of the project again and again, and prints `put KEY` or `query KEY` for whatever
-reaches it from others.
+Sends on every key of the project again and again, and prints `put KEY PAYLOAD` or `query KEY
+PAYLOAD` for whatever reaches it from others.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def main(text: str) -> None:
         print("ready", flush=True)
         while True:
             while (sample := heard.try_recv()) is not None:
-                print("put", sample.key_expr, flush=True)
+                print("put", sample.key_expr, sample.payload.to_string(), flush=True)
             for queryable in asked:
                 while (query := queryable.try_recv()) is not None:
-                    print("query", query.key_expr, flush=True)
+                    print("query", query.key_expr, query.payload.to_string(), flush=True)
                     with query:
                         query.reply(query.key_expr, b"{}")
             for key in keys:

@@ -19,6 +19,7 @@ import pytest
 import zenoh
 from edge_processes import LOCKSTEP, write_config
 from patience import PATIENCE_S, eventually
+from secure_files import PAGE, ROOT, etc_edge, out_of_date, page_commands, page_section
 
 from edge.bus import client, topics
 from edge.bus.session import open_session
@@ -26,58 +27,34 @@ from edge.config import Zenoh
 from edge.config.yaml_text import parse_yaml
 from edge.host.ports import free_port
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
 PEER = Path(__file__).with_name("secure_peer.py")
-CLIENTS = ("robot", "controller", "operator", "recorder")
-USERS = {who: f"pw-of-{who}" for who in CLIENTS}
 IDLE = 120  # more than Zenoh's own limit of 100
 
-# What each may send, ask and hear, of all keys of the project.
-REQUESTS = {f"edge/{key}" for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)}
-EVERY = {f"edge/{topic.key}" for topic in topics.ALL}
-BY_SENSORS = {f"edge/{t.key}" for t in topics.ALL if t.writer in ("sensors", "simulator")}
-BY_CONTROLLER = {f"edge/{t.key}" for t in topics.ALL if t.writer == "controller"}
-BY_SERVICE = {f"edge/{t.key}" for t in topics.ALL if t.writer == "service"}
-MAY_PUT = {"robot": BY_SENSORS, "controller": BY_CONTROLLER, "operator": set(), "recorder": set()}
-MAY_ASK = {"robot": set(), "controller": set(), "operator": REQUESTS, "recorder": set()}
+# What each may send, ask and hear, of all keys of the project, below the prefix.
+REQUESTS = {topics.MISSION_REQUEST, topics.MODELS_REQUEST}
+EVERY = {topic.key for topic in topics.ALL}
+BY_SENSORS = {t.key for t in topics.ALL if t.writer in ("sensors", "simulator")}
+BY_CONTROLLER = {t.key for t in topics.ALL if t.writer == "controller"}
+BY_SERVICE = {t.key for t in topics.ALL if t.writer == "service"}
+MAY_PUT = {
+    "robot": BY_SENSORS,
+    "controller": BY_CONTROLLER,
+    "adapter": BY_SENSORS | {"goal_status"},
+    "operator": set(),
+    "recorder": set(),
+}
+MAY_ASK = {who: REQUESTS if who == "operator" else set() for who in MAY_PUT}
 MAY_HEAR = {
-    "robot": BY_SERVICE | {"edge/cmd_vel"},
-    "controller": BY_SERVICE | {"edge/odom"},
+    "robot": BY_SERVICE | {"cmd_vel"},
+    "controller": BY_SERVICE | {"odom"},
+    "adapter": BY_SERVICE,
     "operator": BY_SERVICE,
     "recorder": EVERY,
 }
 
 
-def commands_of_the_page(folder: Path, *containing: str) -> None:
-    """Run its blocks, with `folder` for `/etc/edge`; the working directory is the project's."""
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    for text in containing:
-        (block,) = (block for block in blocks if text in block)
-        script = "set -eu\n" + block.replace("/etc/edge", str(folder))
-        subprocess.run(["bash", "-c", script], cwd=ROOT, check=True, capture_output=True)
-
-
-def etc_edge(folder: Path) -> Path:
-    """What is in `/etc/edge` once the page was followed, and what it says for users."""
-    commands_of_the_page(folder, "cp config/secure", "openssl req", "sed s/operator")
-    commands = "sed s/operator/recorder/ /etc/edge/client.json5 > /etc/edge/recorder.json5"
-    subprocess.run(["bash", "-c", commands.replace("/etc/edge", str(folder))], check=True)
-    shutil.copy(folder / "client.json5", folder / "operator.json5")
-    (folder / "users.txt").write_text("".join(f"{u}:{p}\n" for u, p in USERS.items()))
-    text = (folder / "password-client.json5").read_text()
-    for user, password in USERS.items():
-        own = text.replace('"operator"', f'"{user}"').replace("of the operator", password)
-        (folder / f"password-{user}.json5").write_text(own)
-    for file in folder.glob("*.json5"):
-        file.write_text(file.read_text().replace("/etc/edge", str(folder)))
-    return folder
-
-
 @pytest.fixture(scope="module")
 def etc(tmp_path_factory) -> Path:
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl makes the certificates, and is not there")
     return etc_edge(tmp_path_factory.mktemp("etc-edge"))
 
 
@@ -87,15 +64,16 @@ def elsewhere(tmp_path_factory, etc) -> Path:
     return etc_edge(tmp_path_factory.mktemp("elsewhere"))
 
 
-def settings_of(etc: Path, kind: str, port: int) -> Callable[[str], Zenoh]:
+def settings_of(etc: Path, kind: str, port: int, prefix: str = "edge") -> Callable[[str], Zenoh]:
     """The section `zenoh` of the service, and of each client."""
-    protocol, prefix = ("tls", "") if kind == "certificates" else ("tcp", "password-")
+    protocol, start = ("tls", "") if kind == "certificates" else ("tcp", "password-")
 
     def of(who: str) -> Zenoh:
         return Zenoh(
             endpoint=f"{protocol}/127.0.0.1:{port}",
-            file=str(etc / f"{prefix}service.json5"),
-            client_file=str(etc / f"{prefix}{who}.json5"),
+            file=str(etc / f"{start}service.json5"),
+            client_file=str(etc / f"{start}{who}.json5"),
+            prefix=prefix,
             shared_memory=False,
         )
 
@@ -113,11 +91,11 @@ class Service:
         assert self.process.stdout.readline() == "ready\n"
 
     def end(self) -> set[tuple[str, ...]]:
-        """All that has reached it."""
+        """All that has reached it: (`put` or `query`, key, payload)."""
         self.process.terminate()
         said = self.process.stdout.read()
         self.process.wait(PATIENCE_S)
-        return {tuple(line.split()) for line in said.splitlines()}
+        return {tuple(line.split(maxsplit=2)) for line in said.splitlines()}
 
 
 @contextmanager
@@ -130,44 +108,55 @@ def service(settings: Zenoh) -> Iterator[Service]:
         running.process.wait()
 
 
-@pytest.mark.parametrize("kind", ["certificates", "passwords"])
-def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind):
-    of = settings_of(etc, kind, free_port())
-    reached, heard = {}, {}
-    for who in CLIENTS:
-        with service(of("robot")) as running, open_session(of(who), "connect") as session:
-            rings = {
-                key: session.declare_subscriber(
-                    key, zenoh.handlers.RingChannel(8), allowed_origin=zenoh.Locality.REMOTE
-                )
-                for key in EVERY
-            }
-            counts = dict.fromkeys(EVERY, 0)
-
-            def hear(rings=rings, counts=counts) -> bool:
-                for key, ring in rings.items():
-                    while ring.try_recv() is not None:
-                        counts[key] += 1
-                return all(counts[key] >= 5 for key in MAY_HEAR[who])  # noqa: B023
-
-            eventually(hear, f"{who} does not hear what it may")
-            heard[who] = {key for key, n in counts.items() if n}
-            for _ in range(3):
-                for key in EVERY:
-                    session.put(key, b"spoofed")
-                for key in REQUESTS:
-                    answers = list(session.get(key, payload=b"{}", timeout=PATIENCE_S))
-                    assert bool(answers) == (key in MAY_ASK[who]), (who, key)
-                time.sleep(0.1)
-            session.close()
-            time.sleep(0.2)
-            reached[who] = running.end()
-    expected = {
-        who: {("put", k) for k in MAY_PUT[who]} | {("query", k) for k in MAY_ASK[who]}
-        for who in CLIENTS
-    }
-    assert reached == expected
+@pytest.mark.parametrize(
+    ("kind", "prefix"),
+    [("certificates", "edge"), ("passwords", "edge"), ("certificates", "robots/a")],
+)
+def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind, prefix, tmp_path):
+    if prefix != "edge":
+        etc = shutil.copytree(etc, tmp_path / "etc")
+        page_commands(etc, "sed -i")
+    of = settings_of(etc, kind, free_port(), prefix)
+    heard = {}
+    with service(of("robot")) as running:
+        for who in MAY_PUT:
+            with open_session(of(who), "connect") as session:
+                heard[who] = heard_by(session, prefix, MAY_HEAR[who])
+                for _ in range(3):
+                    for key in EVERY:
+                        session.put(f"{prefix}/{key}", who)
+                    for key in REQUESTS:
+                        asked = session.get(f"{prefix}/{key}", payload=who, timeout=PATIENCE_S)
+                        assert bool(list(asked)) == (key in MAY_ASK[who]), (who, key)
+                    time.sleep(0.1)
+        time.sleep(0.2)
+        reached = running.end()
+    puts = {("put", f"{prefix}/{key}", who) for who, keys in MAY_PUT.items() for key in keys}
+    asks = {("query", f"{prefix}/{key}", who) for who, keys in MAY_ASK.items() for key in keys}
+    assert reached == puts | asks
     assert heard == MAY_HEAR
+
+
+def heard_by(session: zenoh.Session, prefix: str, least: set[str]) -> set[str]:
+    """The keys that it hears something on, once it has heard enough on each of the `least`."""
+    rings = {
+        key: session.declare_subscriber(
+            f"{prefix}/{key}",
+            zenoh.handlers.RingChannel(8),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        for key in EVERY
+    }
+    counts = dict.fromkeys(EVERY, 0)
+
+    def hear() -> bool:
+        for key, ring in rings.items():
+            while ring.try_recv() is not None:
+                counts[key] += 1
+        return all(counts[key] >= 5 for key in least)
+
+    eventually(hear, "it does not hear what it may")
+    return {key for key, n in counts.items() if n}
 
 
 def refusal(settings: Zenoh) -> str:
@@ -196,8 +185,10 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
     gone = tmp_path / "gone.json5"
     gone.write_text((etc / "operator.json5").read_text().replace("operator.key", "gone.key"))
     at = f"tls/127.0.0.1:{port}"
+    old = out_of_date(etc, "operator.json5", "operator", "clientAuth")
     known = of("operator")
     strangers = {
+        "our certificate is out of date": known.model_copy(update={"client_file": str(old)}),
         "it wants a certificate": known.model_copy(update={"client_file": str(bare)}),
         "it does not trust who signed our certificate": known.model_copy(
             update={"client_file": str(mixed)}
@@ -216,7 +207,7 @@ def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
             assert told in said
         with open_session(known, "connect") as session:
             assert client.ask(session, "edge/mission/request", {}, PATIENCE_S, "mission") == {}
-        assert running.end() == {("query", "edge/mission/request")}
+        assert running.end() == {("query", "edge/mission/request", "{}")}
 
 
 def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
@@ -229,6 +220,14 @@ def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
     posing.write_text(text)
     with service(known.model_copy(update={"file": str(posing)})):
         assert "its certificate is not trusted" in refusal(known)
+
+
+def test_a_service_whose_certificate_is_out_of_date_is_told_apart(etc):
+    known = settings_of(etc, "certificates", free_port())("operator")
+    old = out_of_date(etc, "service.json5", "service", "serverAuth")
+    with service(known.model_copy(update={"file": str(old)})):
+        said = refusal(known)
+    assert "its certificate is out of date, or the clock here is wrong" in said
 
 
 def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
@@ -268,8 +267,7 @@ def test_idle_connections_keep_nobody_out(etc, kind):
 def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
     """Each process with a certificate of its own; a stranger who lies changes nothing."""
     port = free_port()
-    (section,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
-    section = section.replace("/etc/edge", str(etc)).replace("7447", str(port))
+    section = page_section("0.0.0.0:7447", etc).replace("7447", str(port))
     config = write_config(tmp_path, **parse_yaml(section))
     reached = {**LOCKSTEP, "EDGE__ZENOH__ENDPOINT": f"tls/localhost:{port}"}
     service = edge("run", config, "--once", **LOCKSTEP).says("ready:")

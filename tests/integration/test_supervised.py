@@ -21,6 +21,7 @@ from patience import PATIENCE_S
 from edge.host.ports import free_port
 
 WATCHDOG_S = 2.0
+TOKEN = "a token of more than sixteen letters".replace(" ", "-")
 HANGING = """
 import pathlib, threading
 
@@ -31,6 +32,14 @@ class Hanging:
 
     def close(self): ...
 """
+
+
+@pytest.fixture(autouse=True)
+def _not_under_nohup() -> Iterator[None]:
+    """Where the tests themselves do, their children would ignore SIGHUP, too."""
+    before = signal.signal(signal.SIGHUP, lambda signum, frame: None)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 class Manager:
@@ -84,11 +93,15 @@ def change(config: Path, **sections: dict) -> None:
     config.write_text(json.dumps({**json.loads(config.read_text()), **sections}))
 
 
-def supervised(edge, config: Path, manager: Manager, **environ: str) -> Edge:
-    service = edge(
+def started(edge, config: Path, manager: Manager, **environ: str) -> Edge:
+    return edge(
         "run", config, NOTIFY_SOCKET=str(manager.path), PYTHONPATH=f"{config.parent}:{_path()}",
         WATCHDOG_USEC=str(int(WATCHDOG_S * 1e6)), **environ,
     )  # fmt: skip
+
+
+def supervised(edge, config: Path, manager: Manager, **environ: str) -> Edge:
+    service = started(edge, config, manager, **environ)
     manager.hears("READY=1")
     return service
 
@@ -113,7 +126,12 @@ def test_a_loop_that_hangs_gives_no_sign_of_life_though_its_process_lives(
     edge, config, manager, tmp_path
 ):
     port = free_port()
-    service = supervised(edge, config, manager, EDGE__HTTP__PORT=str(port))
+    (tmp_path / "http.token_file").write_text(TOKEN)
+    service = supervised(
+        edge, config, manager, EDGE__HTTP__PORT=str(port), EDGE__HTTP__TOKEN_FILE="/root/only",
+        CREDENTIALS_DIRECTORY=str(tmp_path),
+    )  # fmt: skip
+    assert answer(port, "/readyz") == (503, b""), "a probe has no token"
     assert asked(port, "/healthz") == (200, [])
     assert asked(port, "/readyz") == (503, ["nothing to be seen"])
     manager.hears("WATCHDOG=1")
@@ -127,16 +145,28 @@ def test_a_loop_that_hangs_gives_no_sign_of_life_though_its_process_lives(
 
 
 def asked(port: int, path: str) -> tuple[int, list[str]]:
+    """Status, and why."""
+    status, body = answer(port, path, Authorization=f"Bearer {TOKEN}")
+    return status, json.loads(body)["why"]
+
+
+def answer(port: int, path: str, **headers: str) -> tuple[int, bytes]:
     connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    said = json.loads(answer.read())
+    connection.request("GET", path, headers=headers)
+    said = connection.getresponse()
+    body = said.read()
     connection.close()
-    return answer.status, said["why"]
+    return said.status, body
 
 
 def test_a_hang_up_switches_all_that_changed_or_nothing(edge, config, manager):
-    service = supervised(edge, config, manager)
+    service = started(edge, config, manager)
+    manager.hears("STATUS=loading the detector")
+    mission = json.loads(config.read_text())["mission"]
+    change(config, mission={**mission, "reach_m": 0.8})
+    service.process.send_signal(signal.SIGHUP)
+    manager.hears("READY=1")
+    assert reloaded(manager) == "switched: mission.reach_m", "what is asked early is done later"
     good = {"policy": {"kind": "nearest_frontier"},
             "perception": {"detector": {"kind": "sim"}, "tau_det": 0.4}}  # fmt: skip
     change(config, **good)
@@ -153,6 +183,10 @@ def test_a_hang_up_switches_all_that_changed_or_nothing(edge, config, manager):
 def reload(service: Edge, manager: Manager) -> str:
     """What came of it, as `systemctl status` says."""
     service.process.send_signal(signal.SIGHUP)
+    return reloaded(manager)
+
+
+def reloaded(manager: Manager) -> str:
     manager.hears("RELOADING=1")
     manager.hears("READY=1")
     return manager.hears("STATUS=").partition("; reload: ")[2]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
+from fnmatch import fnmatch
+from itertools import chain, repeat
+from pathlib import Path
 
 import pytest
 from patience import eventually
@@ -35,11 +39,11 @@ class Bench:
         self.reads: Callable[[], Config] = lambda: first
         self.reloader = Reloader(self.service, lambda: self.reads(), self.asked)
 
-    def reload(self, reads: Config | Exception) -> str:
+    def reload(self, reads: Config | BaseException) -> str:
         """Its outcome."""
 
         def reread() -> Config:
-            if isinstance(reads, Exception):
+            if isinstance(reads, BaseException):
                 raise reads
             return reads
 
@@ -70,6 +74,20 @@ def test_nothing_is_done_unasked(bench):
 
 def test_nothing_has_changed(bench):
     assert bench.reload(config()) == "nothing has changed"
+
+
+def test_one_that_is_asked_for_during_another_comes_after_it(bench):
+    bench.asked.set()
+
+    def reread() -> Config:
+        bench.asked.set()  # the file was changed again when it had been read
+        bench.reads = lambda: config(perception={"tau_det": 0.45})
+        return config(perception={"tau_det": 0.4})
+
+    bench.reads = reread
+    eventually(lambda: bench.reloader.step(0) or bench.service.tracker.config.tau_det == 0.4)
+    assert not bench.reloader.busy
+    eventually(lambda: bench.reloader.step(0) or bench.service.tracker.config.tau_det == 0.45)
 
 
 def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
@@ -128,6 +146,7 @@ def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(bench, s
     [
         (ConfigError("a.yaml: x: unknown key\na.yaml: y: missing"), "x: unknown key; a.yaml: y:"),
         (RuntimeError("bad\x1bness"), "RuntimeError: bad ness"),
+        (SystemExit(1), "it raised SystemExit"),  # of a policy's module
     ],
 )
 def test_a_configuration_that_cannot_be_read_is_refused(bench, error, says):
@@ -148,10 +167,15 @@ def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
 
 def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, monkeypatch):
     """The swapper's own rules are tested with the swapper; here its verdict is played."""
-    said = {"state": "loading", "detail": ""}
+    said = {"state": "idle", "detail": ""}
     asked = []
+
+    def request(self, *words: object) -> None:
+        asked.append(words)
+        said["state"] = "loading"
+
     monkeypatch.setattr(swapper.Swapper, "status", lambda self: said)
-    monkeypatch.setattr(swapper.Swapper, "request", lambda self, *words: asked.append(words))
+    monkeypatch.setattr(swapper.Swapper, "request", request)
     new = config(perception={"detector": {"kind": "onnx", "model": "new"}, "tau_det": 0.4})
     bench.reads = lambda: new
     bench.asked.set()
@@ -166,6 +190,28 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
     assert bench.reloader.outcome == "switched: perception.detector, perception.tau_det"
     assert bench.service.tracker.config.tau_det == 0.4
     assert bench.service.swapper.perception is new.perception
+
+
+@pytest.mark.parametrize(
+    ("swap", "at_work", "says"),
+    [
+        ({"state": "on probation", "model": "new"}, ["new"], "new is still on probation; reload"),
+        ({"state": "loading", "model": "new"}, ["sim"], "new is still loading; reload again"),
+        ({"state": "kept", "model": "new"}, ["sim", "new"], "new has come meanwhile; reload again"),
+    ],
+)
+def test_while_another_model_comes_all_may_change_but_the_detector(
+    bench, monkeypatch, swap, at_work, says
+):
+    """What is at work now may be rolled back, or was not when the reload was made ready."""
+    names = chain(at_work, repeat(at_work[-1]))
+    monkeypatch.setattr(swapper.Swapper, "status", lambda self: swap)
+    monkeypatch.setattr(swapper.Swapper, "running", property(lambda self: next(names)))
+    before = bench.service.config
+    outcome = bench.reload(config(perception={"detector": {"kind": "onnx", "model": "new"}}))
+    assert outcome.startswith(f"refused, nothing has changed: perception.detector: {says}")
+    assert bench.service.config is before
+    assert bench.reload(config(perception={"tau_det": 0.4})) == "switched: perception.tau_det"
 
 
 def test_a_real_detector_is_made_anew_beside_the_one_at_work():
@@ -198,6 +244,15 @@ def test_every_live_key_is_there():
         for name in key.split("."):
             assert isinstance(section, Section)
             section = getattr(section, name)
+
+
+def test_the_page_names_them_all_and_no_other():
+    page = (Path(__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| switched"))
+    named = [name.rpartition(".")[2] for name in re.findall(r"`([\w.*]+)`", row)]
+    live = [key.rpartition(".")[2] for key in LIVE]
+    assert [key for key in live if not any(fnmatch(key, name) for name in named)] == []
+    assert [name for name in named if not any(fnmatch(key, name) for key in live)] == []
 
 
 def test_sections_that_differ():

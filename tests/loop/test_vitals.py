@@ -15,7 +15,7 @@ from edge.eval.closed_loop import ClosedLoop
 from edge.host.service_manager import ServiceManager
 from edge.loop.faults import DEGRADED_AFTER
 from edge.loop.runner import Running
-from edge.loop.vitals import HANGS_S, Vitals
+from edge.loop.vitals import HANGS_S, PROBES, Vitals
 from edge.perception.detector import Health
 from edge.perception.worker import DetectorWorker
 
@@ -63,6 +63,10 @@ def watched(tmp_path) -> Iterator[Watched]:
         listening.bind(str(tmp_path / "notify"))
         listening.setblocking(False)
         yield Watched(listening, str(tmp_path / "notify"))
+
+
+def test_every_page_is_a_probe(watched):
+    assert tuple(watched.vitals.pages()) == PROBES
 
 
 def test_a_start_is_alive_but_not_ready(watched):

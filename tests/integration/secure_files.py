@@ -1,0 +1,75 @@
+"""What docs/security.md makes in `/etc/edge`, made in another folder by the page's own commands."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
+USERS = {w: f"pw-of-{w}" for w in ("robot", "controller", "adapter", "operator", "recorder")}
+
+# A certificate that is out of date on the day that it is made, of the authority in this folder.
+OUT_OF_DATE = """
+openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=$1 \
+  -addext extendedKeyUsage=$2 -addext subjectAltName=IP:127.0.0.1 -keyout old.key -out old.csr
+openssl x509 -req -in old.csr -CA ca.crt -CAkey ca.key -CAcreateserial -copy_extensions copy \
+  -days -1 -out old.crt
+"""
+
+
+def page_commands(folder: Path, *containing: str) -> None:
+    """Run its blocks, with `folder` for `/etc/edge`; the working directory is the project's."""
+    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for text in containing:
+        (block,) = (block for block in blocks if text in block)
+        _bash(block.replace("/etc/edge", str(folder)), ROOT)
+
+
+def page_section(containing: str, folder: Path) -> str:
+    """Its section of a configuration with this text, with `folder` for `/etc/edge`."""
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (section,) = (block for block in blocks if containing in block)
+    return section.replace("/etc/edge", str(folder))
+
+
+def etc_edge(folder: Path) -> Path:
+    """What is in `/etc/edge` once the page was followed, and what it says for users."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl makes the certificates, and is not there")
+    page_commands(folder, "cp config/secure", "openssl req", "sed s/operator")
+    shutil.copy(folder / "client.json5", folder / "operator.json5")
+    (folder / "users.txt").write_text("".join(f"{u}:{p}\n" for u, p in USERS.items()))
+    text = (folder / "password-client.json5").read_text()
+    for user, password in USERS.items():
+        own = text.replace('"operator"', f'"{user}"').replace("of the operator", password)
+        (folder / f"password-{user}.json5").write_text(own)
+    for file in folder.glob("*.json5"):
+        file.write_text(file.read_text().replace("/etc/edge", str(folder)))
+    return folder
+
+
+def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
+    """A copy of one of the files of `etc` that names a certificate which is out of date.
+
+    Args:
+        whose: name of a certificate's file, in the place of which it is named.
+        use: `clientAuth` or `serverAuth`.
+    """
+    _bash(f"set -- edge-{whose} {use}\n{OUT_OF_DATE}", etc / "tls")
+    for kind in ("crt", "key"):
+        (etc / f"tls/old.{kind}").rename(etc / f"tls/old-{whose}.{kind}")
+    copy = etc / f"old-{file}"
+    copy.write_text((etc / file).read_text().replace(f"tls/{whose}.", f"tls/old-{whose}."))
+    return copy
+
+
+def _bash(script: str, folder: Path) -> None:
+    done = subprocess.run(
+        ["bash", "-c", f"set -eu\n{script}"], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
