@@ -86,24 +86,6 @@ def core_points(points, support):
 
 
 @njit(nogil=True, cache=True)
-def share_in_view(points, n, T, fx, fy, cx, cy, width, height):
-    """Share of the first `n` of (k, 3) float32 points in `map` that lie in the image; 0 if n = 0.
-
-    Args:
-        T: (4, 4) float64, optical frame from `map`.
-    """
-    inside = 0
-    for i in range(n):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        if depth > 0.0:
-            u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth + cx
-            v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth + cy
-            inside += 0.0 <= u < width and 0.0 <= v < height
-    return inside / n if n else 0.0
-
-
-@njit(nogil=True, cache=True)
 def farthest(points, x, y):
     """Greatest planar distance from (x, y) to (n, 3) points."""
     most = 0.0

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from edge import config, names
-from edge.geometry import SE2, CameraModel, invert
+from edge.geometry import SE2, invert
 from edge.perception import instance_kernels as kernels
 from edge.perception.lift import Lifted
+from edge.perception.look_kernels import AT_EDGE, HIDDEN, NO_DEPTH, WHOLE, shown, view_of
+from edge.perception.sighting_kernels import PARTIAL
 from edge.perception.sightings import SightingTracker
 from edge.types import Instance, Observation
 
@@ -31,15 +32,6 @@ REFUTE_VIEWS = 30
 SURER = 1.6
 """So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
 is seen in part, and what stands before it fills the image."""
-PARTIAL_VIEW, WHOLE = 0.25, 0.7
-"""What a look counts where an instance lies at the rim of the image or too near, or less than so
-much of its surface in the image."""
-_LOOK_MIN_M = 1.0
-"""Nearer things do not fit into the image, so not finding them says nothing."""
-_LOOK_RIM = 0.1
-"""Share of the image at each edge where not finding says nothing."""
-_OCCLUDED_M = 0.4
-"""A return this much nearer than the instance hides it."""
 _PROTECTED = ("confirmed", "refuted", "reached")
 
 
@@ -195,7 +187,9 @@ class InstanceTracker:
         if camera is None or not self._tracks:
             return []
         T = invert(observation.T_map_base @ observation.T_base_camera)
-        rows = T.tolist()
+        view = view_of(camera)
+        depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
+        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
         pose, near_m = observation.pose, self.config.confirm_range_m
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
@@ -203,18 +197,20 @@ class InstanceTracker:
             instance = track.instance
             if instance.state in ("refuted", "reached") or track.name not in asked:
                 continue
-            view = self._view(track, observation, camera, rows)
-            if view == "hidden":
+            points = instance.points_m
+            look = shown(
+                track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
+            )
+            if look == HIDDEN:
                 track.now_target = track.now_rival = 0.0
                 continue
             self._doubt(track)
             near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
             if near:
                 # A partial view says less, of what it is as of what it is not.
-                whole = view == "well" and self._in_view(track, camera, T) >= WHOLE
-                self._count_view(track, 1.0 if whole else PARTIAL_VIEW)
+                self._count_view(track, 1.0 if look == WHOLE else PARTIAL)
             track.now_target = track.now_rival = 0.0
-            if view == "partly" or track.evidence_ns >= observation.stamp_ns:
+            if look == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
                 continue
             instance.score *= DECAY
             # Some looks in vain do not undo what many confirmed: it is behind a chair, or too near.
@@ -223,41 +219,6 @@ class InstanceTracker:
         for instance_id in gone:
             self._tracks.pop(instance_id, None)
         return gone
-
-    def _view(
-        self, track: _Track, observation: Observation, camera: CameraModel, T: list[list[float]]
-    ) -> Literal["hidden", "partly", "well"]:
-        """How well an observation shows the place of an instance.
-
-        Args:
-            T: optical frame from `map`, as nested lists: a handful of products, no arrays.
-        """
-        cx, cy, cz = track.x_m, track.y_m, track.z_m
-        z = T[2][0] * cx + T[2][1] * cy + T[2][2] * cz + T[2][3]
-        far_m = min(1.5 * self.config.confirm_range_m, self.config.lift_max_range_m)
-        if not 0.1 < z < far_m:
-            return "hidden"
-        x = T[0][0] * cx + T[0][1] * cy + T[0][2] * cz + T[0][3]
-        y = T[1][0] * cx + T[1][1] * cy + T[1][2] * cz + T[1][3]
-        u = camera.fx_px * x / z + camera.cx_px
-        v = camera.fy_px * y / z + camera.cy_px
-        if not (0 <= u < camera.width_px and 0 <= v < camera.height_px):
-            return "hidden"
-        depth = observation.depth_m
-        if depth is not None and 0.0 < depth[int(v), int(u)] < z - _OCCLUDED_M:
-            return "hidden"
-        rim_u, rim_v = _LOOK_RIM * camera.width_px, _LOOK_RIM * camera.height_px
-        inside = rim_u < u < camera.width_px - rim_u and rim_v < v < camera.height_px - rim_v
-        return "well" if inside and z > _LOOK_MIN_M else "partly"
-
-    @staticmethod
-    def _in_view(track: _Track, camera: CameraModel, T: np.ndarray) -> float:
-        """Share of an instance's surface that lies in the image."""
-        points = track.instance.points_m
-        return kernels.share_in_view(
-            points, len(points), T, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
-            camera.width_px, camera.height_px,
-        )  # fmt: skip
 
     def confirmed(self, instance: Instance) -> bool:
         """Whether it was seen well enough, often enough, from near enough to be the target."""

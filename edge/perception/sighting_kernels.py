@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from edge.perception.instance_kernels import share_in_view
+from edge.perception.look_kernels import HIDDEN, WHOLE, ahead_m, shown
 
 POINTS = 32
 """Surface points kept of each sighting."""
 _TAKEN = 6
 """Points of a view that are taken up at most: later views bring others."""
-LOOK_MIN_M, LOOK_RIM, OCCLUDED_M = 1.0, 0.1, 0.4
-"""What a look says little about: things nearer than that, or in that share of the image at its
-edge; and a return so much nearer hides what is behind it."""
-PARTIAL, WHOLE = 0.25, 0.7
-"""What a look there counts, or one that has less than so much of a thing's surface in it."""
+PARTIAL = 0.25
+"""What a look counts that does not show a thing as a whole."""
 FORGET = 40.0
 """Weight at which what was seen is halved, so that the old fades."""
 SAME_M = 0.2
@@ -100,43 +97,25 @@ def take_up(points, n_points, cursor, i, surface, n_surface, voxel_m):
 
 
 @njit(nogil=True, cache=True)
-def weight_of(
-    x, y, z, points, n_points, T_camera_map, fx, fy, cx, cy, depth, width, height, near_m, far_m
-):
+def weight_of(x, y, z, points, n_points, T_camera_map, view, depth, near_m, far_m):
     """What a look counts for a thing: 1 near by and whole in the image, less with the square of
     the distance, as the share of the image that a thing fills; 0 where its middle is not in view.
 
     Args:
-        x, y, z: its middle in `map`; points: (k, 3) float32, of which the first `n_points` count,
-            of its surface.
-        T_camera_map: (4, 4) float64, optical frame from `map`.
-        depth: (h, w) float32, registered; (1, 1) where there is none.
+        x, y, z, points, n_points, T_camera_map, view, depth: see `look_kernels.shown`.
         near_m, far_m: full weight up to there; none from there.
     """
-    T = T_camera_map
-    zc = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-    if not 0.1 < zc < far_m:
+    how = shown(x, y, z, points, n_points, T_camera_map, view, depth, far_m)
+    if how == HIDDEN:
         return 0.0
-    u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / zc + cx
-    v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / zc + cy
-    if not (0 <= u < width and 0 <= v < height):
-        return 0.0
-    if depth.shape[0] == height and depth.shape[1] == width:
-        there = depth[int(v), int(u)]
-        if 0.0 < there < zc - OCCLUDED_M:
-            return 0.0
-    rim_u, rim_v = LOOK_RIM * width, LOOK_RIM * height
-    whole = rim_u < u < width - rim_u and rim_v < v < height - rim_v and zc > LOOK_MIN_M
-    if n_points > 0 and whole:
-        whole = share_in_view(points, n_points, T, fx, fy, cx, cy, width, height) >= WHOLE
-    share = min(1.0, (near_m / zc) ** 2)
-    return share if whole else PARTIAL * share
+    share = min(1.0, (near_m / ahead_m(T_camera_map, x, y, z)) ** 2)
+    return share if how == WHOLE else PARTIAL * share
 
 
 @njit(nogil=True, cache=True)
 def fuse(
-    centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, weight, total,
-    confidence,
+    centers, points, n_points, word, n, now, asked, T_camera_map, view, depth, near_m, far_m,
+    weight, total, confidence,
 ):  # fmt: skip
     """One look at every record: what was detected is its evidence, what was not speaks against it.
 
@@ -144,7 +123,7 @@ def fuse(
         centers, points, n_points, word, n: see `match`.
         now: (cap,) float32, the score of each record in this image, 0 where not detected; zeroed.
         asked: (words,) bool, what the detector looked for.
-        view: (fx, fy, cx, cy, width, height, near_m, far_m) float64, see `weight_of`.
+        T_camera_map, view, depth: see `look_kernels.shown`; near_m, far_m: see `weight_of`.
         weight, total: (cap,) float32, sums of weights, and of weights times scores.
         confidence: (cap,) float32 out.
     """
@@ -154,7 +133,7 @@ def fuse(
             continue
         w = weight_of(
             centers[i, 0], centers[i, 1], centers[i, 2], points[i], n_points[i], T_camera_map,
-            view[0], view[1], view[2], view[3], depth, view[4], view[5], view[6], view[7],
+            view, depth, near_m, far_m,
         )  # fmt: skip
         if now[i] > 0.0:  # it was seen, whatever hides its middle
             w = max(w, PARTIAL * PARTIAL)

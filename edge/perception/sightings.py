@@ -12,6 +12,7 @@ from edge import config, names
 from edge.geometry import invert
 from edge.perception import sighting_kernels as kernels
 from edge.perception.lift import Lifted
+from edge.perception.look_kernels import NO_DEPTH, view_of
 from edge.types import Observation
 
 GONE = 0.1
@@ -23,7 +24,6 @@ _BROADER = 0.75
 """What a broader word counts against a narrower one: an armchair is a chair, but what is clearly a
 chair and hardly an armchair is none."""
 _NONE = np.zeros(0, np.float32)
-_NO_DEPTH = np.zeros((1, 1), np.float32)
 
 
 class Sightings:
@@ -267,15 +267,11 @@ class SightingTracker:
     def _fuse(self, observation: Observation) -> None:
         s, c, camera = self._all, self.config, observation.camera
         far_m = min(2.0 * c.confirm_range_m, c.lift_max_range_m)
-        view = np.array(
-            (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.width_px,
-             camera.height_px, c.confirm_range_m, far_m), np.float64,
-        )  # fmt: skip
-        depth = _NO_DEPTH if observation.depth_m is None else observation.depth_m
+        depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         kernels.fuse(
             s.xyz_m, s.points_m, s.n_points, s.word, s.n, self._now, self._asked,
-            invert(observation.T_map_base @ observation.T_base_camera), view, depth,
-            self._weight, self._total, s.confidence,
+            invert(observation.T_map_base @ observation.T_base_camera), view_of(camera), depth,
+            c.confirm_range_m, far_m, self._weight, self._total, s.confidence,
         )  # fmt: skip
 
     def _forget(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from edge import config
 from edge.geometry import CameraModel
-from edge.perception import instance_kernels, kernels
+from edge.perception import instance_kernels, kernels, look_kernels
 from edge.perception.instances import MAX_POINTS, InstanceTracker
 from edge.perception.lift import Lifter
 from edge.perception.sightings import SightingTracker
@@ -71,4 +71,5 @@ def _lift() -> None:
     instance_kernels.merge_points(points_m, support, points_m, perception.voxel_m, MAX_POINTS)
     instance_kernels.core_points(points_m, support)
     instance_kernels.nearest(points_m, 0.0, 0.0)
-    instance_kernels.share_in_view(points_m, 1, np.eye(4), 1.0, 1.0, 0.0, 0.0, 16, 16)
+    view = look_kernels.view_of(seen.camera)
+    look_kernels.shown(0.0, 0.0, 1.0, points_m, 1, np.eye(4), view, seen.depth_m, 6.0)

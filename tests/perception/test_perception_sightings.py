@@ -10,6 +10,7 @@ from edge import config
 from edge.geometry import invert, optical, se3
 from edge.perception import sighting_kernels as kernels
 from edge.perception.lift import POINTS, Lifted
+from edge.perception.look_kernels import NO_DEPTH
 from edge.perception.sightings import SightingTracker
 from edge.types import Detections
 
@@ -275,7 +276,7 @@ def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
     points[:] = 2.0, 0.0, 0.6
     points[:, 1] += np.linspace(-spread_m, spread_m, kernels.POINTS, dtype=np.float32)
     T = invert(optical(se3(0.0, 0.0, 0.6)))
-    look = (T, 20.0, 20.0, 16.0, 12.0, np.zeros((1, 1), np.float32), 32, 24, 3.0, 6.0)
+    look = (T, np.array((20.0, 20.0, 16.0, 12.0, 32, 24)), NO_DEPTH, 3.0, 6.0)
     assert kernels.weight_of(2.0, 0.0, 0.6, points, kernels.POINTS, *look) == weight
     assert kernels.weight_of(2.0, 0.0, 0.6, points, 0, *look) == 1.0
 
@@ -294,13 +295,12 @@ def test_match_and_fuse_agree_with_their_twins(seed, n):
     )
     depth = random.uniform(0.5, 6, (24, 32)).astype(np.float32)
     T = optical(se3(0.0, 0.0, 0.6))
-    view = np.array((20.0, 20.0, 16.0, 12.0, 32, 24, 3.0, 6.0))
+    view = np.array((20.0, 20.0, 16.0, 12.0, 32, 24))
+    look = (invert(T), view, depth, 3.0, 6.0)
     asked = random.random(2) < 0.7
     ours = [a.astype(np.float32) for a in random.random((4, n)) * ((1,), (30,), (20,), (1,))]
     ours[0][random.random(n) < 0.5] = 0.0
     twin = [a.copy() for a in ours]
-    kernels.fuse(
-        centers, points, n_points, word, n, ours[0], asked, invert(T), view, depth, *ours[1:]
-    )
-    fuse(centers, points, n_points, word, twin[0], asked, invert(T), view, depth, *twin[1:])
+    kernels.fuse(centers, points, n_points, word, n, ours[0], asked, *look, *ours[1:])
+    fuse(centers, points, n_points, word, twin[0], asked, *look, *twin[1:])
     np.testing.assert_allclose(ours, twin, atol=1e-5)

@@ -5,17 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from edge.perception.lift_kernels import APART, LEFT, NEARLY, OTHER_M
-from edge.perception.sighting_kernels import (
-    FORGET,
-    LOOK_MIN_M,
-    LOOK_RIM,
-    OCCLUDED_M,
-    PARTIAL,
-    PRIOR,
-    SAME_M,
-    WHOLE,
-    WITHIN,
-)  # fmt: skip
+from edge.perception.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
+from edge.perception.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
 
 def to_planes(rgb, scale, top, left, out):
@@ -224,16 +215,16 @@ def strongest_rival(surface, centers, points, n_points, word, confidence, agains
 
 def share_in_view(points, T, view):
     """Share of points in the image."""
-    fx, fy, cx, cy, width, height = view[:6]
+    fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ points.astype(np.float64).T + T[:3, 3:]
     z = np.where(z > 0, z, np.nan)
     u, v = fx * x / z + cx, fy * y / z + cy
     return ((u >= 0) & (u < width) & (v >= 0) & (v < height)).mean() if len(points) else 0.0
 
 
-def look_weight(xyz, points, T, view, depth):
+def look_weight(xyz, points, T, view, depth, near_m, far_m):
     """What a look counts for a thing."""
-    fx, fy, cx, cy, width, height, near_m, far_m = view
+    fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ xyz + T[:3, 3]
     if not 0.1 < z < far_m:
         return 0.0
@@ -242,14 +233,19 @@ def look_weight(xyz, points, T, view, depth):
         return 0.0
     across, down = u / width, v / height
     whole = LOOK_RIM < across < 1 - LOOK_RIM and LOOK_RIM < down < 1 - LOOK_RIM and z > LOOK_MIN_M
-    whole &= not len(points) or share_in_view(points, T, view) >= WHOLE
+    whole &= not len(points) or share_in_view(points, T, view) >= MOST
     return min(1.0, (near_m / z) ** 2) * (1.0 if whole else PARTIAL)
 
 
-def fuse(centers, points, n_points, word, now, asked, T, view, depth, weight, total, confidence):
+def fuse(
+    centers, points, n_points, word, now, asked, T, view, depth, near_m, far_m, weight, total,
+    confidence,
+):  # fmt: skip
     """One look at every record."""
     for i in range(len(word)):
-        w = look_weight(centers[i].astype(np.float64), points[i, : n_points[i]], T, view, depth)
+        w = look_weight(
+            centers[i].astype(np.float64), points[i, : n_points[i]], T, view, depth, near_m, far_m
+        )
         w = max(w, PARTIAL**2) if now[i] > 0 else w
         if asked[word[i]] and w > 0:
             half = 0.5 if weight[i] + w > FORGET else 1.0
