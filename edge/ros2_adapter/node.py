@@ -1,8 +1,9 @@
 """The adapter's node, run as a file by the robot's own ROS Python: rclpy, zenoh, no `edge`.
 
 `python3 node.py` reads its plan, one line of JSON (see `edge.ros2_adapter.process`), from standard
-input, and ends when that is closed. Messages are passed as the bytes that they are; only goals are
-opened, since the action wants them so.
+input, and ends when that is closed. Messages are passed as the bytes that they are, from DDS only
+while somebody hears them on Zenoh. The action's three services are queryables there, as
+zenoh-bridge-ros2dds has them; only their requests and answers are opened, as rclpy wants it.
 
 One thread does everything: Zenoh's messages are looked for between two callbacks of ROS.
 """
@@ -11,35 +12,40 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import signal
-import struct
 import sys
 import threading
 import time
-from collections import deque
+from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 log = logging.getLogger("edge.ros2_adapter")
 
 LOOK_S = 0.005  # between two looks at what Zenoh brought
-PATIENCE_S = 5.0  # for a first message, and for the action to accept or reject a goal
-GONE_S = 3.0  # without a goal's repetition: nobody looks where the robot goes
-REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
-FEEDBACK_S = 1.0
-SETTLE_S = 0.5
+GRAPH_S = 0.2  # between two looks at who is there
+PATIENCE_S = 5.0  # for a first message
+GONE_S = 3.0  # nobody hears what is passed: nobody looks where the robot goes
+SETTLE_S = 0.5  # for a goal to be cancelled at the end
 _OPEN_AGAIN_S = 0.5
 _CDR = b"\x00\x01"
-_STAMP = struct.Struct("<iI")
-_KEPT = 64
-
-# action_msgs/GoalStatus
-_SUCCEEDED, _CANCELED, _ABORTED = 4, 5, 6
+_REQUEST_BYTES = 4096
+_KEPT = 16
+_HISTORY = 100  # latched messages, of all publishers of a topic
 
 
 class Unusable(Exception):
     """Something that no restart mends; one line."""
+
+
+class Ends(NamedTuple):
+    """Where messages are passed between: a node of ROS and a session of Zenoh, and its package."""
+
+    node: Any
+    session: Any
+    zenoh: Any
 
 
 def main() -> int:
@@ -86,19 +92,25 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         node = rclpy.create_node(plan["node"], start_parameter_services=False)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        inward = [FromRos(node, zenoh, session, passed) for passed in plan["sensors"]]
-        looks = [ToRos(node, zenoh, session, passed).look for passed in plan["results"]]
-        looks += [FirstMessages(node, inward).look]
-        navigator = None
-        if plan["goals"] is not None:
-            navigator = Navigator(node, zenoh, session, plan["goals"])
-            looks.append(navigator.look)
-        log.info("passes %d topics in and %d out", len(inward), len(plan["results"]))
+        ends = Ends(node, session, zenoh)
+        heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
+        said = [ToRos(ends, one, plan["max_bytes"]) for one in plan["said"]]
+        action = None if plan["action"] is None else Action(ends, plan["action"])
+        log.info("passes what is heard of %d topics in, %d out", len(heard), len(said))
+        due_s = 0.0
         while not stop.is_set():
             executor.spin_once(timeout_sec=LOOK_S)
-            for look in looks:
-                look()
-        if navigator is not None and navigator.leave():
+            for one in said:
+                one.look()
+            if action is not None:
+                action.pass_requests()
+            if time.monotonic() >= due_s:
+                due_s = time.monotonic() + GRAPH_S
+                for one in heard:
+                    one.look()
+                if action is not None:
+                    action.look(is_followed=any(one.wanted for one in heard))
+        if action is not None and action.cancel():
             until_s = time.monotonic() + SETTLE_S
             while time.monotonic() < until_s:
                 executor.spin_once(timeout_sec=LOOK_S)
@@ -113,7 +125,7 @@ def _imported(name: str, plan: dict[str, Any]) -> Any:
         return import_module(name)
     except ImportError as error:
         what = {
-            "rclpy": "source ROS 2's setup file first, or name it in ros2_adapter.setup",
+            "rclpy": "source ROS 2's setup file first, or name it in ros2.adapter.setup",
             "zenoh": f"{sys.executable} -m pip install eclipse-zenoh=={plan['version']}",
         }[name]
         raise Unusable(f"{sys.executable}: no {name} ({error}): {what}") from None
@@ -172,273 +184,231 @@ def make_qos(passed: dict[str, Any]) -> Any:
 
 
 class FromRos:
-    """One topic of ROS, put on Zenoh as it is.
+    """One topic of ROS, put on Zenoh as it is while somebody hears it there.
+
+    What is latched is always taken, and kept for whoever comes late.
+
+    Args:
+        patience_s: how long it may be silent before that is told.
 
     Attributes:
-        heard: how many messages came.
+        wanted: whether somebody is known to hear it.
     """
 
-    def __init__(self, node: Any, zenoh: Any, session: Any, passed: dict[str, Any]) -> None:
-        self.heard = 0
-        self.topic, self.type = passed["ros"], passed["type"]
-        self._publisher = session.declare_publisher(
-            passed["key"], congestion_control=zenoh.CongestionControl.DROP
+    def __init__(
+        self, ends: Ends, passed: dict[str, Any], kind: Any, patience_s: float = PATIENCE_S
+    ) -> None:
+        self.wanted = False
+        self._node, self._passed, self._kind = ends.node, passed, kind
+        self._patience_s, self._due_s, self._heard = patience_s, math.inf, 0
+        self._subscription: Any = None
+        self._keeps = passed["latched"]
+        key, drop = passed["key"], ends.zenoh.CongestionControl.DROP
+        if self._keeps:
+            ext = import_module("zenoh.ext")
+            self._publisher = ext.declare_advanced_publisher(
+                ends.session, key, congestion_control=drop,
+                cache=ext.CacheConfig(max_samples=_HISTORY), publisher_detection=True,
+            )  # fmt: skip
+        else:
+            self._publisher = ends.session.declare_publisher(key, congestion_control=drop)
+
+    def look(self) -> None:
+        """Take it, or let it go, as it is heard; say once why it may be silent."""
+        self.wanted = not self._keeps and self._publisher.matching_status
+        is_taken, now_s = self._subscription is not None, time.monotonic()
+        if is_taken != (self.wanted or self._keeps):
+            self._let_go() if is_taken else self._take(now_s)
+        elif self._heard == 0 and now_s > self._due_s:
+            self._due_s = math.inf
+            log.warning("%s: no message yet: %s", self._passed["ros"], self._reason())
+
+    def _take(self, now_s: float) -> None:
+        self._heard, self._due_s = 0, now_s + self._patience_s
+        self._subscription = self._node.create_subscription(
+            self._kind, self._passed["ros"], self._pass, make_qos(self._passed), raw=True
         )
-        kind, qos = find_type(passed["type"]), make_qos(passed)
-        node.create_subscription(kind, passed["ros"], self._pass, qos, raw=True)
+
+    def _let_go(self) -> None:
+        self._node.destroy_subscription(self._subscription)
+        self._subscription, self._due_s = None, math.inf
 
     def _pass(self, message: bytes) -> None:
         self._publisher.put(message)
-        self.heard += 1
+        self._heard += 1
 
-
-class FirstMessages:
-    """Says once of every silent topic why that may be: most mistakes are names and types."""
-
-    def __init__(self, node: Any, topics: list[FromRos]) -> None:
-        self._node, self._topics = node, topics
-        self._due_s = time.monotonic() + PATIENCE_S
-
-    def look(self) -> None:
-        if not self._topics or time.monotonic() < self._due_s:
-            return
-        for topic in self._topics:
-            if topic.heard == 0:
-                log.warning("%s: no message yet: %s", topic.topic, self._reason(topic))
-        self._topics = []
-
-    def _reason(self, topic: FromRos) -> str:
-        there = self._node.get_publishers_info_by_topic(topic.topic)
+    def _reason(self) -> str:
+        """Most mistakes are names and types."""
+        there = self._node.get_publishers_info_by_topic(self._passed["ros"])
         types = sorted({info.topic_type for info in there})
         if not there:
             return "nobody publishes it"
-        if types != [topic.type]:
-            return f"it is {_line(', '.join(types))}, not {topic.type}"
+        if types != [self._passed["type"]]:
+            return f"it is {_line(', '.join(types))}, not {self._passed['type']}"
         return f"{len(there)} publish it (is their quality of service another?)"
 
 
-class Inbox:
-    """The newest payloads of one key, at most `kept` a look; what is no CDR is told once."""
-
-    def __init__(self, zenoh: Any, session: Any, key: str, kept: int, max_bytes: int) -> None:
-        self._key, self._kept, self._max_bytes = key, kept, max_bytes
-        self._told = False
-        self._ring = session.declare_subscriber(key, zenoh.handlers.RingChannel(kept))
-
-    def take(self) -> list[bytes]:
-        payloads = []
-        for _ in range(self._kept):
-            sample = self._ring.try_recv()
-            if sample is None:
-                break
-            if len(sample.payload) > self._max_bytes:
-                self.refuse(f"{len(sample.payload)} bytes, at most {self._max_bytes} are taken")
-                continue
-            payload = sample.payload.to_bytes()
-            if payload[:2] == _CDR:
-                payloads.append(payload)
-            else:
-                self.refuse(f"not little-endian CDR: begins {payload[:4].hex() or 'empty'}")
-        return payloads
-
-    def refuse(self, reason: str) -> None:
-        if not self._told:
-            self._told = True
-            log.warning("%s: left out: %s (further ones are not told)", self._key, reason)
-
-
 class ToRos:
-    """One key of Zenoh, published in ROS as it is."""
+    """One key of Zenoh, published in ROS as it is; the first that is no message is told."""
 
-    def __init__(self, node: Any, zenoh: Any, session: Any, passed: dict[str, Any]) -> None:
-        self._inbox = Inbox(zenoh, session, passed["key"], passed["depth"], passed["max_bytes"])
-        self._publisher = node.create_publisher(
+    def __init__(self, ends: Ends, passed: dict[str, Any], max_bytes: int) -> None:
+        self._key, self._depth, self._max_bytes = passed["key"], passed["depth"], max_bytes
+        self._told = False
+        ring = ends.zenoh.handlers.RingChannel(self._depth)
+        self._arriving = ends.session.declare_subscriber(self._key, ring)
+        self._publisher = ends.node.create_publisher(
             find_type(passed["type"]), passed["ros"], make_qos(passed)
         )
 
     def look(self) -> None:
-        for payload in self._inbox.take():
-            self._publisher.publish(payload)
+        for _ in range(self._depth):
+            sample = self._arriving.try_recv()
+            if sample is None:
+                return
+            try:
+                self._publisher.publish(_cdr_of(sample.payload, self._max_bytes))
+            except ValueError as error:
+                if not self._told:
+                    self._told = True
+                    log.warning("%s: left out: %s (further ones are not told)", self._key, error)
 
 
-class Errand:
-    """One goal of the service on its way through the action.
+def _cdr_of(payload: Any, max_bytes: int) -> bytes:
+    """What is given to ROS, which does not look; raises ValueError where it is none."""
+    if payload is None or len(payload) > max_bytes:
+        size = 0 if payload is None else len(payload)
+        raise ValueError(f"{size} bytes, at most {max_bytes} are taken")
+    data = payload.to_bytes()
+    if data[:2] != _CDR:
+        raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")
+    return data
 
-    Attributes:
-        stamp_ns: what the service knows it by.
-        payload: the goal as it came.
-        sent_s: when it was given to the action; None: it is to be.
-        handle: the action's, once accepted.
-        answer: what the service was told last.
-        over: whether the action is done with it.
+
+class Service:
+    """One service of ROS, offered on Zenoh as long as somebody serves it.
+
+    Args:
+        answered: called with each request and its answer.
     """
 
-    def __init__(self, stamp_ns: int, payload: bytes) -> None:
-        self.stamp_ns, self.payload = stamp_ns, payload
-        self.sent_s: float | None = None
-        self.handle: Any = None
-        self.answer: dict[str, Any] | None = None
-        self.over = False
-
-
-class Navigator:
-    """Gives goals to the action NavigateToPose, and its answers to the service.
-
-    A newer goal takes the place of the one before, as Nav2 has it; a server that goes on driving
-    to the old one is told to cancel that. A goal that the service no longer repeats is cancelled.
-    """
-
-    def __init__(self, node: Any, zenoh: Any, session: Any, plan: dict[str, Any]) -> None:
-        from geometry_msgs.msg import PoseStamped
-        from rclpy.action import ActionClient
-        from rclpy.serialization import deserialize_message
-
-        self._name, self._action = plan["action"], find_type(plan["type"])
-        self._read = lambda payload: deserialize_message(payload, PoseStamped)
-        self._client = ActionClient(node, self._action, self._name)
-        self._inbox = Inbox(zenoh, session, plan["key"], 8, plan["max_bytes"])
-        self._answers = session.declare_publisher(
-            plan["answer_key"], congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
-        )  # fmt: skip
-        self._present: Errand | None = None
-        self._heard_s = 0.0
-        self._told_s = 0.0
-        self._replaced: deque[int] = deque(maxlen=_KEPT)
-        self._leaving: list[tuple[float, Errand]] = []  # when to cancel, what
-        self._waiting_told = False
+    def __init__(
+        self, ends: Ends, place: dict[str, str], kind: Any, answered: Callable[[Any, Any], None]
+    ) -> None:
+        self._ends, self._key, self._kind, self._answered = ends, place["key"], kind, answered
+        self._client = ends.node.create_client(kind, place["ros"])
+        self._queries: Any = None
+        self._waiting: dict[Any, Any] = {}  # future: query
 
     def look(self) -> None:
-        """Take goals, and do what time has come for; never blocks."""
-        now_s = time.monotonic()
-        for payload in self._inbox.take():
-            self._take(payload, now_s)
-        errand = self._present
-        if errand is not None and not errand.over:
-            self._follow(errand, now_s)
-        if self._leaving:
-            self._leaving = [kept for kept in self._leaving if not self._left(*kept, now_s)]
+        """Offer it, or no more; who waits for an answer then waits no longer."""
+        if self._client.service_is_ready():
+            if self._queries is None:
+                ring = self._ends.zenoh.handlers.RingChannel(_KEPT)
+                self._queries = self._ends.session.declare_queryable(self._key, ring, complete=True)
+        elif self._queries is not None:
+            self._queries.undeclare()
+            self._queries = None
+            for future, query in self._waiting.items():
+                self._client.remove_pending_request(future)
+                query.drop()
+            self._waiting.clear()
 
-    def leave(self) -> bool:
-        """Cancel what the robot drives to; whether there was anything."""
-        errand, self._present = self._present, None
-        if errand is None or errand.over or errand.sent_s is None:
-            return False
-        self._cancel(errand)
-        return True
+    def pass_requests(self) -> None:
+        """At most as many as the ring holds."""
+        for _ in range(_KEPT):
+            query = None if self._queries is None else self._queries.try_recv()
+            if query is None:
+                return
+            self._pass(query)
 
-    def _take(self, payload: bytes, now_s: float) -> None:
-        if len(payload) < 4 + _STAMP.size:
-            self._inbox.refuse(f"{len(payload)} bytes are no PoseStamped")
-            return
-        seconds, nanoseconds = _STAMP.unpack_from(payload, 4)
-        stamp_ns = seconds * 1_000_000_000 + nanoseconds
-        if stamp_ns in self._replaced:
-            return
-        self._heard_s = now_s
-        before = self._present
-        if before is not None and before.stamp_ns == stamp_ns:
-            if before.answer is not None:  # it is repeated: the answer may have been lost
-                self._send_answer(before.answer)
-            return
-        if before is not None:
-            self._replaced.append(before.stamp_ns)
-            if not before.over and before.sent_s is not None:
-                self._leaving.append((now_s + REPLACED_S, before))
-        self._present = Errand(stamp_ns, payload)
+    def ask(self, request: Any) -> None:
+        """Send a request of our own, whose answer nobody waits for."""
+        self._client.call_async(request)
 
-    def _follow(self, errand: Errand, now_s: float) -> None:
-        """Send it, as soon as there is a server; see whether both ends are still there."""
-        if now_s - self._heard_s > GONE_S:
-            log.warning("the service repeats its goal no more: the goal is cancelled")
-            self.leave()
-        elif errand.sent_s is None:
-            self._send(errand, now_s)
-        elif errand.handle is None and now_s - errand.sent_s > PATIENCE_S:
-            self._end(errand, "failed", f"{self._name} neither accepted nor rejected it")
-        elif errand.handle is not None and not self._client.server_is_ready():
-            self._end(errand, "failed", f"{self._name} is gone")
+    def _pass(self, query: Any) -> None:
+        from rclpy.serialization import deserialize_message
 
-    def _send(self, errand: Errand, now_s: float) -> None:
-        if not self._client.server_is_ready():
-            if not self._waiting_told:
-                self._waiting_told = True
-                log.warning("waiting for the action %s: is Nav2 running?", self._name)
-            return
         try:
-            pose = self._read(errand.payload)
+            payload = _cdr_of(query.payload, _REQUEST_BYTES)
+            request = deserialize_message(payload, self._kind.Request)
         except Exception as error:  # rclpy raises what its middleware does
-            self._end(errand, "failed", f"the adapter cannot read it: {_line(error)}")
+            log.warning("%s: a request is left out: %s", self._key, _line(error))
+            query.drop()
             return
-        goal = self._action.Goal()
-        goal.pose = pose
-        errand.sent_s = now_s
-        future = self._client.send_goal_async(goal, lambda said: self._on_way(errand, said))
-        future.add_done_callback(lambda done: self._on_response(errand, done.result()))
+        future = self._client.call_async(request)
+        self._waiting[future] = query
+        future.add_done_callback(lambda done: self._answer(request, done))
 
-    def _on_response(self, errand: Errand, handle: Any) -> None:
-        if not handle.accepted:
-            self._end(errand, "failed", f"rejected by {self._name}")
-            return
-        errand.handle = handle
-        if errand is self._present and not errand.over:
-            self._answer(errand, "accepted", "")
-        elif not any(errand is other for _, other in self._leaving):
-            self._cancel(errand)
-        future = handle.get_result_async()
-        future.add_done_callback(lambda done: self._on_result(errand, done.result()))
+    def _answer(self, request: Any, done: Any) -> None:
+        from rclpy.serialization import serialize_message
 
-    def _on_way(self, errand: Errand, said: Any) -> None:
-        now_s = time.monotonic()
-        if errand is not self._present or errand.handle is None or errand.over:
-            return
-        if now_s - self._told_s < FEEDBACK_S:
-            return
-        self._told_s = now_s
-        feedback = said.feedback
-        reason = f"{feedback.distance_remaining:.1f} m to go"
-        if feedback.number_of_recoveries:
-            reason += f", {feedback.number_of_recoveries} recoveries"
-        self._answer(errand, "accepted", reason)
+        query = self._waiting.pop(done, None)
+        if query is not None and not done.cancelled():
+            query.reply(query.key_expr, serialize_message(done.result()))
+            query.drop()
+            self._answered(request, done.result())
 
-    def _on_result(self, errand: Errand, result: Any) -> None:
-        if result.status == _SUCCEEDED:
-            self._end(errand, "reached", "")
-            return
-        how = {_ABORTED: "aborted", _CANCELED: "cancelled"}.get(result.status, "lost")
-        # Which of the two there are depends on the distribution.
-        said = getattr(result.result, "error_msg", "") or ""
-        code = getattr(result.result, "error_code", 0)
-        detail = said or (f"error {code}" if code else "")
-        self._end(errand, "failed", f"{how} by {self._name}" + (f": {detail}" if detail else ""))
 
-    def _end(self, errand: Errand, state: str, reason: str) -> None:
-        if errand.over:
-            return
-        errand.over = True
-        if errand is self._present:
-            self._answer(errand, state, reason)
+class Action:
+    """NavigateToPose, passed: three services and two topics.
 
-    def _left(self, due_s: float, errand: Errand, now_s: float) -> bool:
-        """Whether nothing is to be done about a replaced goal any more."""
-        if errand.over:
-            return True
-        if now_s < due_s:
+    The goal that was accepted last is cancelled where nobody follows any more what becomes of it.
+    """
+
+    def __init__(self, ends: Ends, plan: dict[str, str]) -> None:
+        impl = find_type(plan["type"]).Impl
+
+        def place(name: str) -> dict[str, Any]:
+            return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
+
+        def service(name: str, kind: Any, answered: Callable[[Any, Any], None]) -> Service:
+            return Service(ends, place(name), kind, answered)
+
+        def topic(name: str, kind: Any) -> FromRos:
+            quality = {"reliable": True, "latched": False, "depth": 10}
+            return FromRos(ends, {**place(name), **quality}, kind, patience_s=math.inf)
+
+        self._cancel_goal = impl.CancelGoalService
+        self._send = service("send_goal", impl.SendGoalService, self._on_accepted)
+        self._result = service("get_result", impl.GetResultService, self._on_result)
+        self._cancel = service("cancel_goal", impl.CancelGoalService, lambda *_: None)
+        self._services = self._send, self._result, self._cancel
+        self._topics = [
+            topic("feedback", impl.FeedbackMessage), topic("status", impl.GoalStatusMessage)
+        ]  # fmt: skip
+        self._goal_id: Any = None  # of the goal that was accepted last and has not ended
+        self._followed_s = time.monotonic()
+
+    def pass_requests(self) -> None:
+        for one in self._services:
+            one.pass_requests()
+
+    def look(self, is_followed: bool) -> None:
+        """See who is there; `is_followed`: whether the service hears the robot's sensors."""
+        for one in (*self._services, *self._topics):
+            one.look()
+        if is_followed:
+            self._followed_s = time.monotonic()
+        elif time.monotonic() - self._followed_s > GONE_S and self.cancel():
+            log.warning("the service is gone: its goal is cancelled")
+
+    def cancel(self) -> bool:
+        """Cancel what the robot drives to for us; whether there was anything."""
+        goal_id, self._goal_id = self._goal_id, None
+        if goal_id is None:
             return False
-        self._cancel(errand)
+        request = self._cancel_goal.Request()
+        request.goal_info.goal_id = goal_id
+        self._cancel.ask(request)
         return True
 
-    def _cancel(self, errand: Errand) -> None:
-        """One that is not accepted yet is cancelled when it is."""
-        if errand.handle is not None:
-            errand.handle.cancel_goal_async()
+    def _on_accepted(self, request: Any, answer: Any) -> None:
+        if answer.accepted:
+            self._goal_id = request.goal_id
 
-    def _answer(self, errand: Errand, state: str, reason: str) -> None:
-        errand.answer = {"stamp": errand.stamp_ns, "state": state, "reason": reason}
-        self._send_answer(errand.answer)
-
-    def _send_answer(self, answer: dict[str, Any]) -> None:
-        self._answers.put(json.dumps(answer).encode())
+    def _on_result(self, request: Any, answer: Any) -> None:
+        if request.goal_id == self._goal_id:
+            self._goal_id = None
 
 
 if __name__ == "__main__":

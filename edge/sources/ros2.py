@@ -1,7 +1,8 @@
-"""Observations from a ROS 2 graph that speaks rmw_zenoh, without ROS.
+"""Observations from a robot's ROS 2 graph, without ROS, however it is reached (`ros2.via`).
 
-What a message is says its key, so a topic may bring pictures as they are or compressed, and of any
-distribution. Our subscriptions are announced, since drivers send nothing while nobody listens.
+On rmw_zenoh a message's key says what it is, so a topic may bring pictures as they are or
+compressed, and of any distribution. Our subscriptions are announced, since drivers send nothing
+while nobody listens.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ import time
 import zenoh
 
 from edge.bus import topics
-from edge.bus.ros2.names import DIALECTS
-from edge.bus.ros2.node import Node, Subscription
+from edge.bus.ros2.node import Subscription, open_node
+from edge.bus.ros2.topics import LATCHED, heard_types
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
-from edge.bus.wire.schemas import full_name
 from edge.config import Config
 from edge.geometry import SE2
 from edge.sources.decoder import KINDS, CdrDecoder
@@ -31,15 +31,6 @@ from edge.types import Observation
 log = logging.getLogger("edge.sources.ros2")
 
 _TF_KEPT = 256
-_ALSO = {"sensor_msgs/Image": ("sensor_msgs/CompressedImage",)}
-"""What is understood where a topic's own type is expected."""
-_COMPRESSED = ("/compressed", "/compressedDepth")
-
-
-def _types_of(topic: Topic, name: str) -> list[str]:
-    """What is understood under a ROS name, the likeliest first (image_transport's endings)."""
-    types = [full_name(t) for t in (topic.type, *_ALSO.get(topic.type, ()))]
-    return types[::-1] if name.endswith(_COMPRESSED) else types
 
 
 class Ros2Source:
@@ -50,31 +41,24 @@ class Ros2Source:
     """
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        settings = config.ros2
+        self._settings = config.ros2
         self._synchronizer = TimeSynchronizer(config)
-        self._frames = Frames(settings)
+        self._frames = Frames(config.ros2)
         self._decoder = CdrDecoder(self._synchronizer, frames=self._frames)
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._node = Node(
-            session, settings.domain, f"{settings.node}_source", DIALECTS[settings.via]
-        )
-        tf = "tf2_msgs/msg/TFMessage"
+        self._node = open_node(config, session, "source")
         # What was moored first: a frame whose sensor sits nowhere yet is dropped.
-        self._transforms = [
-            self._node.subscription(settings.topic("tf_static"), (tf,), _TF_KEPT, latched=True),
-            self._node.subscription(settings.topic("tf"), (tf,), _TF_KEPT),
-        ]
+        self._transforms = [self._subscribe(name, _TF_KEPT) for name in ("tf_static", "tf")]
         kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         heard = self._synchronizer.streams
         kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
-        self._sensors: dict[Topic, Subscription] = {
-            topic: self._subscribe(topic, settings.topic(topic.key), n) for topic, n in kept.items()
-        }
-        self._told: set[tuple[str, str]] = set()
+        self._sensors = {topic: self._subscribe(topic.key, n) for topic, n in kept.items()}
         self.inbox = GoalStatusInbox(session, config.zenoh)
 
-    def _subscribe(self, topic: Topic, name: str, kept: int) -> Subscription:
-        return self._node.subscription(name, _types_of(topic, name), kept)
+    def _subscribe(self, name: str, kept: int) -> Subscription:
+        ros_name = self._settings.topic(name)
+        types = heard_types(name, ros_name)
+        return self._node.subscription(ros_name, types, kept, latched=name in LATCHED)
 
     @property
     def counters(self) -> dict[str, int]:

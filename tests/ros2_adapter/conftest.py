@@ -15,14 +15,14 @@ ROS_PYTHON = Path(os.environ.get("EDGE_ROS_PYTHON", HERE.parents[1] / ".venv/ros
 
 @pytest.fixture(scope="session")
 def ros_environ(tmp_path_factory) -> dict[str, str]:
-    """What processes of ROS need in their environment, with nav2_msgs, made here; skips without
+    """What processes of ROS need in their environment, with the packages made here; skips without
     ROS. A domain of its own, seen on this machine only."""
     if not ROS_PYTHON.exists():
         pytest.skip(f"no ROS 2: {ROS_PYTHON} is not there (or set EDGE_ROS_PYTHON)")
     if shutil.which("g++") is None:
-        pytest.skip("no g++ here to make nav2_msgs with")
+        pytest.skip("no g++ here to make ROS packages with")
     folder = tmp_path_factory.mktemp("ros") / "messages"
-    script = HERE / "ros_messages.py"
+    script = HERE / "make_ros_packages.py"
     made = subprocess.run([ROS_PYTHON, script, folder], capture_output=True, text=True, check=False)
     if made.returncode == os.EX_UNAVAILABLE:
         pytest.skip(made.stderr)

@@ -13,7 +13,7 @@ from ros_messages import STORE, header, pose, to_ros
 from ros_router import ours, router, zenoh_settings
 from simulated import simulated
 
-from edge.bus.ros2.names import BRIDGE, RMW_ZENOH
+from edge.bus.ros2.names import RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages
 from edge.geometry import R_BODY_OPTICAL, SE2, CameraModel
@@ -197,12 +197,13 @@ def test_what_is_too_large_is_not_opened(robot, make):
     assert source.counters["malformed"] == 0
 
 
-def test_a_robot_behind_a_bridge(port, make):
-    """What zenoh-bridge-ros2dds makes of a robot on DDS: plain keys, no tokens, no types."""
+@pytest.mark.parametrize("via", ["bridge", "adapter"])
+def test_a_robot_on_dds(port, make, via):
+    """What zenoh-bridge-ros2dds and the adapter make of it: plain keys, no tokens, no types."""
     with ours(port) as session:
-        robot = Robot(session, BRIDGE)
+        robot = Robot(session, dialect_of(via, "edge"))
         robot.moor()
-        seen = observed(make(via="bridge"), robot)
+        seen = observed(make(via=via), robot)
         np.testing.assert_array_equal(seen.rgb, RGB)
         np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.1, 0.0, 0.6], atol=1e-9)
         seen.release()
