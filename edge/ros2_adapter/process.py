@@ -31,7 +31,7 @@ log = logging.getLogger("edge.ros2_adapter")
 HERE = Path(__file__).parent
 NODE, LAUNCH_FILE = HERE / "node.py", HERE / "edge_adapter.launch.py"
 
-_DEPTH, _TF_DEPTH = 5, 100
+_DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
 _STOP_S = 5.0
 _LOOK_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
@@ -66,9 +66,8 @@ def make_plan(config: Config) -> dict[str, Any]:
 
     def passed(name: str, kind: str, reliable: bool) -> dict[str, Any]:
         latched = name in LATCHED
-        depth = _TF_DEPTH if name.startswith("tf") else _DEPTH
-        quality = {"reliable": reliable or latched, "latched": latched, "depth": depth}
-        return {**place(name), "type": kind, **quality}
+        quality = {"reliable": reliable or latched, "latched": latched}
+        return {**place(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
 
     wanted = settings.adapter.reliable
     heard = [passed(name, heard_types(name, settings.topic(name))[0], name in wanted)
