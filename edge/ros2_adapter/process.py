@@ -29,7 +29,7 @@ from edge.host.signals import stop_on_signals
 log = logging.getLogger("edge.ros2_adapter")
 
 HERE = Path(__file__).parent
-NODE, LAUNCH_FILE = HERE / "node.py", HERE / "edge_adapter.launch.py"
+NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
 _DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
 _STOP_S = 5.0

@@ -18,7 +18,7 @@ from edge.config import Config, ConfigError
 from edge.errors import UnavailableError
 from edge.ros2_adapter import process
 
-LIGHT = {"rclpy", "zenoh", "launch"}
+LIGHT = {"rclpy", "zenoh", "launch", "action", "passing"}
 
 
 def adapted(adapter: dict | None = None, **ros2: object) -> Config:
@@ -28,7 +28,9 @@ def adapted(adapter: dict | None = None, **ros2: object) -> Config:
     return simulated({"source": {"kind": "ros2"}, "sinks": ["ros2"], "ros2": section})
 
 
-@pytest.mark.parametrize("file", [process.NODE, process.LAUNCH_FILE], ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "file", [*process.NODE.glob("*.py"), process.LAUNCH_FILE], ids=lambda path: path.name
+)
 def test_what_runs_in_ros_needs_nothing_of_ours(file):
     imported = set()
     for node in ast.walk(ast.parse(file.read_text("utf-8"))):

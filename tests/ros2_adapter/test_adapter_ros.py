@@ -29,7 +29,7 @@ from edge.types import Goal, GoalStatus
 
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
-READY = "passes what is heard of 8 topics in, 3 out"
+READY = "passes up to 8 topics in and 3 out"
 
 
 @pytest.fixture(scope="module")
