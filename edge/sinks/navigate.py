@@ -27,6 +27,7 @@ log = logging.getLogger("edge.sinks.ros2")
 AGAIN_S = 0.5
 RESULT_LATE_S = 1.0
 GONE_S = 3.0  # a router that is started anew is back by then
+PATIENCE_S = 5.0  # before it is told that there is no action
 REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
 _ACCEPT_S = 5.0
 _RESULT_S = 600.0
@@ -42,6 +43,7 @@ class _Driven:
         stage: `waiting`: to be sent; `sent`: not answered yet; `driving`: accepted.
         answer: what is waited for: whether it is accepted, then its result.
         due_s: when to ask again where no answer is on its way.
+        since_s: when it was given.
         lost_s: since when the action is not there; 0: it is.
         status: how it ended, as the action's `status` says, at `ended_s`; 0 before that.
         unwanted: to be cancelled as soon as Nav2 has it.
@@ -52,6 +54,7 @@ class _Driven:
     goal_id: bytes = b""
     answer: Answer = field(default_factory=lambda: Answer(None))
     due_s: float = 0.0
+    since_s: float = field(default_factory=time.monotonic)
     lost_s: float = 0.0
     status: int = 0
     ended_s: float = 0.0
@@ -71,7 +74,7 @@ class Navigator:
     def __init__(
         self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
-        self._frame_id, self._tell = frame_id, tell
+        self._action, self._frame_id, self._tell = action, frame_id, tell
         below = f"{action}/_action"
         kind = NAVIGATE_TO_POSE
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
@@ -85,6 +88,7 @@ class Navigator:
         self._replaced: list[bytes] = []  # goals that newer ones took the place of
         self._let_go_s = math.inf  # when whichever of them is still driven to is cancelled
         self._malformed = 0
+        self._waiting_told = False
 
     def send(self, goal: Goal) -> None:
         """Drive there, and no more to where it was before."""
@@ -132,9 +136,15 @@ class Navigator:
     # -- one step a stage -------------------------------------------------------------------------
 
     def _step_waiting(self, driven: _Driven) -> None:
-        if time.monotonic() < driven.due_s or not self._send.served():
+        now_s = time.monotonic()
+        if not self._send.served():
+            if now_s - driven.since_s > PATIENCE_S and not self._waiting_told:
+                self._waiting_told = True
+                log.warning("ros2: waiting for %s: is Nav2 running?", self._action)
             return
-        driven.due_s = time.monotonic() + AGAIN_S
+        if now_s < driven.due_s:
+            return
+        driven.due_s, self._waiting_told = now_s + AGAIN_S, False
         # A new name each time: who has seen one before refuses it.
         driven.goal_id = uuid.uuid4().bytes
         request = navigation.encode_send_goal(

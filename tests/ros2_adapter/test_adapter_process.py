@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import sys
 import threading
 from pathlib import Path
@@ -14,7 +15,8 @@ from patience import eventually
 from simulated import simulated
 
 from edge.cli.main import main
-from edge.config import Config, ConfigError
+from edge.config import Config, ConfigError, load
+from edge.config.yaml_text import parse_yaml
 from edge.errors import UnavailableError
 from edge.ros2_adapter import process
 
@@ -81,6 +83,19 @@ def test_goals_go_to_the_action_or_to_a_topic():
     by_topic = process.make_plan(adapted(goals="topic"))
     assert by_topic["action"] is None
     assert passed(by_topic, "/goal_pose")["key"] == "edge/ros2/goal_pose"
+
+
+@pytest.mark.parametrize("name", ["ros2-adapter", "turtlebot4", "jetson-realsense"])
+def test_ready_configurations_have_a_plan(name):
+    plan = process.make_plan(load(name, {}))
+    assert plan["action"]["ros"] == "/navigate_to_pose"
+
+
+def test_the_section_of_the_page_has_a_plan_too():
+    page = Path(__file__).parents[2] / "docs" / "ros2.md"
+    (block,) = re.findall(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    plan = process.make_plan(simulated({"source": {"kind": "ros2"}, **parse_yaml(block)}))
+    assert passed(plan, "/camera/color/image_raw")["reliable"]
 
 
 @pytest.mark.parametrize(

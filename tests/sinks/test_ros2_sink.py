@@ -146,9 +146,10 @@ def test_a_refused_goal_has_failed(make, nav2, answers):
     assert answers(1) == [GoalStatus(5, "failed", "refused by navigate_to_pose")]
 
 
-def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers):
-    sink = make()
-    sink.tick(driving(5))
+def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
+    monkeypatch.setattr(navigate, "PATIENCE_S", 0.0)
+    make().tick(driving(5))
+    eventually(lambda: "waiting for /navigate_to_pose: is Nav2 running?" in caplog.text)
     nav2 = Nav2(theirs)
     assert answers(1) == [GoalStatus(5, "accepted")]
     nav2.close()
