@@ -90,6 +90,10 @@ class Navigator:
         self._malformed = 0
         self._waiting_told = False
 
+    def served(self) -> bool:
+        """Whether somebody takes goals."""
+        return self._send.served()
+
     def send(self, goal: Goal) -> None:
         """Drive there, and no more to where it was before."""
         if self._driven is not None and self._driven.stage != "waiting":

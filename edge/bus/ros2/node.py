@@ -180,7 +180,7 @@ class Publisher(_Declared):
     def heard(self) -> bool:
         """Whether somebody subscribes; of latched topics nobody asks."""
         if self.node.graph is None:
-            return self._publisher is not None and self._publisher.matching_status
+            return self._publisher is not None and self._publisher.matching_status.matching
         return bool(self.node.others("MS", self.topic))
 
     def declare(self) -> None:
@@ -273,7 +273,7 @@ class Client(_Declared):
 
     def served(self) -> bool:
         """Whether the service is there, and how it is asked."""
-        if self._querier is None or not self._querier.matching_status:
+        if self._querier is None or not self._querier.matching_status.matching:
             return False
         return self.node.graph is None or bool(self.node.others("SS", self.topic))
 

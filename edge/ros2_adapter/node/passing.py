@@ -94,7 +94,7 @@ class FromRos:
 
     def look(self) -> None:
         """Take it, or let it go, as it is heard; say once why it may be silent."""
-        self.wanted = not self._keeps and self._publisher.matching_status
+        self.wanted = not self._keeps and self._publisher.matching_status.matching
         is_taken, now_s = self._subscription is not None, time.monotonic()
         if is_taken != (self.wanted or self._keeps):
             self._let_go() if is_taken else self._take(now_s)
