@@ -5,8 +5,8 @@ a ratio to a reference that is timed in the same run, so that a slower computer 
 and slower code does: a piece of work of `edge.host.calibration`, another benchmark, or what the
 test itself gives to `against`, such as OpenCV doing the same; or to a deadline, such as a tick.
 What is timed is processor time, so that a busy computer changes little; only what runs on several
-threads or processes is timed by the wall. `--enforce-budgets` turns an exceeded budget, or one whose reference was not measured, into a
-failed run; without it the table only says so.
+threads or processes is timed by the wall. `--enforce-budgets` turns an exceeded budget, or one
+whose reference was not measured, into a failed run; without it the table only says so.
 """
 
 from __future__ import annotations
