@@ -18,7 +18,7 @@ from edge_processes import write_config
 from nav2 import Nav2
 from ros_messages import from_ros, to_ros
 from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, ready, ready_config, transforms_of
-from ros_router import ours, router
+from ros_router import kept, ours, router
 from ros_sdk import Republisher, peers
 
 from edge.bus.ros2.names import Dialect, dialect_of
@@ -59,8 +59,11 @@ class RosRobot:
             "/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 1, latched=True
         )
         self._answers = Ring(session, "edge/robot/goal_status", 64)
-        moored = self._node.publisher("/tf_static", HEARD["tf_static"], latched=True)
-        moored.put(transforms_of(body.tree))
+        if dialect.has_tokens:
+            self._moored = self._node.publisher("/tf_static", HEARD["tf_static"], latched=True)
+        else:
+            self._moored = kept(session, dialect, "/tf_static")
+        self._moored.put(transforms_of(body.tree))
         self._tf, self._tf_s = self._node.publisher("/tf", HEARD["tf"]), 0.0
         self._goal: tuple[bytes, int, bytes] | None = None
         self._taken, self._again_s = 0, 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from patience import eventually
 from ros_messages import STORE, header, pose, to_ros
-from ros_router import ours, router, zenoh_settings
+from ros_router import kept, ours, router, zenoh_settings
 from simulated import simulated
 
 from edge.bus.ros2.names import RMW_ZENOH, dialect_of
@@ -65,7 +65,10 @@ class Robot:
     def __init__(self, session, dialect=RMW_ZENOH) -> None:
         self.node = Node(session, 0, "robot", dialect)
         publish = self.node.publisher
-        self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        if dialect.has_tokens:
+            self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        else:
+            self.tf_static = kept(session, dialect, "/tf_static")
         self.tf = publish("/tf", "tf2_msgs/msg/TFMessage")
         self.odom = publish("/odom", "nav_msgs/msg/Odometry")
         self.rgb = publish(NAMES["camera/rgb"], "sensor_msgs/msg/CompressedImage")

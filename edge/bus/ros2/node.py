@@ -162,7 +162,8 @@ class Publisher(_Declared):
     """Publishes payloads of one type.
 
     Args:
-        latched: who subscribes late, as transient local, gets the last message.
+        latched: who subscribes late, as transient local, gets the last message. Beside a bridge or
+            the adapter, these keep it themselves, from when they first heard it.
     """
 
     def __init__(self, node: Node, topic: str, type_name: str, latched: bool) -> None:
@@ -188,7 +189,7 @@ class Publisher(_Declared):
         key = self.key()
         # As rmw_zenoh does for what is reliable and keeps the last few.
         drop = zenoh.CongestionControl.DROP
-        if not self._latched:
+        if not (self._latched and self.node.dialect.has_tokens):
             self._publisher = self.node.session.declare_publisher(
                 key, congestion_control=drop, express=True
             )
