@@ -11,6 +11,7 @@ import logging
 import math
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -85,7 +86,7 @@ class Navigator:
             f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _KEPT
         )
         self._driven: _Driven | None = None
-        self._replaced: list[bytes] = []  # goals that newer ones took the place of
+        self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # by newer ones
         self._let_go_s = math.inf  # when whichever of them is still driven to is cancelled
         self._malformed = 0
         self._waiting_told = False
@@ -238,7 +239,8 @@ class Navigator:
         """Call off what newer goals took the place of, and is still driven to for all we know."""
         for goal_id in self._replaced:
             self._call_off(goal_id)
-        self._replaced, self._let_go_s = [], math.inf
+        self._replaced.clear()
+        self._let_go_s = math.inf
 
     def _call_off(self, goal_id: bytes) -> None:
         self._cancel.ask(navigation.encode_cancel(goal_id))
