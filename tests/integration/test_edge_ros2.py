@@ -140,8 +140,7 @@ def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, name, via):
         zenoh_section = {"endpoint": f"tcp/127.0.0.1:{port}", "mode": "client"}
         data = ready(name, ros2={"via": via}, zenoh=zenoh_section)
         data["sensors"]["camera"] |= SMALL
-        seen = {"detector": {"kind": "sim"}, "lift": "depth"}
-        data |= {"perception": seen, "mission": {"target": "television"}}
+        data |= {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
         (tmp_path / "robot").mkdir()
         there = {**data, "source": {"kind": "zenoh"}, "sinks": ["zenoh"]}
         there["zenoh"] = {**zenoh_section, "topics": HIDDEN}

@@ -41,7 +41,7 @@ def test_a_robot_of_ros_is_driven_to_its_target(
     """With a detector that looks at pictures: no topic of ROS carries the simulator's truth."""
     data = ready(name, ros2={"adapter": {"python": ros_python}}, zenoh={"endpoint": endpoint})
     data["sensors"]["camera"] |= SMALL
-    perception = load("demo").perception.model_dump(mode="json") | {"lift": "depth"}
+    perception = load("demo").perception.model_dump(mode="json")
     data |= {"perception": perception, "mission": {"target": "television"}}
     here = {**data, "source": {"kind": "zenoh"}, "sinks": ["zenoh"]}
     here["zenoh"] = {"endpoint": f"tcp/127.0.0.1:{free_port()}"}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros_robots import ROBOTS, ready_config, transforms_of
+from ros_robots import ROBOTS, ready, ready_config, transforms_of
 
+from edge.config import parse
 from edge.sources.synchronizer import streams_of
 from edge.sources.tf import Frames
 
@@ -49,6 +50,11 @@ def test_sensors_sit_where_tf_says(name):
         np.testing.assert_allclose(frames.mount_of(body.lidar), mounted, atol=1e-3)
 
 
-def test_what_each_robot_is_mapped_with():
-    assert list(streams_of(ready_config("turtlebot4"))) == ["cloud_m", "depth_m", "rgb"]
-    assert list(streams_of(ready_config("jetson-realsense"))) == ["depth_m", "rgb"]
+@pytest.mark.parametrize("name", ROBOTS)
+def test_depth_maps_unless_a_lidar_is_told_to(name):
+    assert list(streams_of(ready_config(name))) == ["depth_m", "rgb"]
+
+
+def test_the_turtlebot_may_map_with_its_lidar():
+    config = parse(ready("turtlebot4", mapping={"input": "cloud"}))
+    assert list(streams_of(config)) == ["cloud_m", "rgb"]
