@@ -1,7 +1,7 @@
 """`python3 node`: reads its plan, one line of JSON (see `edge.ros2_adapter.process`), from standard
 input, and ends when that is closed.
 
-One thread does everything: Zenoh's messages are looked for between two callbacks of ROS.
+One thread does everything, between two callbacks of ROS; what comes on Zenoh wakes it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from passing import Ends, FromRos, ToRos, Unusable, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-LOOK_S = 0.005  # between two looks at what Zenoh brought
 GRAPH_S = 0.2  # between two looks at who is there
 SETTLE_S = 0.5  # for a goal to be cancelled at the end
 _OPEN_AGAIN_S = 0.5
@@ -71,7 +70,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         node = rclpy.create_node(plan["node"], start_parameter_services=False)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        ends = Ends(node, session, zenoh)
+        ends = Ends(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
         heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
         often = [ToRos(ends, one, plan["max_bytes"]).look for one in plan["said"]]
         seldom, action, due_s = [one.look for one in heard], None, 0.0
@@ -81,7 +80,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
             seldom.append(action.look)
         log.info("passes up to %d topics in and %d out", len(heard), len(plan["said"]))
         while not stop.is_set():
-            executor.spin_once(timeout_sec=LOOK_S)
+            executor.spin_once(timeout_sec=GRAPH_S)
             for look in often:
                 look()
             if time.monotonic() >= due_s:
@@ -91,7 +90,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         if action is not None and action.cancel():
             until_s = time.monotonic() + SETTLE_S
             while time.monotonic() < until_s:
-                executor.spin_once(timeout_sec=LOOK_S)
+                executor.spin_once(timeout_sec=GRAPH_S)
         node.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from passing import Ends, FromRos, cdr_of, find_type, one_line
+from passing import Ends, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
@@ -29,29 +29,26 @@ class Service:
     ) -> None:
         self._ends, self._key, self._kind, self._answered = ends, place["key"], kind, answered
         self._client = ends.node.create_client(kind, place["ros"])
-        self._queries: Any = None
+        self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
 
     def look(self) -> None:
         """Offer it, or no more; who waits for an answer then waits no longer."""
         if self._client.service_is_ready():
-            if self._queries is None:
-                ring = self._ends.zenoh.handlers.RingChannel(_KEPT)
-                self._queries = self._ends.session.declare_queryable(self._key, ring, complete=True)
-        elif self._queries is not None:
-            self._queries.undeclare()
-            self._queries = None
+            if self._queryable is None:
+                self._queryable = self._ends.session.declare_queryable(
+                    self._key, self._inbox, complete=True
+                )
+        elif self._queryable is not None:
+            self._queryable.undeclare()
+            self._queryable = None
             for future, query in self._waiting.items():
                 self._client.remove_pending_request(future)
                 query.drop()
             self._waiting.clear()
 
     def pass_requests(self) -> None:
-        """At most as many as the ring holds."""
-        for _ in range(_KEPT):
-            query = None if self._queries is None else self._queries.try_recv()
-            if query is None:
-                return
+        for query in self._inbox.take():
             self._pass(query)
 
     def ask(self, request: Any) -> None:

@@ -7,6 +7,8 @@ import math
 import os
 import sys
 import time
+from collections import deque
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -22,11 +24,35 @@ class Unusable(Exception):
 
 
 class Ends(NamedTuple):
-    """Where messages are passed between: a node of ROS and a session of Zenoh, and its package."""
+    """Where messages are passed between: a node of ROS and a session of Zenoh, and its package.
+
+    `wake` has the node's thread look at once; any thread may call it.
+    """
 
     node: Any
     session: Any
     zenoh: Any
+    wake: Callable[[], None]
+
+
+class Inbox:
+    """The newest of what Zenoh brings, on threads of its own, for the node's thread."""
+
+    def __init__(self, kept: int, wake: Callable[[], None]) -> None:
+        self._waiting: deque[Any] = deque(maxlen=kept)
+        self._kept, self._wake = kept, wake
+
+    def __call__(self, item: Any) -> None:
+        self._waiting.append(item)
+        self._wake()
+
+    def take(self) -> Iterator[Any]:
+        """What came since the last look, `kept` at most, oldest first."""
+        for _ in range(self._kept):
+            try:
+                yield self._waiting.popleft()
+            except IndexError:
+                return
 
 
 def find_type(name: str) -> Any:
@@ -131,19 +157,15 @@ class ToRos:
     """One key of Zenoh, published in ROS as it is; the first that is no message is told."""
 
     def __init__(self, ends: Ends, passed: dict[str, Any], max_bytes: int) -> None:
-        self._key, self._depth, self._max_bytes = passed["key"], passed["depth"], max_bytes
-        self._told = False
-        ring = ends.zenoh.handlers.RingChannel(self._depth)
-        self._arriving = ends.session.declare_subscriber(self._key, ring)
+        self._key, self._max_bytes, self._told = passed["key"], max_bytes, False
+        self._inbox = Inbox(passed["depth"], ends.wake)
+        self._subscriber = ends.session.declare_subscriber(self._key, self._inbox)
         self._publisher = ends.node.create_publisher(
             find_type(passed["type"]), passed["ros"], make_qos(passed)
         )
 
     def look(self) -> None:
-        for _ in range(self._depth):
-            sample = self._arriving.try_recv()
-            if sample is None:
-                return
+        for sample in self._inbox.take():
             try:
                 self._publisher.publish(cdr_of(sample.payload, self._max_bytes))
             except ValueError as error:
