@@ -189,7 +189,7 @@ def test_what_is_no_request_is_left_out(adapter, service):
     for junk in (b"junk", b"\0\1\0\0junk"):
         replies = service.session.get(key, payload=junk, timeout=PATIENCE_S)
         assert list(replies) == []
-    adapter.says("a request is left out", times=2)
+    adapter.says("a request is left out: ")
 
 
 def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(

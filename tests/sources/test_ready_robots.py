@@ -57,4 +57,4 @@ def test_depth_maps_unless_a_lidar_is_told_to(name):
 
 def test_the_turtlebot_may_map_with_its_lidar():
     config = parse(ready("turtlebot4", mapping={"input": "cloud"}))
-    assert list(streams_of(config)) == ["cloud_m", "rgb"]
+    assert list(streams_of(config)) == ["cloud_m", "depth_m", "rgb"]

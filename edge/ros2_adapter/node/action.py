@@ -31,6 +31,7 @@ class Service:
         self._client = ends.node.create_client(kind, place["ros"])
         self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
+        self._told = False
 
     def look(self) -> None:
         """Offer it, or no more; who waits for an answer then waits no longer."""
@@ -62,7 +63,10 @@ class Service:
             payload = cdr_of(query.payload, _REQUEST_BYTES)
             request = deserialize_message(payload, self._kind.Request)
         except Exception as error:  # rclpy raises what its middleware does
-            log.warning("%s: a request is left out: %s", self._key, one_line(error))
+            if not self._told:
+                self._told = True
+                said = "%s: a request is left out: %s (further ones are not told)"
+                log.warning(said, self._key, one_line(error))
             query.drop()
             return
         future = self._client.call_async(request)

@@ -174,12 +174,12 @@ class ToRos:
                     log.warning("%s: left out: %s (further ones are not told)", self._key, error)
 
 
-def cdr_of(payload: Any, max_bytes: int) -> bytes:
+def cdr_of(brought: Any, max_bytes: int) -> bytes:
     """What is given to ROS, which does not look; raises ValueError where it is none."""
-    if payload is None or len(payload) > max_bytes:
-        size = 0 if payload is None else len(payload)
+    if brought is None or len(brought) > max_bytes:
+        size = 0 if brought is None else len(brought)
         raise ValueError(f"{size} bytes, at most {max_bytes} are taken")
-    data = payload.to_bytes()
+    data = brought.to_bytes()
     if data[:2] != _CDR:
         raise ValueError(f"not little-endian CDR: begins {data[:4].hex() or 'empty'}")
     return data
