@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import zenoh
+from zenoh import ext
 
+from edge.bus.ros2.names import Dialect
 from edge.bus.session import zenoh_session
 from edge.config import Zenoh
 from edge.host.ports import free_port
@@ -33,6 +35,14 @@ def ours(port: int) -> Iterator[zenoh.Session]:
     """A session as the service has it beside a router."""
     with zenoh_session(zenoh_settings(port), "listen") as session:
         yield session
+
+
+def kept(session: zenoh.Session, dialect: Dialect, topic: str) -> ext.AdvancedPublisher:
+    """A latched topic, as a bridge and the adapter publish it."""
+    return ext.declare_advanced_publisher(
+        session, dialect.data_key(0, topic, "", ""), cache=ext.CacheConfig(max_samples=1),
+        publisher_detection=True,
+    )  # fmt: skip
 
 
 def zenoh_settings(port: int) -> Zenoh:

@@ -16,7 +16,6 @@ from edge.config.perception import Perception
 from edge.config.policy import Policy, PolicyAdaptive, PolicyHvl, PolicyOwn
 from edge.config.robot import Motion, Robot, Sensors
 from edge.config.ros2 import Ros2
-from edge.config.ros2_adapter import Ros2Adapter
 from edge.config.section import Section
 from edge.config.sim import Sim
 from edge.config.yaml_text import parse_yaml, read_yaml
@@ -51,7 +50,6 @@ class Config(Section):
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
     motion: Motion = Motion()
-    ros2_adapter: Ros2Adapter = Ros2Adapter()
     sim: Sim = Sim()
     report: Report = Report()
     http: Http = Http()

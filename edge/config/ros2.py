@@ -33,11 +33,25 @@ DEFAULT_TOPICS: dict[str, str] = {
 }
 
 
+class Adapter(Section):
+    """`edge ros2-adapter`, for `via: adapter`.
+
+    `python` has rclpy and eclipse-zenoh; `setup` is sourced first, where ROS 2's setup file was not
+    sourced before. Best effort hears reliable publishers too; `reliable` names the topics of which
+    no message may be lost on the way from DDS, and which no best-effort publisher sends.
+    """
+
+    python: str = "/usr/bin/python3"
+    setup: str | None = None
+    reliable: tuple[RosTopic, ...] = ()
+
+
 class Ros2(Section):
     """For the source and the sink `ros2`.
 
-    `via`: who is spoken to: the router of a graph on `rmw_zenoh`, or the `bridge`
-    zenoh-bridge-ros2dds, beside a robot on DDS.
+    `via`: who is spoken to: the router of a graph on `rmw_zenoh`, or, beside a robot on DDS, the
+    `bridge` zenoh-bridge-ros2dds or our own `adapter`.
+    `domain` is ROS_DOMAIN_ID; the bridge and the adapter have it from their environment.
     `topics` gives what is not called as usual its ROS name: `{camera/rgb: /oakd/rgb/image_raw}`.
     `map_frame` is where goals and the map are; odometry in another frame is taken there by tf.
     `mounts`: where the sensors sit, by `tf`, or as `sensors` of this configuration says.
@@ -45,7 +59,7 @@ class Ros2(Section):
     the topic `goal`, which nobody answers.
     """
 
-    via: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
+    via: Literal["rmw_zenoh", "bridge", "adapter"] = "rmw_zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     node: Annotated[str, Field(pattern=rf"^{_PART}$", max_length=60)] = "edge"
     map_frame: Frame = "map"
@@ -53,6 +67,7 @@ class Ros2(Section):
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)
+    adapter: Adapter = Adapter()
 
     def topic(self, name: str) -> str:
         """What ROS calls the topic, or the action, that this project calls `name`."""

@@ -19,23 +19,19 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from edge.bus import topics
+from edge.bus.ros2.names import NO_HASH, dialect_of
+from edge.bus.ros2.topics import HEARD, LATCHED, NAVIGATE_TO_POSE, SAID, heard_types
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
-from edge.config.ros2_adapter import Passed
 from edge.errors import UnavailableError
 from edge.host.signals import stop_on_signals
 
 log = logging.getLogger("edge.ros2_adapter")
 
 HERE = Path(__file__).parent
-NODE, LAUNCH_FILE = HERE / "node.py", HERE / "edge_adapter.launch.py"
-ACTION = "nav2_msgs/action/NavigateToPose"
+NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
-_TYPES = {topic.key: topic.type for topic in topics.ALL if topic.type != "json"}
-# A map is sent seldom and must reach whoever comes late; tf_static is said once.
-_RELIABLE, _LATCHED = {"map", "goal", "tf", "tf_static"}, {"map", "tf_static"}
-_GOAL_BYTES = 4096
+_DEPTHS, _DEPTH = {"tf": 100, "tf_static": 100, "odom": 100, "map": 1}, 5
 _STOP_S = 5.0
 _LOOK_S = 0.2
 _PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
@@ -55,47 +51,38 @@ def make_plan(config: Config) -> dict[str, Any]:
     """What the node needs to know, as JSON has it (see `edge.ros2_adapter.node`).
 
     Raises:
-        ConfigError: nothing is to be passed, or a topic's type is not known.
+        ConfigError: the service would not hear what is passed.
     """
-    adapter, limit = config.ros2_adapter, int(config.source.max_message_mb * 1e6)
-    if not adapter.sensors:
-        raise ConfigError(
-            f"{config.path}: ros2_adapter.sensors: nothing to pass: name a ROS topic for each of "
-            "ours, such as odom: /odom (config/ros2-adapter.yaml has them all)"
-        )
-    goals = None
-    if adapter.goals is not None:
-        goals = {
-            "action": adapter.goals,
-            "type": ACTION,
-            "key": config.zenoh.key(topics.GOAL.key),
-            "answer_key": config.zenoh.key(topics.GOAL_STATUS.key),
-            "max_bytes": _GOAL_BYTES,
-        }
+    settings, path = config.ros2, config.path
+    if config.source.kind != "ros2":
+        raise ConfigError(f"{path}: source.kind: {config.source.kind} hears no robot: set ros2")
+    if settings.via != "adapter":
+        raise ConfigError(f"{path}: ros2.via: {settings.via} needs no adapter: set adapter")
+    dialect = dialect_of(settings.via, config.zenoh.prefix)
+
+    def place(name: str) -> dict[str, Any]:
+        ros = settings.topic(name)
+        return {"ros": ros, "key": dialect.data_key(settings.domain, ros, "", NO_HASH)}
+
+    def passed(name: str, kind: str, reliable: bool) -> dict[str, Any]:
+        latched = name in LATCHED
+        quality = {"reliable": reliable or latched, "latched": latched}
+        return {**place(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
+
+    wanted = settings.adapter.reliable
+    heard = [passed(name, heard_types(name, settings.topic(name))[0], name in wanted)
+             for name in HEARD]  # fmt: skip
+    by_action = settings.goals == "navigate_to_pose"
+    said = [name for name in SAID if not (name == "goal" and by_action)]
     return {
         "version": version("eclipse-zenoh"),
         "zenoh": str(session_config(config.zenoh, "connect")),
-        "node": adapter.node,
-        "sensors": [_passed(config, "sensors", *item, limit) for item in adapter.sensors.items()],
-        "results": [_passed(config, "results", *item, limit) for item in adapter.results.items()],
-        "goals": goals,
+        "node": f"{settings.node}_adapter",
+        "max_bytes": int(config.source.max_message_mb * 1e6),
+        "heard": heard,
+        "said": [passed(name, SAID[name], reliable=True) for name in said],
+        "action": {**place("navigate_to_pose"), "type": NAVIGATE_TO_POSE} if by_action else None,
     }
-
-
-def _passed(config: Config, part: str, name: str, passed: Passed, max_bytes: int) -> dict[str, Any]:
-    kind = passed.type or _TYPES.get(name, "").replace("/", "/msg/")
-    if not kind:
-        raise ConfigError(
-            f"{config.path}: ros2_adapter.{part}.{name}: not a topic with a ROS type "
-            f"(choices: {', '.join(_TYPES)}): give it one, as "
-            "{topic: /tf, type: tf2_msgs/msg/TFMessage}"
-        )
-    reliable = name in _RELIABLE if passed.reliable is None else passed.reliable
-    latched = name in _LATCHED if passed.latched is None else passed.latched
-    return {
-        "key": config.zenoh.key(name), "ros": passed.topic, "type": kind, "reliable": reliable,
-        "latched": latched, "depth": passed.depth, "max_bytes": max_bytes,
-    }  # fmt: skip
 
 
 def command_of(config: Config) -> list[str]:
@@ -104,10 +91,10 @@ def command_of(config: Config) -> list[str]:
     Raises:
         UnavailableError: a file that the configuration names is not there.
     """
-    adapter = config.ros2_adapter
+    adapter = config.ros2.adapter
     for key, path in (("python", adapter.python), ("setup", adapter.setup)):
         if path is not None and not os.access(path, os.R_OK):
-            raise UnavailableError(f"{config.path}: ros2_adapter.{key}: cannot read {path}")
+            raise UnavailableError(f"{config.path}: ros2.adapter.{key}: cannot read {path}")
     start = [adapter.python, "-u", str(NODE)]
     if adapter.setup is None:
         return start

@@ -1,20 +1,23 @@
 """A client of Nav2's action NavigateToPose: goals out, and what becomes of them back.
 
-Nav2 takes a new goal in the place of the old by itself, so only who wants no goal at all cancels.
-A goal's end is its result, which says why as well; where that is lost, as when a router was started
-anew, the action's `status` has to do.
+Nav2 takes a new goal in the place of the old by itself; a server that does not, and drives on to
+the old one, is told to cancel that. A goal's end is its result, which says why as well; where that
+is lost, as when a router was started anew, the action's `status` has to do.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 from edge.bus.ros2.node import Answer, Node
+from edge.bus.ros2.topics import NAVIGATE_TO_POSE
 from edge.bus.wire import DecodeError, navigation
 from edge.bus.wire.navigation import SETTLED, SUCCEEDED
 from edge.text import one_line
@@ -24,10 +27,12 @@ log = logging.getLogger("edge.sinks.ros2")
 
 AGAIN_S = 0.5
 RESULT_LATE_S = 1.0
+GONE_S = 3.0  # a router that is started anew is back by then
+PATIENCE_S = 5.0  # before it is told that there is no action
+REPLACED_S = 0.5  # what drives to one goal at a time has let go of the one before by then
 _ACCEPT_S = 5.0
 _RESULT_S = 600.0
 _KEPT = 16
-_ACTION = "nav2_msgs/action/NavigateToPose"
 _STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "given up"}
 
 
@@ -39,6 +44,8 @@ class _Driven:
         stage: `waiting`: to be sent; `sent`: not answered yet; `driving`: accepted.
         answer: what is waited for: whether it is accepted, then its result.
         due_s: when to ask again where no answer is on its way.
+        since_s: when it was given.
+        lost_s: since when the action is not there; 0: it is.
         status: how it ended, as the action's `status` says, at `ended_s`; 0 before that.
         unwanted: to be cancelled as soon as Nav2 has it.
     """
@@ -48,6 +55,8 @@ class _Driven:
     goal_id: bytes = b""
     answer: Answer = field(default_factory=lambda: Answer(None))
     due_s: float = 0.0
+    since_s: float = field(default_factory=time.monotonic)
+    lost_s: float = 0.0
     status: int = 0
     ended_s: float = 0.0
     unwanted: bool = False
@@ -66,27 +75,37 @@ class Navigator:
     def __init__(
         self, node: Node, action: str, frame_id: str, tell: Callable[[GoalStatus], None]
     ) -> None:
-        self._frame_id, self._tell = frame_id, tell
+        self._action, self._frame_id, self._tell = action, frame_id, tell
         below = f"{action}/_action"
-        self._send = node.client(f"{below}/send_goal", f"{_ACTION}_SendGoal")
-        self._result = node.client(f"{below}/get_result", f"{_ACTION}_GetResult")
-        self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal")
-        self._feedback = node.subscription(
-            f"{below}/feedback", (f"{_ACTION}_FeedbackMessage",), _KEPT
-        )
+        kind = NAVIGATE_TO_POSE
+        self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
+        self._result = node.client(f"{below}/get_result", f"{kind}_GetResult", _RESULT_S)
+        self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", _ACCEPT_S)
+        self._feedback = node.subscription(f"{below}/feedback", (f"{kind}_FeedbackMessage",), _KEPT)
         self._status = node.subscription(
             f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _KEPT
         )
         self._driven: _Driven | None = None
+        self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # by newer ones
+        self._let_go_s = math.inf  # when whichever of them is still driven to is cancelled
         self._malformed = 0
+        self._waiting_told = False
+
+    def served(self) -> bool:
+        """Whether somebody takes goals."""
+        return self._send.served()
 
     def send(self, goal: Goal) -> None:
         """Drive there, and no more to where it was before."""
+        if self._driven is not None and self._driven.stage != "waiting":
+            self._replaced.append(self._driven.goal_id)
+            self._let_go_s = math.inf
         self._driven = _Driven(goal)
         self.beat()
 
     def cancel(self) -> None:
         """Drive nowhere."""
+        self._let_go()
         driven = self._driven
         if driven is None:
             return
@@ -95,7 +114,7 @@ class Navigator:
         elif driven.stage == "sent":
             driven.unwanted = True
             # At once as well, for a service that ends: Nav2 may have it without having said so.
-            self._cancel.ask(navigation.encode_cancel(driven.goal_id), _ACCEPT_S)
+            self._call_off(driven.goal_id)
         else:
             self._driven = None
 
@@ -107,6 +126,8 @@ class Navigator:
             self._attempt(self._note_status, payload.to_bytes())
         if self._driven is not None:
             self._attempt(_STEPS[self._driven.stage], self, self._driven)
+        if time.monotonic() >= self._let_go_s:
+            self._let_go()
 
     def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
         """What is malformed is counted, and costs nothing else that came."""
@@ -120,15 +141,21 @@ class Navigator:
     # -- one step a stage -------------------------------------------------------------------------
 
     def _step_waiting(self, driven: _Driven) -> None:
-        if time.monotonic() < driven.due_s or not self._send.served():
+        now_s = time.monotonic()
+        if not self._send.served():
+            if now_s - driven.since_s > PATIENCE_S and not self._waiting_told:
+                self._waiting_told = True
+                log.warning("ros2: waiting for %s: is Nav2 running?", self._action)
             return
-        driven.due_s = time.monotonic() + AGAIN_S
+        if now_s < driven.due_s:
+            return
+        driven.due_s, self._waiting_told = now_s + AGAIN_S, False
         # A new name each time: who has seen one before refuses it.
         driven.goal_id = uuid.uuid4().bytes
         request = navigation.encode_send_goal(
             driven.goal_id, driven.goal.stamp_ns, driven.goal.pose, self._frame_id
         )
-        driven.answer, driven.stage = self._send.ask(request, _ACCEPT_S), "sent"
+        driven.answer, driven.stage = self._send.ask(request), "sent"
 
     def _step_sent(self, driven: _Driven) -> None:
         payload = driven.answer.poll()
@@ -137,6 +164,7 @@ class Navigator:
                 driven.stage = "waiting"
                 self._driven = None if driven.unwanted else driven
             return
+        self._let_go_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
             self._settle(driven, "failed", "refused by navigate_to_pose")
             return
@@ -155,12 +183,17 @@ class Navigator:
         elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
             self._end(driven, navigation.Result(driven.status))
         elif driven.answer.over and time.monotonic() >= driven.due_s:
-            if not self._send.served():
-                self._settle(driven, "failed", "navigate_to_pose is gone")
-                return
-            driven.due_s = time.monotonic() + AGAIN_S
-            request = navigation.encode_get_result(driven.goal_id)
-            driven.answer = self._result.ask(request, _RESULT_S)
+            self._ask_how_it_ends(driven)
+
+    def _ask_how_it_ends(self, driven: _Driven) -> None:
+        now_s = time.monotonic()
+        if self._result.served():
+            driven.due_s, driven.lost_s = now_s + AGAIN_S, 0.0
+            driven.answer = self._result.ask(navigation.encode_get_result(driven.goal_id))
+        elif driven.lost_s == 0.0:
+            driven.lost_s = now_s
+        elif now_s - driven.lost_s > GONE_S:
+            self._settle(driven, "failed", "navigate_to_pose is gone")
 
     # -- what comes -------------------------------------------------------------------------------
 
@@ -179,6 +212,8 @@ class Navigator:
             ours = driven is not None and goal_id == driven.goal_id
             if ours and status in SETTLED and not driven.status:
                 driven.status, driven.ended_s = status, time.monotonic()
+            elif status in SETTLED and goal_id in self._replaced:
+                self._replaced.remove(goal_id)
 
     def _end(self, driven: _Driven, result: navigation.Result) -> None:
         if result.status == SUCCEEDED:
@@ -198,7 +233,17 @@ class Navigator:
     def _take_back(self, driven: _Driven) -> None:
         """Nobody waits for what Nav2 says to it: a robot that drives on is told of by its poses."""
         self._driven = None
-        self._cancel.ask(navigation.encode_cancel(driven.goal_id), _ACCEPT_S)
+        self._call_off(driven.goal_id)
+
+    def _let_go(self) -> None:
+        """Call off what newer goals took the place of, and is still driven to for all we know."""
+        for goal_id in self._replaced:
+            self._call_off(goal_id)
+        self._replaced.clear()
+        self._let_go_s = math.inf
+
+    def _call_off(self, goal_id: bytes) -> None:
+        self._cancel.ask(navigation.encode_cancel(goal_id))
 
 
 _STEPS: dict[str, Callable[[Navigator, _Driven], None]] = {

@@ -1,4 +1,4 @@
-"""Goals, map, the robot's way and what was found, into a ROS 2 graph that speaks rmw_zenoh.
+"""Goals, map, the robot's way and what was found, into a robot's ROS 2 graph (`ros2.via`).
 
 Answers of the action NavigateToPose go out as `goal_status`, as any controller's do: whatever the
 source, it hears them.
@@ -15,13 +15,12 @@ import numpy as np
 import zenoh
 
 from edge.bus import topics
-from edge.bus.ros2.names import DIALECTS
-from edge.bus.ros2.node import Node
+from edge.bus.ros2.node import Publisher, open_node
+from edge.bus.ros2.topics import LATCHED, SAID
 from edge.bus.session import declare_publisher
 from edge.bus.wire import markers, messages, transforms
 from edge.bus.wire.markers import Marker
 from edge.config import Config
-from edge.config.ros2 import Ros2
 from edge.geometry import SE2, Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
@@ -42,17 +41,15 @@ class Ros2Sink:
     """Speaks to the graph of `ros2`; no method blocks."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        settings = config.ros2
+        settings = self._settings = config.ros2
         self._frame = settings.map_frame
-        self._node = Node(session, settings.domain, f"{settings.node}_sink", DIALECTS[settings.via])
-        self._map = self._publisher(settings, "map", "nav_msgs/msg/OccupancyGrid", latched=True)
-        self._path = self._publisher(settings, "path", "nav_msgs/msg/Path")
-        self._markers = self._publisher(settings, "markers", "visualization_msgs/msg/MarkerArray")
+        self._node = open_node(config, session, "sink")
+        self._map, self._path, self._markers = map(self._publisher, ("map", "path", "markers"))
         self._goal = None
         self._navigator = None
         self._answers = None
         if settings.goals == "topic":
-            self._goal = self._publisher(settings, "goal", "geometry_msgs/msg/PoseStamped")
+            self._goal = self._publisher("goal")
         else:
             self._answers = declare_publisher(session, topics.GOAL_STATUS, config.zenoh)
             action = settings.topic("navigate_to_pose")
@@ -67,8 +64,8 @@ class Ros2Sink:
         self._last_ns: dict[str, int] = {}
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
 
-    def _publisher(self, settings: Ros2, name: str, type_name: str, latched: bool = False) -> Any:
-        return self._node.publisher(settings.topic(name), type_name, latched)
+    def _publisher(self, name: str) -> Publisher:
+        return self._node.publisher(self._settings.topic(name), SAID[name], name in LATCHED)
 
     # -- on the loop's thread -------------------------------------------------------------------
 

@@ -1,113 +1,47 @@
-"""Observations from a ROS 2 graph that speaks rmw_zenoh, without ROS.
+"""Observations from a robot's ROS 2 graph, without ROS, however it is reached (`ros2.via`).
 
-What a message is says its key, so a topic may bring pictures as they are or compressed, and of any
-distribution. Our subscriptions are announced, since drivers send nothing while nobody listens.
+On rmw_zenoh a message's key says what it is, so a topic may bring pictures as they are or
+compressed, and of any distribution. Our subscriptions are announced, since drivers send nothing
+while nobody listens.
 """
 
 from __future__ import annotations
 
-import logging
-import time
-
 import zenoh
 
-from edge.bus import topics
-from edge.bus.ros2.names import DIALECTS
-from edge.bus.ros2.node import Node, Subscription
+from edge.bus.ros2.node import Subscription, open_node
+from edge.bus.ros2.topics import LATCHED, heard_types
 from edge.bus.topics import Topic
 from edge.bus.wire import DecodeError
-from edge.bus.wire.schemas import full_name
 from edge.config import Config
-from edge.geometry import SE2
-from edge.sources.decoder import KINDS, CdrDecoder
-from edge.sources.goal_status import GoalStatusInbox
-from edge.sources.streams import KEPT
-from edge.sources.synchronizer import TimeSynchronizer
+from edge.sources.polled import PolledSource
 from edge.sources.tf import Frames
-from edge.sources.zenoh import PAUSE_S
 from edge.text import one_line
-from edge.types import Observation
-
-log = logging.getLogger("edge.sources.ros2")
 
 _TF_KEPT = 256
-_ALSO = {"sensor_msgs/Image": ("sensor_msgs/CompressedImage",)}
-"""What is understood where a topic's own type is expected."""
-_COMPRESSED = ("/compressed", "/compressedDepth")
 
 
-def _types_of(topic: Topic, name: str) -> list[str]:
-    """What is understood under a ROS name, the likeliest first (image_transport's endings)."""
-    types = [full_name(t) for t in (topic.type, *_ALSO.get(topic.type, ()))]
-    return types[::-1] if name.endswith(_COMPRESSED) else types
-
-
-class Ros2Source:
-    """The sensors that `ros2.topics` names as Observations (an `edge.loop.source.Source`).
-
-    Raises:
-        ConfigError: a cloud is asked for and no LiDAR is described.
-    """
+class Ros2Source(PolledSource):
+    """The sensors that `ros2.topics` names as Observations."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        settings = config.ros2
-        self._synchronizer = TimeSynchronizer(config)
-        self._frames = Frames(settings)
-        self._decoder = CdrDecoder(self._synchronizer, frames=self._frames)
-        self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._node = Node(
-            session, settings.domain, f"{settings.node}_source", DIALECTS[settings.via]
-        )
-        tf = "tf2_msgs/msg/TFMessage"
+        self._settings, self._frames = config.ros2, Frames(config.ros2)
+        super().__init__(config, session, self._frames)
+        self._node = open_node(config, session, "source")
         # What was moored first: a frame whose sensor sits nowhere yet is dropped.
-        self._transforms = [
-            self._node.subscription(settings.topic("tf_static"), (tf,), _TF_KEPT, latched=True),
-            self._node.subscription(settings.topic("tf"), (tf,), _TF_KEPT),
-        ]
-        kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
-        heard = self._synchronizer.streams
-        kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
-        self._sensors: dict[Topic, Subscription] = {
-            topic: self._subscribe(topic, settings.topic(topic.key), n) for topic, n in kept.items()
-        }
-        self._told: set[tuple[str, str]] = set()
-        self.inbox = GoalStatusInbox(session, config.zenoh)
+        self._transforms = [self._subscribe(name, _TF_KEPT) for name in ("tf_static", "tf")]
+        self._sensors = {topic: self._subscribe(topic.key, n) for topic, n in self._kept.items()}
 
-    def _subscribe(self, topic: Topic, name: str, kept: int) -> Subscription:
-        return self._node.subscription(name, _types_of(topic, name), kept)
-
-    @property
-    def counters(self) -> dict[str, int]:
-        return self._synchronizer.counters
-
-    @property
-    def epoch(self) -> int:
-        return self._synchronizer.odometry.epoch
-
-    @property
-    def pose(self) -> SE2 | None:
-        return self._synchronizer.odometry.newest_pose
-
-    def poll(self) -> Observation | None:
-        """See `edge.loop.source.Source`."""
-        self._drain()
-        return self._synchronizer.poll()
-
-    def wait(self, timeout_s: float) -> bool:
-        """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
-        deadline_s = time.monotonic() + timeout_s
-        while not self._drain():
-            if time.monotonic() >= deadline_s:
-                return False
-            time.sleep(PAUSE_S)
-        return True
+    def _subscribe(self, name: str, kept: int) -> Subscription:
+        ros_name = self._settings.topic(name)
+        types = heard_types(name, ros_name)
+        return self._node.subscription(ros_name, types, kept, latched=name in LATCHED)
 
     def close(self) -> None:
         self._node.close()
-        self.inbox.close()
+        super().close()
 
     def _drain(self) -> int:
-        """Hand a ring's worth of each topic to the decoder; how many messages it was."""
         self._node.look()
         n = 0
         for subscription in self._transforms:
@@ -125,9 +59,9 @@ class Ros2Source:
     def _take(
         self, topic: Topic, subscription: Subscription, type_name: str, payload: zenoh.ZBytes
     ) -> None:
-        if len(payload) > self._max_bytes:
-            self._synchronizer.count(topic.key, "oversized", f"{len(payload)} bytes")
-        elif type_name not in subscription.types:
+        if self._is_too_large(topic.key, payload):
+            return
+        if type_name not in subscription.types:
             expected = " or ".join(subscription.types)
             self._synchronizer.count(
                 topic.key, "malformed",
@@ -137,10 +71,8 @@ class Ros2Source:
             self._decoder.offer(topic, payload.to_bytes(), type_name.replace("/msg/", "/"))
 
     def _take_transforms(self, name: str, payload: zenoh.ZBytes) -> None:
-        counters = self.counters
-        counters["received"] += 1
-        if len(payload) > self._max_bytes:
-            self._synchronizer.count(name, "oversized", f"{len(payload)} bytes")
+        self.counters["received"] += 1
+        if self._is_too_large(name, payload):
             return
         try:
             untaken = self._frames.take(payload.to_bytes())

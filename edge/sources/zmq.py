@@ -24,17 +24,13 @@ import numpy as np
 import zenoh
 
 from edge.bus import topics
-from edge.bus.session import Ring
 from edge.bus.wire import images
 from edge.config import Config, ConfigError
-from edge.geometry import SE2, CameraModel
-from edge.sources.goal_status import GoalStatusInbox
+from edge.geometry import CameraModel
 from edge.sources.messages import CameraInfo, DepthImage, Frame, Image, WrongSizeError
 from edge.sources.streams import KEPT
-from edge.sources.synchronizer import TimeSynchronizer
-from edge.sources.zenoh import CdrDecoder
+from edge.sources.zenoh import ZenohSource
 from edge.text import one_line, read_json_object
-from edge.types import Observation
 
 if TYPE_CHECKING:
     import zmq
@@ -42,7 +38,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge.sources.zmq")
 
 MAX_HEADER = 4096
-_PAUSE_S = 0.0003
 _LOOK_S = 1.0
 _MOST_PX = 1e7
 _BYTES_PX = {
@@ -114,9 +109,8 @@ def _into(buffer: memoryview, header: images.ImageHeader, out: np.ndarray) -> in
     return header.height
 
 
-class ZmqSource:
-    """A camera that publishes at `address`, the rest under `zenoh.prefix` (an
-    `edge.loop.source.Source`).
+class ZmqSource(ZenohSource):
+    """A camera that publishes at `address`, the rest under `zenoh.prefix`.
 
     This end connects, so nobody but who listens at that address is heard. What is larger than
     `source.max_message_mb` is not taken in: ZeroMQ then ends the connection, and makes it anew.
@@ -126,6 +120,8 @@ class ZmqSource:
             LiDAR is described.
     """
 
+    OTHERWISE = (topics.RGB, topics.DEPTH, topics.CAMERA_INFO)
+
     def __init__(
         self,
         config: Config,
@@ -133,70 +129,21 @@ class ZmqSource:
         address: str,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._synchronizer = TimeSynchronizer(config)
-        self._decoder = CdrDecoder(self._synchronizer)
+        super().__init__(config, session)
         self._clock = clock
         self._address = address
         self._look_s = 0.0
-        self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._zmq, self._context, self._camera = _connect(config, address, self._max_bytes)
         self._hung_up = self._camera.get_monitor_socket(self._zmq.EVENT_DISCONNECTED)
         self._hung_up_told = False
-        kept = {topics.ODOMETRY: config.source.odometry_ring}
-        if "cloud_m" in self._synchronizer.streams:
-            kept |= {topics.CLOUD: KEPT, topics.SCAN: KEPT}
-        self._rings = {
-            topic: Ring(session, config.zenoh.key(topic.key), n) for topic, n in kept.items()
-        }
-        self.inbox = GoalStatusInbox(session, config.zenoh)
-
-    @property
-    def counters(self) -> dict[str, int]:
-        return self._synchronizer.counters
-
-    @property
-    def epoch(self) -> int:
-        return self._synchronizer.odometry.epoch
-
-    @property
-    def pose(self) -> SE2 | None:
-        return self._synchronizer.odometry.newest_pose
-
-    def poll(self) -> Observation | None:
-        """See `edge.loop.source.Source`."""
-        self._drain()
-        return self._synchronizer.poll()
-
-    def wait(self, timeout_s: float) -> bool:
-        """See `edge.loop.source.Source`; looks every 0.3 ms, as rings cannot be waited on."""
-        deadline_s = time.monotonic() + timeout_s
-        while not self._drain():
-            if time.monotonic() >= deadline_s:
-                return False
-            time.sleep(_PAUSE_S)
-        return True
 
     def close(self) -> None:
-        for ring in self._rings.values():
-            ring.close()
-        self.inbox.close()
+        super().close()
         self._camera.disable_monitor()
         self._context.destroy(linger=0)
 
     def _drain(self) -> int:
-        """Hand what came to the synchronizer, odometry first; how many messages it was."""
-        n = 0
-        for topic, ring in self._rings.items():
-            samples = ring.take()
-            n += len(samples)
-            for sample in samples:
-                size = len(sample.payload)
-                if size > self._max_bytes:
-                    self._synchronizer.count(topic.key, "oversized", f"{size} bytes")
-                else:
-                    self._decoder.offer(topic, sample.payload.to_bytes())
-        self.counters["overrun"] = sum(ring.overruns for ring in self._rings.values())
-        return n + self._drain_camera()
+        return super()._drain() + self._drain_camera()
 
     def _drain_camera(self) -> int:
         """At most as many messages as the queue holds: a flood must not keep the loop."""

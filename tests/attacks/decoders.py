@@ -10,12 +10,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+from ros_messages import FAREWELLS, STORE, header, pose, to_ros
+from ros_robots import LOCALIZED
 
 import edge
 from edge.bus.ros2.names import Endpoint, parse_token
 from edge.bus.verbs import read_request
-from edge.bus.wire import messages
+from edge.bus.wire import compressed, messages, navigation, transforms
 from edge.cli.requests import as_text
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.requests import MODEL_VERBS, mission_verbs
@@ -67,6 +70,39 @@ def _json(*said: object) -> tuple[bytes, ...]:
     return tuple(json.dumps(one).encode() for one in said)
 
 
+def _compressed_into(out: np.ndarray) -> Callable[[bytes], object]:
+    def read(payload: bytes) -> None:
+        found = compressed.decode_compressed_header(payload)
+        if (found.height, found.width) != out.shape[:2]:
+            raise ValueError(f"{found.width}x{found.height}")
+        compressed.decode_compressed_into(payload, found, out)
+
+    return read
+
+
+def _ros(name: str, *values: object) -> bytes:
+    return to_ros(STORE.types[name](*values))
+
+
+def _picture(words: str, kind: str, array: np.ndarray) -> bytes:
+    data = cv2.imencode(kind, array)[1].reshape(-1)
+    return _ros("sensor_msgs/msg/CompressedImage", header(NS, "c"), words, data)
+
+
+def _goal_info() -> object:
+    uuid = STORE.types["unique_identifier_msgs/msg/UUID"](np.arange(16, dtype=np.uint8))
+    time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
+    return STORE.types["action_msgs/msg/GoalInfo"](uuid, time)
+
+
+def _feedback() -> bytes:
+    lasted = STORE.types["builtin_interfaces/msg/Duration"](1, 0)
+    at = STORE.types["geometry_msgs/msg/PoseStamped"](header(NS, "map"), pose(SE2(1.0, 2.0, 0.5)))
+    inner = STORE.types["nav2_msgs/msg/NavigateToPose_Feedback"](at, lasted, lasted, 1, 2.5)
+    return _ros("nav2_msgs/msg/NavigateToPose_FeedbackMessage", _goal_info().goal_id, inner)
+
+
+_COMPRESSED = ("decode_compressed_header", "decode_compressed_into")
 _IMAGE = ("decode_image_header", "decode_image_into")
 _DEPTH = np.arange(8, dtype=np.float32).reshape(2, 4)
 
@@ -122,6 +158,51 @@ DECODERS = {
     ),
     "stamp": Decoder(
         messages.peek_stamp_ns, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_stamp_ns",)
+    ),
+    "compressed rgb": Decoder(
+        _compressed_into(_OUT["rgb"]),
+        (_picture("jpeg", ".jpg", _RGB), _picture("rgb8; png compressed bgr8", ".png", _RGB)),
+        _COMPRESSED,
+    ),
+    "compressed depth": Decoder(
+        _compressed_into(_OUT["depth"]),
+        (_picture("16UC1; png compressed", ".png", _DEPTH.astype(np.uint16)),),
+        _COMPRESSED,
+    ),
+    "tf": Decoder(transforms.decode_transforms, (LOCALIZED,), ("decode_transforms",)),
+    "goal request": Decoder(
+        navigation.decode_send_goal,
+        (navigation.encode_send_goal(bytes(16), NS, SE2(1.0, 2.0, 0.5)),),
+        ("decode_send_goal",),
+    ),
+    "goal answer": Decoder(
+        navigation.decode_send_goal_answer,
+        (_ros("nav2_msgs/msg/NavigateToPose_SendGoal_Response", True, _goal_info().stamp),),
+        ("decode_send_goal_answer",),
+    ),
+    "cancel answer": Decoder(
+        navigation.decode_cancel_answer,
+        (_ros("action_msgs/msg/CancelGoal_Response", 0, [_goal_info()]),),
+        ("decode_cancel_answer",),
+    ),
+    "goal result": Decoder(
+        navigation.decode_result,
+        tuple(encode(6, 103, "no way") for encode, _ in FAREWELLS.values()),
+        ("decode_result",),
+    ),
+    "goal feedback": Decoder(navigation.decode_feedback, (_feedback(),), ("decode_feedback",)),
+    "goal statuses": Decoder(
+        navigation.decode_goal_statuses,
+        (
+            _ros(
+                "action_msgs/msg/GoalStatusArray",
+                [STORE.types["action_msgs/msg/GoalStatus"](_goal_info(), 4)],
+            ),
+        ),
+        ("decode_goal_statuses",),
+    ),
+    "header": Decoder(
+        messages.peek_header, (messages.encode_twist_stamped(NS, 0.1, 0.2),), ("peek_header",)
     ),
     "goal status": Decoder(
         parse_goal_status,

@@ -1,85 +1,92 @@
-"""The simulated robot, as a ROS 2 robot with Nav2, on rmw_zenoh and behind what does as
-zenoh-bridge-ros2dds does, is driven to its target."""
+"""Simulated robots, as ROS 2 robots with Nav2, are driven to their target: on rmw_zenoh, and behind
+what does as zenoh-bridge-ros2dds does.
+
+Each publishes the topics and frames of a ready configuration; its odometry is not in `map`.
+"""
 
 from __future__ import annotations
 
 import json
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import zenoh
 from edge_processes import write_config
 from nav2 import Nav2
-from ros_messages import STORE, header, to_ros
-from ros_router import ours, router
+from ros_messages import from_ros, to_ros
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, ready, ready_config, transforms_of
+from ros_router import kept, ours, router
 from ros_sdk import Republisher, peers
 
-from edge.bus.ros2.names import DIALECTS, Dialect
+from edge.bus.ros2.names import Dialect, dialect_of
 from edge.bus.ros2.node import Node
+from edge.bus.ros2.topics import HEARD
 from edge.bus.session import Ring
 from edge.bus.wire import messages
-from edge.config import Camera
-from edge.geometry import SE2, quaternion_of
+from edge.geometry import SE2
 
 SUCCEEDED, ABORTED = 4, 6
 # What simulator and controller call what ROS knows by another name; the truth stays where it is.
 HIDDEN = {
     name: f"robot/{name}"
-    for name in ("camera/rgb", "camera/depth", "camera/info", "odom", "goal", "map", "goal_status",
-                 "status", "latency", "mission")
+    for name in ("camera/rgb", "camera/depth", "camera/info", "lidar/scan", "odom", "goal", "map",
+                 "goal_status", "status", "latency", "mission")
 }  # fmt: skip
-TYPES = {"camera/rgb": "sensor_msgs/msg/Image", "camera/depth": "sensor_msgs/msg/Image",
-         "camera/info": "sensor_msgs/msg/CameraInfo", "odom": "nav_msgs/msg/Odometry"}  # fmt: skip
-NAMES = {name: f"/sim/{name}" for name in TYPES}
 
 
 class RosRobot:
     """Publishes what the simulator sends, and drives by its controller where Nav2 is told to."""
 
-    def __init__(self, session: zenoh.Session, port: int, dialect: Dialect) -> None:
+    def __init__(self, session: zenoh.Session, port: int, name: str, dialect: Dialect) -> None:
+        settings, body = ready_config(name).ros2, ROBOTS[name]
+        self._frames = {"odom": "odom", "lidar/scan": body.lidar}
+        self._camera = body.camera
+        sensors = [n for n in HIDDEN if n in HEARD and (body.lidar or not n.startswith("lidar"))]
         self.nav2 = Nav2(session, "jazzy", dialect=dialect)
         self._session, self._node = session, Node(session, 0, "robot", dialect)
-        self._rings = {name: Ring(session, f"edge/robot/{name}", 64) for name in TYPES}
-        if dialect.has_tokens:
-            # By an implementation that is not ours.
-            self._publishers = {n: Republisher(port, NAMES[n], t) for n, t in TYPES.items()}
-        else:
-            self._publishers = {n: self._node.publisher(NAMES[n], t) for n, t in TYPES.items()}
+        self._rings = {n: Ring(session, f"edge/robot/{n}", 64) for n in sensors}
+
+        def publisher(n: str):
+            if dialect.has_tokens:  # by an implementation that is not ours
+                return Republisher(port, settings.topic(n), HEARD[n])
+            return self._node.publisher(settings.topic(n), HEARD[n])
+
+        self._publishers = {n: publisher(n) for n in sensors}
         self._map = self._node.subscription(
             "/edge/occupancy", ("nav_msgs/msg/OccupancyGrid",), 1, latched=True
         )
         self._answers = Ring(session, "edge/robot/goal_status", 64)
-        self._tf = self._node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        if dialect.has_tokens:
+            self._moored = self._node.publisher("/tf_static", HEARD["tf_static"], latched=True)
+        else:
+            self._moored = kept(session, dialect, "/tf_static")
+        self._moored.put(transforms_of(body.tree))
+        self._tf, self._tf_s = self._node.publisher("/tf", HEARD["tf"]), 0.0
         self._goal: tuple[bytes, int, bytes] | None = None
         self._taken, self._again_s = 0, 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def _moor(self, frame_id: str) -> None:
-        T, types = Camera().T_base_camera(), STORE.types
-        moved = types["geometry_msgs/msg/Vector3"](*map(float, T[:3, 3]))
-        turned = types["geometry_msgs/msg/Quaternion"](*quaternion_of(T))
-        mounted = types["geometry_msgs/msg/TransformStamped"](
-            header(1, "base_link"), frame_id, types["geometry_msgs/msg/Transform"](moved, turned)
-        )
-        self._tf.put(to_ros(types["tf2_msgs/msg/TFMessage"]([mounted])))
-
     def _run(self) -> None:
-        moored = False
         while not self._stop.wait(0.002):
             self._node.look()
+            if time.monotonic() - self._tf_s > 0.1:
+                self._tf_s = time.monotonic()
+                self._tf.put(LOCALIZED)
             for name, ring in self._rings.items():
                 for sample in ring.take():
-                    payload = sample.payload.to_bytes()
-                    if not moored and name == "camera/rgb":
-                        self._moor(messages.peek_header(payload)[1])
-                        moored = True
-                    self._publishers[name].put(payload)
+                    message = from_ros(sample.payload.to_bytes(), HEARD[name])
+                    message.header.frame_id = self._frames.get(name, self._camera)
+                    self._publishers[name].put(to_ros(message))
             for _, payload in self._map.take():
-                self._session.put("edge/robot/map", payload)
+                stamp_ns, grid = messages.decode_occupancy_grid(payload.to_bytes())
+                x_m, y_m = grid.origin_xy_m
+                there = replace(grid, origin_xy_m=(x_m - ODOM_IN_MAP.x_m, y_m - ODOM_IN_MAP.y_m))
+                self._session.put("edge/robot/map", messages.encode_occupancy_grid(stamp_ns, there))
             self._drive()
 
     def _drive(self) -> None:
@@ -91,7 +98,9 @@ class RosRobot:
             at, stamp = goal.pose.pose, goal.pose.header.stamp
             yaw = 2 * np.arctan2(at.orientation.z, at.orientation.w)
             stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-            place = SE2(at.position.x, at.position.y, float(yaw))
+            assert goal.pose.header.frame_id == "map"
+            x_m, y_m = at.position.x - ODOM_IN_MAP.x_m, at.position.y - ODOM_IN_MAP.y_m
+            place = SE2(x_m, y_m, float(yaw))
             self._goal = goal_id, stamp_ns, messages.encode_pose_stamped(stamp_ns, place)
             self._again_s = 0.0
         if self._goal is None:
@@ -120,20 +129,25 @@ class RosRobot:
         self.nav2.close()
 
 
+SMALL = {"width_px": 320, "height_px": 240, "rate_hz": 10}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("via", DIALECTS)
-def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, via):
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("via", ["rmw_zenoh", "bridge"])
+def test_a_robot_on_ros2_is_driven_to_its_target(edge, tmp_path, name, via):
     with router() as port, ours(port) as session, peers(port):
         zenoh_section = {"endpoint": f"tcp/127.0.0.1:{port}", "mode": "client"}
+        data = ready(name, ros2={"via": via}, zenoh=zenoh_section)
+        data["sensors"]["camera"] |= SMALL
+        data |= {"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "television"}}
         (tmp_path / "robot").mkdir()
-        simulator = write_config(tmp_path / "robot", zenoh={**zenoh_section, "topics": HIDDEN})
-        service = write_config(
-            tmp_path, zenoh=zenoh_section, source={"kind": "ros2"}, sinks=["zenoh", "ros2"],
-            ros2={"topics": NAMES, "via": via},
-        )  # fmt: skip
-        robot = RosRobot(session, port, DIALECTS[via])
+        there = {**data, "source": {"kind": "zenoh"}, "sinks": ["zenoh"]}
+        there["zenoh"] = {**zenoh_section, "topics": HIDDEN}
+        simulator = write_config(tmp_path / "robot", **there)
+        robot = RosRobot(session, port, name, dialect_of(via, "edge"))
         edge("sim", simulator)
-        run = edge("run", service, "--once")
+        run = edge("run", write_config(tmp_path, **data), "--once")
         assert run.wait() == 0, run.output
         assert "reached: television" in run.output
         assert len(robot.nav2.goals) > 1

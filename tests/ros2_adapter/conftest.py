@@ -1,36 +1,15 @@
-"""A Python with rclpy and Fast DDS from the package index, where there is one; see `.ci/run`."""
+"""A live ROS 2, for tests that need one."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-from pathlib import Path
-
 import pytest
-
-HERE = Path(__file__).resolve().parent
-ROS_PYTHON = Path(os.environ.get("EDGE_ROS_PYTHON", HERE.parents[1] / ".venv/ros/bin/python"))
+from live_ros import ROS_PYTHON, make_environ
 
 
 @pytest.fixture(scope="session")
 def ros_environ(tmp_path_factory) -> dict[str, str]:
-    """What processes of ROS need in their environment, with nav2_msgs, made here; skips without
-    ROS. A domain of its own, seen on this machine only."""
-    if not ROS_PYTHON.exists():
-        pytest.skip(f"no ROS 2: {ROS_PYTHON} is not there (or set EDGE_ROS_PYTHON)")
-    if shutil.which("g++") is None:
-        pytest.skip("no g++ here to make nav2_msgs with")
-    folder = tmp_path_factory.mktemp("ros") / "messages"
-    script = HERE / "ros_messages.py"
-    made = subprocess.run([ROS_PYTHON, script, folder], capture_output=True, text=True, check=False)
-    if made.returncode == os.EX_UNAVAILABLE:
-        pytest.skip(made.stderr)
-    assert made.returncode == 0, made.stderr
-    return {
-        "PYTHONPATH": str(folder), "LD_LIBRARY_PATH": str(folder),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(os.getpid() % 100 + 1),
-    }  # fmt: skip
+    """See `make_environ`."""
+    return make_environ(tmp_path_factory.mktemp("ros") / "packages")
 
 
 @pytest.fixture(scope="session")

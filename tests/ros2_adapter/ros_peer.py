@@ -1,7 +1,7 @@
 """A robot's ROS 2, for the tests: `python ros_peer.py`, in ROS's Python, never in ours.
 
-It publishes a camera's image; says in JSON lines what comes to it; answers each goal that is
-published with an odometry at its place; and serves NavigateToPose as the goal's x says, which
+It publishes a camera's image and odometry, and once where the camera sits; says in JSON lines what
+comes to it, and who hears the images; and serves NavigateToPose as the goal's x says, which
 `ros_peer_facts.py` names.
 """
 
@@ -13,14 +13,15 @@ import threading
 import time
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import TransformStamped
 from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from ros_peer_facts import ABORTED, ENDLESS, PIXELS, REJECTED
+from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REJECTED, STAMP_NS
 from sensor_msgs.msg import Image
+from tf2_msgs.msg import TFMessage
 
 
 def say(**what: object) -> None:
@@ -32,9 +33,11 @@ class Peer:
         self.node = rclpy.create_node("robot")
         self._odometry = self.node.create_publisher(Odometry, "/odom", 10)
         self._images = self.node.create_publisher(Image, "/camera/image", qos_profile_sensor_data)
-        self.node.create_subscription(PoseStamped, "/edge/goal", self._on_goal, 10)
+        self._watched = 0
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(OccupancyGrid, "/edge/map", self._on_map, latched)
+        self.node.create_subscription(OccupancyGrid, "/edge/occupancy", self._on_map, latched)
+        self._moored = self.node.create_publisher(TFMessage, "/tf_static", latched)
+        self._moor()
         self.node.create_timer(0.1, self._publish)
         self._server = ActionServer(
             self.node, NavigateToPose, "/navigate_to_pose", self._navigate,
@@ -46,13 +49,22 @@ class Peer:
         image.header.stamp = self.node.get_clock().now().to_msg()
         image.header.frame_id = "camera"
         self._images.publish(image)
-
-    def _on_goal(self, goal: PoseStamped) -> None:
-        odometry = Odometry()
-        odometry.header = goal.header
-        odometry.pose.pose = goal.pose
+        odometry = Odometry(child_frame_id="base_link")
+        odometry.header.frame_id = "odom"
+        odometry.header.stamp.sec, odometry.header.stamp.nanosec = divmod(STAMP_NS, 10**9)
+        odometry.pose.pose.orientation.w = 1.0
         odometry.twist.twist.linear.x = 0.25
         self._odometry.publish(odometry)
+        if (watched := self._images.get_subscription_count()) != self._watched:
+            self._watched = watched
+            say(watched=watched)
+
+    def _moor(self) -> None:
+        mounted = TransformStamped(child_frame_id="camera")
+        mounted.header.frame_id = "base_link"
+        moved = mounted.transform.translation
+        moved.x, moved.y, moved.z = MOUNTED
+        self._moored.publish(TFMessage(transforms=[mounted]))
 
     def _on_map(self, grid: OccupancyGrid) -> None:
         info = grid.info

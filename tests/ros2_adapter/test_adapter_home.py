@@ -1,7 +1,9 @@
-"""The simulated robot as one of ROS 2's, driven home through DDS, the adapter and Zenoh."""
+"""Simulated robots as ROS 2's, with the topics and frames of the ready configurations, driven to
+their target through DDS, the adapter and Zenoh."""
 
 from __future__ import annotations
 
+import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,37 +11,52 @@ from pathlib import Path
 import pytest
 from edge_processes import edge, endpoint, write_config  # noqa: F401, fixtures
 from processes import running
+from ros_robots import LOCALIZED, ODOM_IN_MAP, ROBOTS, ready, ready_config, transforms_of
 
 from edge.config import load
 from edge.host.ports import free_port
 
-ROBOT = Path(__file__).with_name("ros_robot.py")
-SENSORS = {name: f"/{name}" for name in ("camera/rgb", "camera/depth", "camera/info", "odom")}
-SLOW = {"camera": {"rate_hz": 5}}
+HERE = Path(__file__).parent
+SMALL = {"width_px": 320, "height_px": 256, "hfov_deg": 75, "rate_hz": 5}
+
+
+def plan_of(name: str, endpoint: str) -> str:  # noqa: F811
+    """What `ros_robot.py` is told."""
+    body, settings = ROBOTS[name], ready_config(name).ros2
+    frames = dict.fromkeys(("camera/rgb", "camera/depth", "camera/info"), body.camera)
+    frames |= {"odom": "odom"} | ({"lidar/scan": body.lidar} if body.lidar else {})
+    return json.dumps({
+        "endpoint": endpoint, "frames": frames, "topics": {n: settings.topic(n) for n in frames},
+        "tf": LOCALIZED.hex(), "tf_static": transforms_of(body.tree).hex(),
+        "odom_in_map": [ODOM_IN_MAP.x_m, ODOM_IN_MAP.y_m],
+    })  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_a_robot_of_ros_is_driven_to_its_target(ros_python, ros_environ, edge, endpoint, tmp_path):  # noqa: F811
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_robot_of_ros_is_driven_to_its_target(
+    ros_python, ros_environ, edge, endpoint, tmp_path, name  # noqa: F811
+):  # fmt: skip
     """With a detector that looks at pictures: no topic of ROS carries the simulator's truth."""
-    here = {"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}}
-    there = {
-        "zenoh": {"endpoint": endpoint}, "sensors": SLOW,
-        "ros2_adapter": {"python": ros_python, "sensors": SENSORS, "results": {"map": "/edge/map"}},
-    }  # fmt: skip
+    data = ready(name, ros2={"adapter": {"python": ros_python}}, zenoh={"endpoint": endpoint})
+    data["sensors"]["camera"] |= SMALL
     perception = load("demo").perception.model_dump(mode="json")
+    data |= {"perception": perception, "mission": {"target": "television"}}
+    here = {**data, "source": {"kind": "zenoh"}, "sinks": ["zenoh"]}
+    here["zenoh"] = {"endpoint": f"tcp/127.0.0.1:{free_port()}"}
     for side in ("robot", "service"):
         (tmp_path / side).mkdir()
-    robot_side = write_config(tmp_path / "robot", **here, sensors=SLOW)
-    service_side = write_config(tmp_path / "service", **there, perception=perception)
+    robot_side = write_config(tmp_path / "robot", **here)
+    service_side = write_config(tmp_path / "service", **data)
     with ExitStack() as stack:
-        command = [ros_python, "-u", str(ROBOT), here["zenoh"]["endpoint"], "edge"]
+        plan = plan_of(name, here["zenoh"]["endpoint"])
+        command = [ros_python, "-u", str(HERE / "ros_robot.py"), plan]
         robot = stack.enter_context(running(command, ros_environ))
         robot.says("ready")
         service = edge("run", service_side, "--once").says("ready:")
         edge("sim", robot_side)
-        root = Path(__file__).parents[2]
-        path = {"PYTHONPATH": f"{root}:{ros_environ['PYTHONPATH']}"}
+        path = {"PYTHONPATH": f"{HERE.parents[1]}:{ros_environ['PYTHONPATH']}"}
         command = [sys.executable, "-m", "edge.cli", "ros2-adapter", str(service_side)]
         stack.enter_context(running(command, {**ros_environ, **path}))
         assert service.wait() == 0, service.output

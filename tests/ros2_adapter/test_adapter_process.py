@@ -20,15 +20,19 @@ from edge.config.yaml_text import parse_yaml
 from edge.errors import UnavailableError
 from edge.ros2_adapter import process
 
-LIGHT = {"rclpy", "zenoh", "geometry_msgs", "launch"}
+LIGHT = {"rclpy", "zenoh", "launch", "action", "passing"}
 
 
-def adapted(**section: object) -> Config:
-    section = {"python": sys.executable, "sensors": {"odom": "/odom"}, **section}
-    return simulated({"ros2_adapter": section, "zenoh": {"topics": {"odom": "base/odom"}}})
+def adapted(adapter: dict | None = None, **ros2: object) -> Config:
+    """A robot's configuration, with this Python in the place of ROS's."""
+    adapter = {"python": sys.executable, **(adapter or {})}
+    section = {"via": "adapter", "adapter": adapter, **ros2}
+    return simulated({"source": {"kind": "ros2"}, "sinks": ["ros2"], "ros2": section})
 
 
-@pytest.mark.parametrize("file", [process.NODE, process.LAUNCH_FILE], ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "file", [*process.NODE.glob("*.py"), process.LAUNCH_FILE], ids=lambda path: path.name
+)
 def test_what_runs_in_ros_needs_nothing_of_ours(file):
     imported = set()
     for node in ast.walk(ast.parse(file.read_text("utf-8"))):
@@ -39,76 +43,86 @@ def test_what_runs_in_ros_needs_nothing_of_ours(file):
     assert imported - set(sys.stdlib_module_names) <= LIGHT
 
 
-def test_a_topic_is_passed_by_its_key_with_the_type_and_quality_that_are_usual():
-    plan = process.make_plan(adapted(results={"map": "/edge/map"}))
-    usual = {"reliable": False, "latched": False, "depth": 5, "max_bytes": 64_000_000}
-    assert plan["sensors"] == [
-        {"key": "edge/base/odom", "ros": "/odom", "type": "nav_msgs/msg/Odometry", **usual}
-    ]
-    (grid,) = plan["results"]
-    assert (grid["key"], grid["type"]) == ("edge/map", "nav_msgs/msg/OccupancyGrid")
-    assert grid["reliable"]
-    assert grid["latched"]
-    assert plan["goals"]["key"] == "edge/goal"
-    assert plan["goals"]["answer_key"] == "edge/goal_status"
-    assert json.loads(plan["zenoh"])["mode"] == "client"
+def passed(plan: dict, ros: str) -> dict:
+    (one,) = (one for one in (*plan["heard"], *plan["said"]) if one["ros"] == ros)
+    return one
+
+
+COMPRESSED = "/oakd/rgb/image_raw/compressed"
+QUALITIES = [
+    ("/odom", "nav_msgs/msg/Odometry", {"reliable": False, "latched": False, "depth": 100}),
+    (COMPRESSED, "sensor_msgs/msg/CompressedImage", {"reliable": True, "depth": 5}),
+    ("/scan", "sensor_msgs/msg/LaserScan", {"reliable": True}),
+    ("/tf", "tf2_msgs/msg/TFMessage", {"reliable": False, "latched": False, "depth": 100}),
+    ("/tf_static", "tf2_msgs/msg/TFMessage", {"reliable": True, "latched": True, "depth": 100}),
+    ("/edge/occupancy", "nav_msgs/msg/OccupancyGrid", {"latched": True, "depth": 1}),
+    ("/edge/path", "nav_msgs/msg/Path", {"reliable": True, "latched": False}),
+]
+
+
+@pytest.mark.parametrize(("ros", "kind", "quality"), QUALITIES, ids=[row[0] for row in QUALITIES])
+def test_each_topic_has_its_key_its_type_and_its_quality_of_service(ros, kind, quality):
+    config = adapted({"reliable": ["camera/rgb", "lidar/scan"]}, topics={"camera/rgb": COMPRESSED})
+    one = passed(process.make_plan(config), ros)
+    assert one.items() >= {"key": f"edge/ros2{ros}", "type": kind, **quality}.items()
+
+
+def test_the_plan_is_json_that_says_where_the_service_is():
+    plan = process.make_plan(adapted())
     assert json.loads(json.dumps(plan)) == plan
+    assert json.loads(plan["zenoh"])["mode"] == "client"
+    assert (plan["node"], plan["max_bytes"]) == ("edge_adapter", 64_000_000)
 
 
-def test_one_may_say_all_of_it():
-    said = {"topic": "tf", "type": "tf2_msgs/msg/TFMessage", "reliable": False, "depth": 100}
-    plan = process.make_plan(adapted(sensors={"tf": said}, goals=None))
-    expected = {
-        "key": "edge/tf", "ros": "tf", "type": "tf2_msgs/msg/TFMessage", "reliable": False,
-        "latched": False, "depth": 100, "max_bytes": 64_000_000,
+def test_goals_go_to_the_action_or_to_a_topic():
+    by_action = process.make_plan(adapted(topics={"navigate_to_pose": "/a/go"}))
+    assert by_action["action"] == {
+        "ros": "/a/go", "key": "edge/ros2/a/go", "type": "nav2_msgs/action/NavigateToPose",
     }  # fmt: skip
-    assert plan["sensors"] == [expected]
-    assert plan["goals"] is None
+    assert "/goal_pose" not in {one["ros"] for one in by_action["said"]}
+    by_topic = process.make_plan(adapted(goals="topic"))
+    assert by_topic["action"] is None
+    assert passed(by_topic, "/goal_pose")["key"] == "edge/ros2/goal_pose"
 
 
-def test_the_ready_configuration_has_a_plan():
-    plan = process.make_plan(load("ros2-adapter"))
-    assert {passed["key"] for passed in plan["sensors"]} == {
-        "edge/camera/rgb", "edge/camera/depth", "edge/camera/info", "edge/odom",
-    }  # fmt: skip
-    assert plan["goals"]["action"] == "/navigate_to_pose"
+@pytest.mark.parametrize("name", ["ros2-adapter", "turtlebot4", "jetson-realsense"])
+def test_ready_configurations_have_a_plan(name):
+    plan = process.make_plan(load(name, {}))
+    assert plan["action"]["ros"] == "/navigate_to_pose"
 
 
 def test_the_section_of_the_page_has_a_plan_too():
-    page = Path(__file__).parents[2] / "docs" / "ros2-adapter.md"
+    page = Path(__file__).parents[2] / "docs" / "ros2.md"
     (block,) = re.findall(r"```yaml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
-    plan = process.make_plan(simulated(parse_yaml(block)))
-    scan = next(passed for passed in plan["sensors"] if passed["key"] == "edge/lidar/scan")
-    assert (scan["reliable"], scan["depth"]) == (True, 10)
+    plan = process.make_plan(simulated({"source": {"kind": "ros2"}, **parse_yaml(block)}))
+    assert passed(plan, "/camera/color/image_raw")["reliable"]
 
 
 @pytest.mark.parametrize(
-    ("section", "said"),
+    ("data", "said"),
     [
-        ({"sensors": {}}, r"ros2_adapter\.sensors: nothing to pass: .*odom: /odom"),
-        ({"sensors": {"tf": "/tf"}}, r"ros2_adapter\.sensors\.tf: not a topic with a ROS type"),
-        ({"sensors": {"odom": "two words"}}, r"ros2_adapter\.sensors\.odom\.topic: string should"),
-        ({"results": {"status": "/s"}}, r"ros2_adapter\.results\.status: not a topic with a ROS"),
-        ({"sensors": {"odom": {"topic": "/o", "type": "Odometry"}}}, r"ros2_adapter\.sensors\."),
-        ({"goals": "a b"}, r"ros2_adapter\.goals: string should"),
+        ({"ros2": {"via": "adapter"}}, r"source\.kind: zenoh hears no robot: set ros2"),
+        ({"source": {"kind": "ros2"}}, r"ros2\.via: rmw_zenoh needs no adapter: set adapter"),
+        ({"ros2": {"adapter": {"reliable": ["x"]}}}, r"ros2\.adapter\.reliable\.0: unknown 'x'"),
+        ({"ros2": {"topics": {"odom": "a b"}}}, r"ros2\.topics\.odom: string should match"),
     ],
 )
-def test_what_is_wrong_with_it_is_told_in_one_line(section, said):
+def test_what_is_wrong_with_it_is_told_in_one_line(data, said):
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
-        process.make_plan(adapted(**section))
+        process.make_plan(simulated(data))
 
 
 @pytest.mark.parametrize("key", ["python", "setup"])
 def test_a_file_that_is_not_there_is_told(key):
-    with pytest.raises(UnavailableError, match=f"^<defaults>: ros2_adapter.{key}: cannot read /no"):
-        process.command_of(adapted(**{key: "/no/such"}))
+    with pytest.raises(UnavailableError, match=f"^<defaults>: ros2.adapter.{key}: cannot read /no"):
+        process.command_of(adapted({key: "/no/such"}))
 
 
 def test_without_ros_it_says_what_to_do_and_does_not_try_again(monkeypatch, capfd):
     """This Python has no rclpy, or had better not use it here."""
     monkeypatch.setenv("PYTHONPATH", "")
     with pytest.raises(UnavailableError, match="the node cannot run here"):
-        process.supervise(adapted(python=bare_python()), threading.Event())
+        process.supervise(adapted({"python": bare_python()}), threading.Event())
     assert "no rclpy" in capfd.readouterr().err
 
 
@@ -158,7 +172,7 @@ def test_the_setup_file_is_sourced_first(node, tmp_path):
         "sys.exit(69 if sys.stdin.readline() else 1)\n"
     )
     with pytest.raises(UnavailableError):
-        process.supervise(adapted(setup=str(setup)), threading.Event())
+        process.supervise(adapted({"setup": str(setup)}), threading.Event())
     assert (tmp_path / "said").read_text() == "made-up"
 
 

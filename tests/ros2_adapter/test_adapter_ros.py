@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import queue
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,26 +14,34 @@ import pytest
 import zenoh
 from patience import PATIENCE_S, eventually
 from processes import Process, running
-from ros_peer_facts import ABORTED, ENDLESS, PIXELS, REACHED, REJECTED
+from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REACHED, REJECTED, STAMP_NS
 from simulated import simulated
 
+from edge.bus.ros2.node import Subscription, open_node
+from edge.bus.ros2.topics import HEARD, SAID
 from edge.bus.session import zenoh_session
-from edge.bus.wire import messages
+from edge.bus.wire import messages, transforms
 from edge.config import Config
 from edge.geometry import SE2, Grid
 from edge.host.ports import free_port
+from edge.sinks.navigate import Navigator
+from edge.types import Goal, GoalStatus
 
-PEER = Path(__file__).with_name("ros_peer.py")
+HERE = Path(__file__).parent
+PEER = HERE / "ros_peer.py"
+READY = "passes up to 8 topics in and 3 out"
 
 
 @pytest.fixture(scope="module")
 def config(ros_python, tmp_path_factory) -> Iterator[tuple[Config, Path]]:
     data = {
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
-        "ros2_adapter": {
-            "python": ros_python,
-            "sensors": {"camera/rgb": "/camera/image", "odom": "/odom", "lidar/scan": "/nowhere"},
-            "results": {"goal": "/edge/goal", "map": "/edge/map"},
+        "source": {"kind": "ros2"},
+        "sinks": ["ros2"],
+        "ros2": {
+            "via": "adapter",
+            "topics": {"camera/rgb": "/camera/image", "lidar/scan": "/nowhere"},
+            "adapter": {"python": ros_python},
         },
         "perception": {"detector": {"kind": "sim"}},
     }
@@ -45,61 +51,49 @@ def config(ros_python, tmp_path_factory) -> Iterator[tuple[Config, Path]]:
 
 
 class Service:
-    """The service's end of it: gives goals, hears what comes of them."""
+    """The service's end of it: its node and its client of the action."""
 
     def __init__(self, config: Config, session: zenoh.Session) -> None:
-        self._config, self._session = config, session
-        self.heard: dict[str, queue.SimpleQueue[bytes]] = {}
-        self._subscribers = []
-        for name in ("camera/rgb", "odom", "goal_status"):
-            arrived = self.heard[name] = queue.SimpleQueue()
-            subscriber = session.declare_subscriber(
-                config.zenoh.key(name), lambda s, a=arrived: a.put(s.payload.to_bytes())
-            )
-            self._subscribers.append(subscriber)
+        self._settings = config.ros2
+        self.session = session
+        self.node = open_node(config, session, "test")
+        self.told: list[GoalStatus] = []
+        action = config.ros2.topic("navigate_to_pose")
+        self.navigator = Navigator(self.node, action, "map", self.told.append)
 
-    def put(self, name: str, payload: bytes) -> None:
-        self._session.put(self._config.zenoh.key(name), payload)
+    def hear(self, name: str, latched: bool = False) -> Subscription:
+        return self.node.subscription(self._settings.topic(name), (HEARD[name],), 8, latched)
 
-    def goal(self, stamp_ns: int, x_m: float) -> None:
-        self.put("goal", messages.encode_pose_stamped(stamp_ns, SE2(x_m, -1.0, 0.5)))
+    def say(self, name: str, payload: bytes, latched: bool = False) -> None:
+        self.node.publisher(self._settings.topic(name), SAID[name], latched).put(payload)
 
-    def next(self, name: str, repeat: Callable[[], None] = lambda: None) -> bytes:
-        """The next message, `repeat` called twice a second until it is there."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline_s:
-            repeat()
-            try:
-                return self.heard[name].get(timeout=0.5)
-            except queue.Empty:
-                pass
-        pytest.fail(f"no {name}")
+    def drive(self, stamp_ns: int, x_m: float) -> None:
+        place = SE2(x_m, -1.0, 0.5)
+        self.navigator.send(Goal(stamp_ns, place, "frontier", 1, (x_m, -1.0), 0.5, "chair"))
 
-    def drain(self, name: str) -> None:
-        while not self.heard[name].empty():
-            self.heard[name].get()
+    def answers(self, stamp_ns: int, until: str) -> list[tuple[str, str]]:
+        """What is told of a goal, until it is in this state."""
 
-    def answers(self, stamp_ns: int, x_m: float) -> Iterator[tuple[str, str]]:
-        """What is said of a goal, which is given again and again; old goals' answers left out."""
-        while True:
-            answer = json.loads(self.next("goal_status", lambda: self.goal(stamp_ns, x_m)))
-            if answer["stamp"] == stamp_ns:
-                yield answer["state"], answer["reason"]
+        def told():
+            self.navigator.beat()
+            answers = [(a.state, a.reason) for a in self.told if a.stamp_ns == stamp_ns]
+            return answers if until in {state for state, _ in answers} else None
 
-    def outcome(self, stamp_ns: int, x_m: float) -> list[tuple[str, str]]:
-        """All answers to a goal, to the last."""
-        answers = []
-        for answer in self.answers(stamp_ns, x_m):
-            answers.append(answer)
-            if answer[0] != "accepted":
-                return answers
-        raise AssertionError
+        return eventually(told)
 
 
 @pytest.fixture(scope="module")
 def service(config) -> Iterator[Service]:
     with zenoh_session(config[0].zenoh, "listen") as session:
         yield Service(config[0], session)
+
+
+@pytest.fixture
+def odometry(service) -> Iterator[Subscription]:
+    """As long as the service hears it, somebody looks where the robot goes."""
+    subscription = service.hear("odom")
+    yield subscription
+    subscription.close()
 
 
 @pytest.fixture(scope="module")
@@ -111,92 +105,143 @@ def robot(ros_python, ros_environ) -> Iterator[Process]:
 
 @pytest.fixture(scope="module")
 def adapter(config, service, robot, ros_environ) -> Iterator[Process]:
-    root = Path(__file__).parents[2]
-    path = {"PYTHONPATH": f"{root}:{ros_environ['PYTHONPATH']}"}
+    path = {"PYTHONPATH": f"{HERE.parents[1]}:{ros_environ['PYTHONPATH']}"}
     command = [sys.executable, "-m", "edge.cli", "ros2-adapter", str(config[1])]
     with running(command, {**ros_environ, **path}) as process:
-        process.says("passes 3 topics in and 2 out")
+        process.says(READY)
         yield process
-        if process.process.poll() is None:
-            assert process.end() == 0
 
 
-def test_messages_of_ros_reach_the_service_as_they_are(adapter, service):
-    payload = service.next("camera/rgb")
+def payload_of(subscription: Subscription) -> bytes:
+    return eventually(subscription.take)[0][1].to_bytes()
+
+
+def test_messages_of_ros_reach_the_service_as_they_are(adapter, service, odometry):
+    images = service.hear("camera/rgb")
+    payload = payload_of(images)
     header = messages.decode_image_header(payload)
     assert (header.width, header.height, header.encoding) == (8, 8, "rgb8")
     assert header.frame_id == "camera"
     rgb = np.zeros((8, 8, 3), np.uint8)
     messages.decode_image_into(payload, header, rgb)
     assert rgb.tobytes() == PIXELS
+    moved = messages.decode_odometry(payload_of(odometry))
+    assert (moved.stamp_ns, moved.frame_id, moved.v_mps) == (STAMP_NS, "odom", 0.25)
+    images.close()
+
+
+def test_what_nobody_hears_is_not_taken_from_ros(adapter, service, robot):
+    images = service.hear("camera/rgb")
+    before = robot.count('"watched": 0')
+    payload_of(images)
+    images.close()
+    robot.says('"watched": 0', times=before + 1)
+
+
+def test_a_silent_topic_is_told_with_the_reason(adapter, service):
+    nothing = service.hear("lidar/scan")
     adapter.says("/nowhere: no message yet: nobody publishes it")
+    nothing.close()
+
+
+def test_what_was_moored_before_reaches_who_comes_late(adapter, service):
+    late = service.hear("tf_static", latched=True)
+    (transform,) = transforms.decode_transforms(payload_of(late))
+    assert (transform.parent, transform.child) == ("base_link", "camera")
+    np.testing.assert_allclose(transform.T[:3, 3], MOUNTED)
+    late.close()
 
 
 def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, robot):
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
-    service.put("map", b"not a map")
-    adapter.says("map: left out: not little-endian CDR: begins 6e6f7420")
-    service.put("map", messages.encode_occupancy_grid(7, Grid(cells, (0.0, 1.0), 0.05)))
+    service.say("map", b"not a map", latched=True)
+    adapter.says("occupancy: left out: not little-endian CDR: begins 6e6f7420")
+    service.say("map", messages.encode_occupancy_grid(7, Grid(cells, (0.0, 1.0), 0.05)))
     robot.says(json.dumps({"map": [30, 20, 0.05, 100 - 599]}))
 
 
-def test_a_goal_comes_back_as_the_odometry_that_ros_makes_of_it(adapter, service):
-    stamp_ns = 1_700_000_000_123_456_789
-    payload = service.next("odom", lambda: service.goal(stamp_ns, REJECTED))
-    odometry = messages.decode_odometry(payload)
-    assert odometry.stamp_ns == stamp_ns
-    assert odometry.v_mps == 0.25
-    np.testing.assert_allclose(odometry.T_map_base, SE2(REJECTED, -1.0, 0.5).matrix(), atol=1e-12)
+ON_ITS_WAY = [("accepted", ""), ("accepted", "1 recoveries, 2.5 m left")]
 
 
-def test_what_the_action_says_of_a_goal_is_its_answer(adapter, service, robot):
-    service.outcome(1_700_000_000_123_456_789, REJECTED)  # the one of the test before
-    on_way = ("accepted", "2.5 m to go, 1 recoveries")
-    aborted = "aborted by /navigate_to_pose: no valid path\nfound"
-    expected = {
-        REACHED: [("accepted", ""), on_way, ("reached", "")],
-        ABORTED: [("accepted", ""), on_way, ("failed", aborted)],
-        REJECTED: [("failed", "rejected by /navigate_to_pose")],
-    }
-    for i, (x_m, answers) in enumerate(expected.items()):
-        got = service.outcome(10**18 + i, x_m)
-        assert got[-1] == answers[-1]
-        assert set(got) <= set(answers)
-    assert robot.count(f'"asked": {REACHED}') == 1, "repeated, driven once"
+@pytest.mark.parametrize(
+    ("x_m", "on_its_way", "end"),
+    [
+        (REACHED, ON_ITS_WAY, ("reached", "")),
+        (ABORTED, ON_ITS_WAY, ("failed", "given up by Nav2 (error 204): no valid path found")),
+        (REJECTED, [], ("failed", "refused by navigate_to_pose")),
+    ],
+)
+def test_what_the_action_says_of_a_goal_is_its_answer(
+    adapter, service, robot, odometry, x_m, on_its_way, end
+):
+    stamp_ns = int(x_m)
+    service.drive(stamp_ns, x_m)
+    *before, last = service.answers(stamp_ns, until=end[0])
+    assert last == end
+    assert set(before) <= set(on_its_way)  # feedback may be late
+    robot.says(f'"asked": {x_m}')
+    assert robot.count(f'"asked": {x_m}') == 1
 
 
-def test_a_replaced_goal_is_cancelled_and_so_is_one_that_is_given_up(adapter, service, robot):
-    for stamp_ns in (2 * 10**18, 2 * 10**18 + 1):
-        assert next(service.answers(stamp_ns, ENDLESS)) == ("accepted", "")
-    robot.says('"cancelled"', times=1)
-    adapter.says("the service repeats its goal no more")  # nobody repeats the second
-    robot.says('"cancelled"', times=2)
+def test_what_is_no_request_is_left_out(adapter, service):
+    key = service.node.dialect.data_key(0, "/navigate_to_pose/_action/send_goal", "", "")
+    for junk in (b"junk", b"\0\1\0\0junk"):
+        replies = service.session.get(key, payload=junk, timeout=PATIENCE_S)
+        assert list(replies) == []
+    adapter.says("a request is left out: ")
+
+
+def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
+    adapter, service, robot, odometry
+):
+    before = robot.count('"cancelled"')
+    for stamp_ns in (20, 21):
+        service.drive(stamp_ns, ENDLESS)
+        assert service.answers(stamp_ns, until="accepted") != []
+    eventually(lambda: service.navigator.beat() or robot.count('"cancelled"') > before)
+    service.navigator.cancel()
+    robot.says('"cancelled"', times=before + 2)
+
+
+def test_a_goal_of_a_service_that_is_gone_is_cancelled(adapter, service, robot):
+    before, followed = robot.count('"cancelled"'), service.hear("odom")
+    payload_of(followed)
+    service.drive(30, ENDLESS)
+    service.answers(30, until="accepted")
+    followed.close()
+    adapter.says("the service is gone: its goal is cancelled")
+    robot.says('"cancelled"', times=before + 1)
+    assert service.answers(30, until="failed")[-1] == ("failed", "cancelled by Nav2")
 
 
 def node_of(adapter: Process) -> psutil.Process:
     return eventually(lambda: psutil.Process(adapter.process.pid).children())[0]
 
 
-def test_a_node_that_crashes_is_started_again(adapter, service):
+def test_a_node_that_crashes_is_started_again(adapter, service, odometry):
     node_of(adapter).send_signal(signal.SIGSEGV)
     adapter.says("the node ended (signal 11): started again in 1 s")
-    adapter.says("passes 3 topics in and 2 out", times=2)
-    service.drain("camera/rgb")
-    service.next("camera/rgb")
+    adapter.says(READY, times=2)
+    odometry.take()
+    payload_of(odometry)
 
 
-def test_when_the_action_goes_away_its_goal_has_failed(adapter, service, robot):
-    answers = service.answers(10**18 + 100, ENDLESS)
-    assert next(answers)[0] == "accepted"
+def test_when_the_action_goes_away_its_goal_has_failed(adapter, service, robot, odometry):
+    service.drive(40, ENDLESS)
+    service.answers(40, until="accepted")
     robot.end()
-    while (answer := next(answers))[0] == "accepted":
-        pass
-    assert answer == ("failed", "/navigate_to_pose is gone")
+    assert service.answers(40, until="failed")[-1] == ("failed", "navigate_to_pose is gone")
 
 
-def test_the_node_outlives_nobody(adapter):
-    node = node_of(adapter)
-    adapter.process.kill()
-    adapter.process.wait()
-    node.wait(PATIENCE_S)
+def test_the_node_outlives_nobody_and_leaves_no_goal(
+    adapter, service, odometry, ros_python, ros_environ
+):
+    with running([ros_python, "-u", str(PEER)], ros_environ) as robot:
+        service.drive(50, ENDLESS)
+        service.answers(50, until="accepted")
+        node = node_of(adapter)
+        adapter.process.kill()
+        adapter.process.wait()
+        robot.says('"cancelled"')
+        node.wait(PATIENCE_S)

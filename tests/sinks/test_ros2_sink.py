@@ -14,7 +14,7 @@ from ros_router import ours, router, zenoh_settings
 from simulated import simulated
 
 from edge.bus.ros2 import names
-from edge.bus.ros2.names import BRIDGE
+from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Node
 from edge.geometry import SE2
 from edge.sinks import navigate
@@ -121,9 +121,11 @@ def test_a_goal_and_its_end(make, theirs, answers, distribution, status, state, 
     nav2.close()
 
 
-def test_a_goal_through_a_bridge(make, theirs, answers):
-    nav2 = Nav2(theirs, "jazzy", dialect=BRIDGE)
-    make(via="bridge").tick(driving(9))
+@pytest.mark.parametrize("via", ["bridge", "adapter"])
+def test_a_goal_through_what_tells_no_types(make, theirs, answers, via):
+    sink = make(via=via)
+    sink.tick(driving(9))
+    nav2 = Nav2(theirs, "jazzy", dialect=dialect_of(via, "edge"))
     goal_id = first_goal(nav2)
     nav2.feed_back(goal_id, 1, 2.0)
     assert answers(2)[1].reason == "1 recoveries, 2.0 m left"
@@ -144,9 +146,10 @@ def test_a_refused_goal_has_failed(make, nav2, answers):
     assert answers(1) == [GoalStatus(5, "failed", "refused by navigate_to_pose")]
 
 
-def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers):
-    sink = make()
-    sink.tick(driving(5))
+def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
+    monkeypatch.setattr(navigate, "PATIENCE_S", 0.0)
+    make().tick(driving(5))
+    eventually(lambda: "waiting for /navigate_to_pose: is Nav2 running?" in caplog.text)
     nav2 = Nav2(theirs)
     assert answers(1) == [GoalStatus(5, "accepted")]
     nav2.close()
@@ -160,11 +163,26 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers):
     eventually(lambda: len(nav2.goals) == 2)
     new = first_goal(nav2)
     nav2.end(old, ABORTED)  # what Nav2 says of one that was taken over
+    nav2.say_status(old, ABORTED)
     nav2.end(new, SUCCEEDED)
     assert [(a.stamp_ns, a.state) for a in answers(3)] == [
         (1, "accepted"), (2, "accepted"), (2, "reached"),
     ]  # fmt: skip
     assert nav2.cancelled == []
+
+
+@pytest.mark.parametrize("accepts", [True, False])
+def test_a_server_that_drives_on_to_the_old_goal_is_told_to_cancel_it(
+    make, nav2, answers, accepts, monkeypatch
+):
+    monkeypatch.setattr(navigate, "REPLACED_S", 0.0)
+    sink = make()
+    sink.tick(driving(1))
+    old = first_goal(nav2)
+    nav2.accepts = accepts
+    sink.tick(driving(2))
+    assert eventually(lambda: nav2.cancelled) == [old]
+    assert answers(2)[1].state == ("accepted" if accepts else "failed")
 
 
 def test_nowhere_to_go_cancels_and_is_not_answered(make, nav2, answers):
@@ -218,10 +236,12 @@ def test_the_status_tells_what_the_result_does_not(make, nav2, answers, monkeypa
     assert [a.state for a in answers(2)] == ["accepted", "reached"]
 
 
-def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch):
+@pytest.mark.parametrize("dialect", [RMW_ZENOH, BRIDGE])
+def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch, dialect):
     monkeypatch.setattr(navigate, "AGAIN_S", 0.0)
-    nav2 = Nav2(theirs)
-    make().tick(driving(1))
+    monkeypatch.setattr(navigate, "GONE_S", 0.0)
+    nav2 = Nav2(theirs, dialect=dialect)
+    make(via="rmw_zenoh" if dialect.has_tokens else "bridge").tick(driving(1))
     goal_id = first_goal(nav2)
     nav2.close()
     nav2.lose(goal_id)

@@ -65,7 +65,7 @@ def test_a_robot_is_heard_over_zenoh():
 
 
 def test_a_source_of_ones_own_drives_the_loop(monkeypatch):
-    monkeypatch.setattr(launch, "warm_up", lambda config: None)
+    monkeypatch.setattr(launch, "warm_up", lambda config, progress: None)
     config, stop, ticks = configured(f"{__name__}:Mine", rate_hz=5), threading.Event(), []
     with open_service(config, []) as running:
         loop(running, stop, each=lambda: ticks.append(1) or (len(ticks) == 10 and stop.set()))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from patience import eventually
 from ros_messages import STORE, header, pose, to_ros
-from ros_router import ours, router, zenoh_settings
+from ros_router import kept, ours, router, zenoh_settings
 from simulated import simulated
 
-from edge.bus.ros2.names import BRIDGE, RMW_ZENOH
+from edge.bus.ros2.names import RMW_ZENOH, dialect_of
 from edge.bus.ros2.node import Node
 from edge.bus.wire import messages
 from edge.geometry import R_BODY_OPTICAL, SE2, CameraModel
@@ -65,7 +65,10 @@ class Robot:
     def __init__(self, session, dialect=RMW_ZENOH) -> None:
         self.node = Node(session, 0, "robot", dialect)
         publish = self.node.publisher
-        self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        if dialect.has_tokens:
+            self.tf_static = publish("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        else:
+            self.tf_static = kept(session, dialect, "/tf_static")
         self.tf = publish("/tf", "tf2_msgs/msg/TFMessage")
         self.odom = publish("/odom", "nav_msgs/msg/Odometry")
         self.rgb = publish(NAMES["camera/rgb"], "sensor_msgs/msg/CompressedImage")
@@ -197,12 +200,13 @@ def test_what_is_too_large_is_not_opened(robot, make):
     assert source.counters["malformed"] == 0
 
 
-def test_a_robot_behind_a_bridge(port, make):
-    """What zenoh-bridge-ros2dds makes of a robot on DDS: plain keys, no tokens, no types."""
+@pytest.mark.parametrize("via", ["bridge", "adapter"])
+def test_a_robot_on_dds(port, make, via):
+    """What zenoh-bridge-ros2dds and the adapter make of it: plain keys, no tokens, no types."""
     with ours(port) as session:
-        robot = Robot(session, BRIDGE)
+        robot = Robot(session, dialect_of(via, "edge"))
         robot.moor()
-        seen = observed(make(via="bridge"), robot)
+        seen = observed(make(via=via), robot)
         np.testing.assert_array_equal(seen.rgb, RGB)
         np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.1, 0.0, 0.6], atol=1e-9)
         seen.release()

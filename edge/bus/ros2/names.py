@@ -140,15 +140,25 @@ class Dialect:
 
 RMW_ZENOH = Dialect(data_key, any_key, has_tokens=True)
 
-BRIDGE = Dialect(
-    lambda domain, topic, type_name, type_hash: topic.lstrip("/"),
-    lambda domain, topic: topic.lstrip("/"),
-    has_tokens=False,
-)
-"""Of zenoh-bridge-ros2dds, beside a robot on DDS: names stay, and domains are its own business."""
 
-DIALECTS = {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}
-"""By `ros2.via`."""
+def plain(prefix: str) -> Dialect:
+    """Names stay, behind a prefix, and domains are the business of who is at the other end."""
+    return Dialect(
+        lambda domain, topic, type_name, type_hash: prefix + topic.lstrip("/"),
+        lambda domain, topic: prefix + topic.lstrip("/"),
+        has_tokens=False,
+    )
+
+
+BRIDGE = plain("")
+"""Of zenoh-bridge-ros2dds, which puts its own `namespace` before names, where it has one."""
+
+
+def dialect_of(via: Literal["rmw_zenoh", "bridge", "adapter"], prefix: str) -> Dialect:
+    """By `ros2.via`; the adapter's keys lie below `zenoh.prefix`."""
+    if via == "adapter":
+        return plain(f"{prefix}/ros2/")
+    return {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}[via]
 
 
 def node_token(domain: int, zid: str, nid: int, node: str) -> str:

@@ -2,7 +2,8 @@
 
 In a graph that speaks rmw_zenoh every endpoint has a token, by which `ros2 topic list` shows it,
 and which names its type's hash. That hash differs between distributions, so endpoints are declared
-anew once the graph shows another than was thought. Beside a bridge there is neither.
+anew once the graph shows another than was thought. Beside a bridge or the adapter there is neither,
+and whether somebody is there is what Zenoh's routing says.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from zenoh import ext
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.graph import Graph
-from edge.bus.ros2.names import RMW_ZENOH, Dialect, Endpoint, Kind
+from edge.bus.ros2.names import RMW_ZENOH, Dialect, Endpoint, Kind, dialect_of
 from edge.bus.session import Ring
+from edge.config import Config
 
 _IDS = itertools.count()  # of nodes and endpoints, in this process
 _LOOK_S = 0.2
@@ -71,9 +73,9 @@ class Node:
         """See `Subscription`."""
         return self._add(Subscription(self, topic, types, kept, latched))
 
-    def client(self, service: str, type_name: str) -> Client:
+    def client(self, service: str, type_name: str, timeout_s: float) -> Client:
         """See `Client`."""
-        return self._add(Client(self, service, type_name))
+        return self._add(Client(self, service, type_name, timeout_s))
 
     def close(self) -> None:
         for endpoint in self._endpoints:
@@ -91,6 +93,13 @@ class Node:
         self._endpoints.append(endpoint)
         endpoint.settle()
         return endpoint
+
+
+def open_node(config: Config, session: zenoh.Session, part: str) -> Node:
+    """A node of ours, as `ros2` has it; `part` says whose it is."""
+    settings = config.ros2
+    dialect = dialect_of(settings.via, config.zenoh.prefix)
+    return Node(session, settings.domain, f"{settings.node}_{part}", dialect)
 
 
 class _Declared:
@@ -153,7 +162,8 @@ class Publisher(_Declared):
     """Publishes payloads of one type.
 
     Args:
-        latched: who subscribes late, as transient local, gets the last message.
+        latched: who subscribes late, as transient local, gets the last message. Beside a bridge or
+            the adapter, these keep it themselves, from when they first heard it.
     """
 
     def __init__(self, node: Node, topic: str, type_name: str, latched: bool) -> None:
@@ -169,15 +179,17 @@ class Publisher(_Declared):
             self._publisher.put(payload, attachment=self.attachment())
 
     def heard(self) -> bool:
-        """Whether somebody subscribes, as far as can be told."""
-        return self.node.graph is None or bool(self.node.others("MS", self.topic))
+        """Whether somebody subscribes; of latched topics nobody asks."""
+        if self.node.graph is None:
+            return self._publisher is not None and self._publisher.matching_status.matching
+        return bool(self.node.others("MS", self.topic))
 
     def declare(self) -> None:
         self._undeclare()
         key = self.key()
         # As rmw_zenoh does for what is reliable and keeps the last few.
         drop = zenoh.CongestionControl.DROP
-        if not self._latched:
+        if not (self._latched and self.node.dialect.has_tokens):
             self._publisher = self.node.session.declare_publisher(
                 key, congestion_control=drop, express=True
             )
@@ -255,26 +267,39 @@ class _LatchedRing(Ring):
 class Client(_Declared):
     """Asks a service; nothing waits for the answer but who polls it."""
 
-    def __init__(self, node: Node, service: str, type_name: str) -> None:
+    def __init__(self, node: Node, service: str, type_name: str, timeout_s: float) -> None:
         super().__init__(node, "SC", service, type_name, names.RELIABLE)
+        self._timeout_s = timeout_s
+        self._querier: zenoh.Querier | None = None
 
     def served(self) -> bool:
-        """Whether the service is there, and how it is asked; True where nobody can tell."""
-        return self.node.graph is None or (
-            self.hash is not None and bool(self.node.others("SS", self.topic))
+        """Whether the service is there, and how it is asked."""
+        if self._querier is None or not self._querier.matching_status.matching:
+            return False
+        return self.node.graph is None or bool(self.node.others("SS", self.topic))
+
+    def ask(self, payload: bytes) -> Answer:
+        """Send a request. Its answer is over at once where the type's hash is unknown."""
+        if self._querier is None:
+            return Answer(None)
+        # No ring: its last words are lost when the other side has nothing more to say.
+        channel = zenoh.handlers.FifoChannel(4)
+        return Answer(self._querier.get(channel, payload=payload, attachment=self.attachment()))
+
+    def declare(self) -> None:
+        self._undeclare()
+        self._querier = self.node.session.declare_querier(
+            self.key(), timeout=self._timeout_s, consolidation=zenoh.ConsolidationMode.NONE
         )
 
-    def ask(self, payload: bytes, timeout_s: float) -> Answer:
-        """Send a request. Its answer is over at once where the hash is unknown."""
-        if self.hash is None:
-            return Answer(None)
-        key = self.key()
-        # No ring: its last words are lost when the other side has nothing more to say.
-        replies = self.node.session.get(
-            key, zenoh.handlers.FifoChannel(4), payload=payload, attachment=self.attachment(),
-            timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE,
-        )  # fmt: skip
-        return Answer(replies)
+    def close(self) -> None:
+        super().close()
+        self._undeclare()
+
+    def _undeclare(self) -> None:
+        if self._querier is not None:
+            self._querier.undeclare()
+            self._querier = None
 
 
 class Answer:

@@ -51,6 +51,21 @@ def test_tokens_and_keys_are_those_of_an_independent_implementation(kind):
     assert key == keyexpr.topic_keyexpr(7, "/front/scan", other.dds_type_name, "RIHS01_00")
 
 
+@pytest.mark.parametrize(
+    ("via", "key", "wild"),
+    [
+        ("rmw_zenoh", "4/a/b/p::msg::dds_::T_/H", "4/a/b/*/*"),
+        ("bridge", "a/b", "a/b"),
+        ("adapter", "robots/1/ros2/a/b", "robots/1/ros2/a/b"),
+    ],
+)
+def test_each_way_has_its_keys(via, key, wild):
+    dialect = names.dialect_of(via, "robots/1")
+    assert dialect.data_key(4, "/a/b", "p/msg/T", "H") == key
+    assert dialect.any_key(4, "/a/b") == wild
+    assert dialect.has_tokens == (via == "rmw_zenoh")
+
+
 def test_an_attachment_is_read_by_an_independent_implementation():
     sdk = pytest.importorskip("zenoh_ros2_sdk.attachment")
     gid = bytes(range(16))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import zenoh
 from patience import eventually
 from ros_messages import STORE, header, to_ros
 from ros_router import ours, router
@@ -111,15 +112,16 @@ def test_an_old_robot_without_hashes_is_spoken_to_in_its_way(port, node):
 
 def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
-    client = node.client("/navigate_to_pose/_action/get_result", name)
-    assert (client.hash, client.served(), client.ask(b"x", 1.0).over) == (None, False, True)
+    client = node.client("/navigate_to_pose/_action/get_result", name, 1.0)
+    assert (client.hash, client.served(), client.ask(b"x").over) == (None, False, True)
     server = Endpoint("SS", "other", "/nav", client.topic, name, "RIHS01_ab")
-    with session.liveliness().declare_token(
-        names.endpoint_token(0, 90, 91, server, names.RELIABLE)
-    ):
+    token = names.endpoint_token(0, 90, 91, server, names.RELIABLE)
+    with session.liveliness().declare_token(token):
         assert looked(node, lambda: client.hash == "RIHS01_ab")
-        assert client.served()
-    assert looked(node, lambda: not client.served())
+        assert not client.served(), "its token came before it"
+        with session.declare_queryable(client.key(), zenoh.handlers.FifoChannel(1)):
+            assert looked(node, client.served)
+        assert looked(node, lambda: not client.served())
 
 
 def test_what_a_node_leaves_is_nothing(port, session):
@@ -144,13 +146,28 @@ def test_a_service_of_a_peer_answers(port, node):
         type_hash=names.known_hash(name),
     )  # fmt: skip
     store = server.session_mgr.store
-    client = node.client("/nav/cancel", name)
+    client = node.client("/nav/cancel", name, 5.0)
     assert looked(node, client.served)
-    reply = client.ask(navigation.encode_cancel(bytes(range(16))), 5.0)
+    reply = client.ask(navigation.encode_cancel(bytes(range(16))))
     payload = eventually(reply.poll)
     assert (payload[4], asked) == (2, [bytes(range(16))])
     assert (reply.over, reply.poll()) == (True, None)
     server.close()
+
+
+@pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain("edge/ros2/")])
+def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
+    node = Node(session, 0, "edge_test", dialect)
+    mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
+    assert (mine.heard(), client.served()) == (False, False)
+    with ours(port) as other:
+        theirs = other.declare_subscriber(dialect.any_key(0, "/goal_pose"), lambda _: None)
+        server = other.declare_queryable(client.key(), lambda _: None)
+        eventually(lambda: mine.heard() and client.served())
+        theirs.undeclare()
+        server.undeclare()
+        eventually(lambda: not (mine.heard() or client.served()))
+    node.close()
 
 
 def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):

@@ -1,8 +1,9 @@
-"""nav2_msgs for a Python of ROS 2 that comes from the package index, which has no such package.
+"""nav2_msgs and tf2_msgs for a Python of ROS 2 from the package index, which has no such packages.
 
-`python ros_messages.py FOLDER` generates the action NavigateToPose from its definition with ROS's
-own generators and compiles it there; the folder then belongs on PYTHONPATH and LD_LIBRARY_PATH. The
-hash of the type comes out as the one that robots have, so it is that type and no likeness of it.
+`python make_ros_packages.py FOLDER` generates the types that are needed from their definitions with
+ROS's own generators and compiles them there; the folder then belongs on PYTHONPATH and
+LD_LIBRARY_PATH. Their hashes come out as those that robots have, so they are these types and no
+likeness of them.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ import sys
 import sysconfig
 from pathlib import Path
 
-PACKAGE = "nav2_msgs"
-HASH = "RIHS01_a4fcb3bee1bf32e21a0e541a943b221aa0826996e2c98f079b47022b256f48b5"
-DEFINITION = """\
+# Package: the file of its only type, the hash that robots have for it, under the name of what is
+# hashed, and the definition.
+PACKAGES = {
+    "nav2_msgs": (
+        "action/NavigateToPose.action",
+        "NavigateToPose_SendGoal",
+        "RIHS01_a4fcb3bee1bf32e21a0e541a943b221aa0826996e2c98f079b47022b256f48b5",
+        """\
 geometry_msgs/PoseStamped pose
 string behavior_tree
 ---
@@ -30,7 +36,15 @@ builtin_interfaces/Duration navigation_time
 builtin_interfaces/Duration estimated_time_remaining
 int16 number_of_recoveries
 float32 distance_remaining
-"""
+""",
+    ),
+    "tf2_msgs": (
+        "msg/TFMessage.msg",
+        "TFMessage",
+        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+        "geometry_msgs/TransformStamped[] transforms\n",
+    ),
+}
 NEEDS = (
     "builtin_interfaces", "geometry_msgs", "std_msgs", "unique_identifier_msgs", "action_msgs",
     "service_msgs",
@@ -38,12 +52,12 @@ NEEDS = (
 # Each writes to a folder of its own: some of their files bear the same names. In the order in which
 # the libraries lean on each other: module, class, what it generates, where the sources are.
 GENERATORS = (
-    ("rosidl_generator_c", "GenerateC", "gcc", "action/detail/*.c"),
-    ("rosidl_typesupport_fastrtps_c", "GenerateFastRTPSCTypesupport", "g++", "action/detail/*.cpp"),
+    ("rosidl_generator_c", "GenerateC", "gcc", "*/detail/*.c"),
+    ("rosidl_typesupport_fastrtps_c", "GenerateFastRTPSCTypesupport", "g++", "*/detail/*.cpp"),
     ("rosidl_typesupport_introspection_c", "GenerateIntrospectionCTypesupport", "gcc",
-     "action/detail/*.c"),
-    ("rosidl_typesupport_c", "GenerateCTypesupport", "g++", "action/*.cpp"),
-    ("rosidl_generator_py", "GeneratePython", "gcc", "action/_*_s.c"),
+     "*/detail/*.c"),
+    ("rosidl_typesupport_c", "GenerateCTypesupport", "g++", "*/*.cpp"),
+    ("rosidl_generator_py", "GeneratePython", "gcc", "*/_*_s.c"),
 )  # fmt: skip
 SUPPORTS = (
     "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c",
@@ -55,22 +69,23 @@ RUNTIME = (
 )  # fmt: skip
 
 
-def generate(prefix: Path, folder: Path) -> None:
-    """Write FOLDER/GENERATOR/nav2_msgs for each, and the Python package to FOLDER/nav2_msgs."""
-    source = folder / "definition" / "action"
-    source.mkdir(parents=True)
-    (source / "NavigateToPose.action").write_text(DEFINITION)
-    files = [f"{source.parent}:action/NavigateToPose.action"]
+def generate(prefix: Path, folder: Path, package: str) -> None:
+    """Write FOLDER/GENERATOR/PACKAGE for each, and the Python package to FOLDER/PACKAGE."""
+    path, hashed, known, definition = PACKAGES[package]
+    source = folder / "definition" / package / path
+    source.parent.mkdir(parents=True)
+    source.write_text(definition)
+    files = [f"{source.parents[1]}:{path}"]
     for module, name, *_ in GENERATORS:
         generator = getattr(importlib.import_module(f"{module}.cli"), name)(module)
-        generator.generate(PACKAGE, files, [prefix / "share"], folder / module / PACKAGE)
-    described = folder / "rosidl_generator_c" / PACKAGE / "action" / "NavigateToPose_SendGoal.json"
-    assert HASH in described.read_text(), "not the type that robots have"
-    shutil.copytree(folder / "rosidl_generator_py" / PACKAGE, folder / PACKAGE)
-    (folder / PACKAGE / "__init__.py").touch()
+        generator.generate(package, files, [prefix / "share"], folder / module / package)
+    described = folder / "rosidl_generator_c" / package / Path(path).parent / f"{hashed}.json"
+    assert known in described.read_text(), "not the type that robots have"
+    shutil.copytree(folder / "rosidl_generator_py" / package, folder / package)
+    (folder / package / "__init__.py").touch()
 
 
-def compile_all(prefix: Path, folder: Path) -> None:
+def compile_all(prefix: Path, folder: Path, package: str) -> None:
     """One library for each generator, and Python's extensions."""
     import numpy
 
@@ -90,22 +105,23 @@ def compile_all(prefix: Path, folder: Path) -> None:
         subprocess.run([*command, "-o", str(library), *search, *links], check=True)
 
     for module, _, compiler, pattern in GENERATORS:
-        sources = sorted((folder / module / PACKAGE).glob(pattern))
-        build(compiler, sources, folder / f"lib{PACKAGE}__{module}.so")
-        links.insert(0, f"-l{PACKAGE}__{module}")
+        sources = sorted((folder / module / package).glob(pattern))
+        build(compiler, sources, folder / f"lib{package}__{module}.so")
+        links.insert(0, f"-l{package}__{module}")
     for kind in SUPPORTS:
-        entry = folder / PACKAGE / f"_{PACKAGE}_s.ep.{kind}.c"
-        build("gcc", [entry], folder / PACKAGE / f"{PACKAGE}_s__{kind}.so")
+        entry = folder / package / f"_{package}_s.ep.{kind}.c"
+        build("gcc", [entry], folder / package / f"{package}_s__{kind}.so")
 
 
 def main(folder: Path) -> None:
     if not Path(sysconfig.get_path("include"), "Python.h").exists():
-        print(f"no Python.h for {sys.executable}: nav2_msgs cannot be made", file=sys.stderr)
+        print(f"no Python.h for {sys.executable}: no packages can be made", file=sys.stderr)
         sys.exit(os.EX_UNAVAILABLE)
     prefix = Path(sys.prefix)
     os.environ["AMENT_PREFIX_PATH"] = str(prefix)
-    generate(prefix, folder)
-    compile_all(prefix, folder)
+    for package in PACKAGES:
+        generate(prefix, folder, package)
+        compile_all(prefix, folder, package)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,131 @@
+"""`python3 node`: reads its plan, one line of JSON (see `edge.ros2_adapter.process`), from standard
+input, and ends when that is closed.
+
+One thread does everything, between two callbacks of ROS; what comes on Zenoh wakes it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from importlib import import_module
+from typing import Any
+
+from action import Action
+from passing import Ends, FromRos, ToRos, Unusable, find_type, one_line
+
+log = logging.getLogger("edge.ros2_adapter")
+
+GRAPH_S = 0.2  # between two looks at who is there
+SETTLE_S = 0.5  # for a goal to be cancelled at the end
+_OPEN_AGAIN_S = 0.5
+
+
+def main() -> int:
+    """Run until standard input ends or a signal comes; returns an exit code of sysexits.h."""
+    logging.basicConfig(level=logging.INFO, format="ros2-adapter: %(message)s", stream=sys.stderr)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda *_: stop.set())
+    plan = json.loads(sys.stdin.readline())
+    threading.Thread(target=_watch_input, args=(stop,), daemon=True).start()
+    try:
+        run(plan, stop)
+    except Unusable as error:
+        log.error("%s", error)
+        return os.EX_UNAVAILABLE
+    return os.EX_OK
+
+
+def _watch_input(stop: threading.Event) -> None:
+    """Whoever started the node holds the other end of its input: it must not outlive them.
+
+    Read past Python's buffer, whose lock a thread must not hold when the interpreter ends.
+    """
+    while os.read(0, 4096):
+        pass
+    stop.set()
+
+
+def run(plan: dict[str, Any], stop: threading.Event) -> None:
+    """Pass messages until `stop` is set.
+
+    Raises:
+        Unusable: a package, a message or a Zenoh setting is not to be had here.
+    """
+    rclpy, zenoh = _imported("rclpy", plan), _imported("zenoh", plan)
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    session = _open(zenoh, plan, stop)
+    if session is None:
+        return
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(plan["node"], start_parameter_services=False)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        ends = Ends(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
+        heard = [FromRos(ends, one, find_type(one["type"])) for one in plan["heard"]]
+        often = [ToRos(ends, one, plan["max_bytes"]).look for one in plan["said"]]
+        seldom, action, due_s = [one.look for one in heard], None, 0.0
+        if plan["action"] is not None:
+            action = Action(ends, plan["action"], lambda: any(one.wanted for one in heard))
+            often.append(action.pass_requests)
+            seldom.append(action.look)
+        log.info("passes up to %d topics in and %d out", len(heard), len(plan["said"]))
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=GRAPH_S)
+            for look in often:
+                look()
+            if time.monotonic() >= due_s:
+                due_s = time.monotonic() + GRAPH_S
+                for look in seldom:
+                    look()
+        if action is not None and action.cancel():
+            until_s = time.monotonic() + SETTLE_S
+            while time.monotonic() < until_s:
+                executor.spin_once(timeout_sec=GRAPH_S)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+        session.close()
+
+
+def _imported(name: str, plan: dict[str, Any]) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        what = {
+            "rclpy": "source ROS 2's setup file first, or name it in ros2.adapter.setup",
+            "zenoh": f"{sys.executable} -m pip install eclipse-zenoh=={plan['version']}",
+        }[name]
+        raise Unusable(f"{sys.executable}: no {name} ({error}): {what}") from None
+
+
+def _open(zenoh: Any, plan: dict[str, Any], stop: threading.Event) -> Any:
+    """A session with the service, waited for; None once `stop` is set."""
+    try:
+        config = zenoh.Config.from_json5(plan["zenoh"])
+    except zenoh.ZError as error:
+        versions = f"{plan['version']} of eclipse-zenoh wrote them"
+        raise Unusable(f"zenoh: cannot read the session's settings ({versions}): {error}") from None
+    told = False
+    while not stop.is_set():
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if not told:
+                told = True
+                log.info("waiting for the service: %s", one_line(str(error).split(" at /")[0]))
+            stop.wait(_OPEN_AGAIN_S)
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

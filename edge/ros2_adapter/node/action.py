@@ -1,0 +1,149 @@
+"""The action NavigateToPose, passed: three services and two topics."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from passing import Ends, FromRos, Inbox, cdr_of, find_type, one_line
+
+log = logging.getLogger("edge.ros2_adapter")
+
+GONE_S = 3.0  # nobody hears what is passed: nobody looks where the robot goes
+_REQUEST_BYTES = 4096
+_KEPT = 16
+
+
+class Service:
+    """One service of ROS, offered on Zenoh as long as somebody serves it.
+
+    Args:
+        answered: called with each request and its answer.
+    """
+
+    def __init__(
+        self, ends: Ends, place: dict[str, str], kind: Any, answered: Callable[[Any, Any], None]
+    ) -> None:
+        self._ends, self._key, self._kind, self._answered = ends, place["key"], kind, answered
+        self._client = ends.node.create_client(kind, place["ros"])
+        self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
+        self._waiting: dict[Any, Any] = {}  # future: query
+        self._told = False
+
+    def look(self) -> None:
+        """Offer it, or no more; who waits for an answer then waits no longer."""
+        if self._client.service_is_ready():
+            if self._queryable is None:
+                self._queryable = self._ends.session.declare_queryable(
+                    self._key, self._inbox, complete=True
+                )
+        elif self._queryable is not None:
+            self._queryable.undeclare()
+            self._queryable = None
+            for future, query in self._waiting.items():
+                self._client.remove_pending_request(future)
+                query.drop()
+            self._waiting.clear()
+
+    def pass_requests(self) -> None:
+        for query in self._inbox.take():
+            self._pass(query)
+
+    def ask(self, request: Any) -> None:
+        """Send a request of our own, whose answer nobody waits for."""
+        self._client.call_async(request)
+
+    def _pass(self, query: Any) -> None:
+        from rclpy.serialization import deserialize_message
+
+        try:
+            payload = cdr_of(query.payload, _REQUEST_BYTES)
+            request = deserialize_message(payload, self._kind.Request)
+        except Exception as error:  # rclpy raises what its middleware does
+            if not self._told:
+                self._told = True
+                said = "%s: a request is left out: %s (further ones are not told)"
+                log.warning(said, self._key, one_line(error))
+            query.drop()
+            return
+        future = self._client.call_async(request)
+        self._waiting[future] = query
+        future.add_done_callback(lambda done: self._answer(request, done))
+
+    def _answer(self, request: Any, done: Any) -> None:
+        from rclpy.serialization import serialize_message
+
+        query = self._waiting.pop(done, None)
+        if query is not None and not done.cancelled():
+            query.reply(query.key_expr, serialize_message(done.result()))
+            query.drop()
+            self._answered(request, done.result())
+
+
+class Action:
+    """NavigateToPose, passed: three services and two topics.
+
+    The goal that was accepted last is cancelled where nobody follows any more what becomes of it.
+
+    Args:
+        is_followed: whether the service hears the robot's sensors.
+    """
+
+    def __init__(self, ends: Ends, plan: dict[str, str], is_followed: Callable[[], bool]) -> None:
+        impl = find_type(plan["type"]).Impl
+
+        def place(name: str) -> dict[str, Any]:
+            return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
+
+        def service(name: str, kind: Any, answered: Callable[[Any, Any], None]) -> Service:
+            return Service(ends, place(name), kind, answered)
+
+        def topic(name: str, kind: Any) -> FromRos:
+            quality = {"reliable": True, "latched": False, "depth": 10}
+            return FromRos(ends, {**place(name), **quality}, kind, patience_s=math.inf)
+
+        self._cancel_goal = impl.CancelGoalService
+        self._send = service("send_goal", impl.SendGoalService, self._on_accepted)
+        self._result = service("get_result", impl.GetResultService, self._on_result)
+        self._cancel = service("cancel_goal", impl.CancelGoalService, lambda *_: None)
+        self._services = self._send, self._result, self._cancel
+        self._topics = [
+            topic("feedback", impl.FeedbackMessage), topic("status", impl.GoalStatusMessage)
+        ]  # fmt: skip
+        self._is_followed = is_followed
+        self._goal_id: Any = None  # of the goal that was accepted last and has not ended
+        self._followed_s = time.monotonic()
+
+    def pass_requests(self) -> None:
+        for one in self._services:
+            one.pass_requests()
+
+    def look(self) -> None:
+        """See who is there."""
+        for one in (*self._services, *self._topics):
+            one.look()
+        if self._is_followed():
+            self._followed_s = time.monotonic()
+        elif time.monotonic() - self._followed_s > GONE_S and self.cancel():
+            log.warning("the service is gone: its goal is cancelled")
+
+    def cancel(self) -> bool:
+        """Cancel what the robot drives to for us; whether there was anything."""
+        goal_id, self._goal_id = self._goal_id, None
+        if goal_id is None:
+            return False
+        request = self._cancel_goal.Request()
+        request.goal_info.goal_id = goal_id
+        self._cancel.ask(request)
+        return True
+
+    def _on_accepted(self, request: Any, answer: Any) -> None:
+        if answer.accepted:
+            self._goal_id = request.goal_id
+
+    def _on_result(self, request: Any, answer: Any) -> None:
+        if request.goal_id == self._goal_id:
+            self._goal_id = None

@@ -1,0 +1,83 @@
+"""What sources share that look for messages: the time synchronizer behind, and the looking."""
+
+from __future__ import annotations
+
+import time
+
+import zenoh
+
+from edge.bus import topics
+from edge.config import Config
+from edge.geometry import SE2
+from edge.sources.decoder import KINDS, CdrDecoder
+from edge.sources.goal_status import GoalStatusInbox
+from edge.sources.streams import KEPT
+from edge.sources.synchronizer import TimeSynchronizer
+from edge.sources.tf import Frames
+from edge.types import Observation
+
+PAUSE_S = 0.0003
+
+
+class PolledSource:
+    """An `edge.loop.source.Source`, but for `_drain`, which brings the messages.
+
+    Args:
+        frames: see `CdrDecoder`.
+
+    Raises:
+        ConfigError: a cloud is asked for and no LiDAR is described.
+    """
+
+    def __init__(
+        self, config: Config, session: zenoh.Session, frames: Frames | None = None
+    ) -> None:
+        self._synchronizer = TimeSynchronizer(config)
+        self._decoder = CdrDecoder(self._synchronizer, frames=frames)
+        self._max_bytes = int(config.source.max_message_mb * 1e6)
+        self.inbox = GoalStatusInbox(session, config.zenoh)
+        heard = self._synchronizer.streams
+        self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
+        self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in heard}
+        """How many messages of each topic to keep between polls; odometry is drained first."""
+
+    @property
+    def counters(self) -> dict[str, int]:
+        return self._synchronizer.counters
+
+    @property
+    def epoch(self) -> int:
+        return self._synchronizer.odometry.epoch
+
+    @property
+    def pose(self) -> SE2 | None:
+        return self._synchronizer.odometry.newest_pose
+
+    def poll(self) -> Observation | None:
+        """See `edge.loop.source.Source`."""
+        self._drain()
+        return self._synchronizer.poll()
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `edge.loop.source.Source`; looks every 0.3 ms, since rings cannot be waited on."""
+        deadline_s = time.monotonic() + timeout_s
+        while not self._drain():
+            if time.monotonic() >= deadline_s:
+                return False
+            time.sleep(PAUSE_S)
+        return True
+
+    def close(self) -> None:
+        self.inbox.close()
+
+    def _drain(self) -> int:
+        """Hand what came to the synchronizer, a ring's worth of each topic at most; how many
+        messages it was."""
+        raise NotImplementedError
+
+    def _is_too_large(self, name: str, payload: zenoh.ZBytes) -> bool:
+        """Counts it too, under this name."""
+        size = len(payload)
+        if size > self._max_bytes:
+            self._synchronizer.count(name, "oversized", f"{size} bytes")
+        return size > self._max_bytes

@@ -1,0 +1,60 @@
+"""The ready configurations of robots name what these publish, and mount sensors as tf does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ros_robots import ROBOTS, ready, ready_config, transforms_of
+
+from edge.config import parse
+from edge.sources.synchronizer import streams_of
+from edge.sources.tf import Frames
+
+TOPICS = {
+    # depthai_ros_driver (rgb, stereo), rplidar_ros, create3
+    "turtlebot4": {
+        "camera/rgb": "/oakd/rgb/image_raw",
+        "camera/depth": "/oakd/stereo/image_raw",
+        "camera/info": "/oakd/rgb/camera_info",
+        "lidar/scan": "/scan",
+        "odom": "/odom",
+    },
+    # realsense2_camera, camera_name and camera_namespace as they are by default
+    "jetson-realsense": {
+        "camera/rgb": "/camera/camera/color/image_raw",
+        "camera/depth": "/camera/camera/aligned_depth_to_color/image_raw",
+        "camera/info": "/camera/camera/color/camera_info",
+        "odom": "/odom",
+    },
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_topics_are_those_of_the_drivers(name):
+    settings = ready_config(name).ros2
+    topics = {**TOPICS[name], "tf": "/tf", "tf_static": "/tf_static"}
+    topics["navigate_to_pose"] = "/navigate_to_pose"
+    assert {topic: settings.topic(topic) for topic in topics} == topics
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_sensors_sit_where_tf_says(name):
+    config, body = ready_config(name), ROBOTS[name]
+    frames = Frames(config.ros2)
+    frames.take(transforms_of(body.tree))
+    mounted = config.sensors.camera.T_base_camera()
+    np.testing.assert_allclose(frames.mount_of(body.camera), mounted, atol=1e-3)
+    assert (config.sensors.lidar is None) == (body.lidar == "")
+    if body.lidar:
+        mounted = config.sensors.lidar.T_base_mount()
+        np.testing.assert_allclose(frames.mount_of(body.lidar), mounted, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_depth_maps_unless_a_lidar_is_told_to(name):
+    assert list(streams_of(ready_config(name))) == ["depth_m", "rgb"]
+
+
+def test_the_turtlebot_may_map_with_its_lidar():
+    config = parse(ready("turtlebot4", mapping={"input": "cloud"}))
+    assert list(streams_of(config)) == ["cloud_m", "depth_m", "rgb"]
