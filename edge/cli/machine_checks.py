@@ -12,10 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib import import_module, metadata, util
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Literal
 
+from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
@@ -109,7 +110,8 @@ def check_jetson(config: Config) -> Iterator[Finding]:
     name = machine.tegra_release(TEGRA_RELEASE)
     if name is None:
         return
-    if "CUDAExecutionProvider" in onnx_providers():
+    probed = probe()
+    if probed is not None and "CUDAExecutionProvider" in probed.ran:
         yield Finding("ok", f"Jetson: {name}")
     else:
         todo = "onnxruntime cannot use its GPU: install NVIDIA's onnxruntime-gpu for this JetPack"
@@ -164,12 +166,3 @@ def check_numba(config: Config) -> Iterator[Finding]:
         yield Finding("warn", "numba has nowhere to keep compiled kernels", todo)
         return
     yield Finding("ok", f"numba keeps compiled kernels in {path}")
-
-
-def onnx_providers() -> tuple[str, ...]:
-    """Execution providers of the installed onnxruntime; empty without one."""
-    if util.find_spec("onnxruntime") is None:
-        return ()
-    import onnxruntime
-
-    return tuple(onnxruntime.get_available_providers())
