@@ -20,6 +20,7 @@ from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
+from edge.perception.backends.runtime import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -110,11 +111,15 @@ def check_jetson(config: Config) -> Iterator[Finding]:
     name = machine.tegra_release(TEGRA_RELEASE)
     if name is None:
         return
-    probed = probe()
-    if probed is not None and "CUDAExecutionProvider" in probed.ran:
+    probed, detector = probe(), config.perception.detector
+    with_tensorrt = detector.kind == "onnx" and TENSORRT in detector.providers
+    if with_tensorrt or (probed is not None and "CUDAExecutionProvider" in probed.ran):
         yield Finding("ok", f"Jetson: {name}")
     else:
-        todo = "onnxruntime cannot use its GPU: install NVIDIA's onnxruntime-gpu for this JetPack"
+        todo = (
+            "onnxruntime cannot use its GPU: set perception.detector.providers to [tensorrt], or "
+            "install NVIDIA's onnxruntime-gpu for this JetPack (docs/install.md)"
+        )
         yield Finding("warn", f"Jetson: {name}", todo)
 
 

@@ -27,6 +27,9 @@ TENSORRT = simulated(
     {"perception": {"detector": {"kind": "onnx", "model": "made-up", "providers": ["tensorrt"]}}}
 )
 
+ORIN = "# R36 (release), REVISION: 4.3, GCID: 1"
+CUDA = "CUDAExecutionProvider"
+
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
@@ -137,20 +140,22 @@ def test_cores(monkeypatch, cores, level):
 
 
 @pytest.mark.parametrize(
-    ("release", "providers", "expected"),
+    ("release", "probed", "settings", "expected"),
     [
-        (None, (), []),
-        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CPUExecutionProvider",), ["warn"]),
-        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CUDAExecutionProvider",), ["ok"]),
+        (None, ran(), SIM, []),
+        (ORIN, ran(CPU), ONNX, ["warn"]),
+        (ORIN, Probed("1.24", (CUDA, CPU), (CPU,), "fails on the GPU"), ONNX, ["warn"]),
+        (ORIN, ran(CUDA, CPU), ONNX, ["ok"]),
+        (ORIN, ran(), TENSORRT, ["ok"]),
     ],
 )
-def test_jetson(monkeypatch, tmp_path, release, providers, expected):
+def test_jetson(monkeypatch, tmp_path, release, probed, settings, expected):
     path = tmp_path / "nv_tegra_release"
     if release is not None:
         path.write_text(release)
     monkeypatch.setattr(machine_checks, "TEGRA_RELEASE", path)
-    monkeypatch.setattr(machine_checks, "probe", lambda: ran(*providers))
-    findings = list(machine_checks.check_jetson(SIM))
+    monkeypatch.setattr(machine_checks, "probe", lambda: probed)
+    findings = list(machine_checks.check_jetson(settings))
     assert [f.level for f in findings] == expected
     assert all("R36 (release), REVISION: 4.3" in f.what for f in findings)
 
