@@ -6,9 +6,11 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from edge.host.pages import json_page, serve
 
@@ -16,6 +18,8 @@ ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 INSTRUCTIONS = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", DOCKERFILE, flags=re.MULTILINE))
 STAGES = dict(re.findall(r"^FROM \S+ AS (\S+)\n(.*?)(?=^FROM|\Z)", INSTRUCTIONS, re.M | re.S))
+EXTRAS = ("cpu", "clip", "tensorrt")
+JETSON = {"platform_machine": "aarch64", "sys_platform": "linux"}
 IMAGES = ("cpu", "jetson-jp6", "jetson-jp7")
 
 
@@ -41,6 +45,18 @@ def test_whatever_is_copied_reaches_the_builder():
 def test_every_base_is_pinned():
     bases = re.findall(r"^FROM (\S+)", INSTRUCTIONS, re.MULTILINE)
     assert all(base in STAGES or re.search(r":[\w.-]*\d", base) for base in bases)
+
+
+def test_what_the_images_install_is_pinned():
+    pinned = set(re.findall(r"^([\w-]+)==", (ROOT / "docker/constraints.txt").read_text(), re.M))
+    of_ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
+    wanted = {
+        of.name
+        for of in of_ours
+        if of.marker is None or any(of.marker.evaluate({**JETSON, "extra": e}) for e in EXTRAS)
+    }
+    assert {"numba", "onnxruntime", "tokenizers", "cuda-bindings"} <= wanted
+    assert wanted <= pinned
 
 
 @pytest.mark.parametrize("image", IMAGES)
