@@ -30,11 +30,13 @@ from edge.cli.machine_checks import (
     check_python,
     check_shared_memory,
     check_speed,
-    onnx_providers,
 )
+from edge.cli.onnx_probe import CPU, probe
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host import resources
+from edge.perception.backends import cuda, tensorrt
+from edge.perception.backends.runtime import TENSORRT
 from edge.text import one_line, without_secrets
 
 LOOPBACK_S = 5.0
@@ -177,24 +179,55 @@ def _installed(package: str) -> bool:
 
 def check_onnxruntime(config: Config) -> Iterator[Finding]:
     detector = config.perception.detector
-    lack: Level = "fail" if detector.kind == "onnx" else "warn"
+    wanted = detector.providers if detector.kind == "onnx" else ()
+    needed = any(name != TENSORRT for name in wanted)
+    lack: Level = "fail" if needed else "warn"
     if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
         todo = "one hides the other: pip uninstall onnxruntime onnxruntime-gpu, then install one"
         yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
-    providers = onnx_providers()
-    if not providers:
+    probed = probe()
+    if probed is None:
         todo = "pip install 'edge-vln[cpu]' (or [gpu])"
         yield Finding(lack, "onnxruntime is not installed: no neural detector", todo)
         return
-    import onnxruntime
+    what = f"onnxruntime {probed.version}".strip()
+    if not probed.fault:
+        names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
+        yield Finding("ok", f"{what}: {names}")
+    elif CPU in probed.ran:  # so another's fault
+        yield Finding("warn", f"{what} {probed.fault}", "check driver and CUDA, or use the CPU")
+    else:
+        todo = (
+            "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
+            "must be on (Jetson: sudo nvpmodel -m 0; not under qemu): docs/install.md"
+        )
+        yield Finding(lack, f"{what} {probed.fault}", todo)
+        return
+    for name in wanted:
+        if name != TENSORRT and name not in probed.providers:
+            todo = "install another onnxruntime, or change perception.detector.providers"
+            yield Finding("fail", f"{name} is configured but not available", todo)
 
-    names = ", ".join(name.removesuffix("ExecutionProvider") for name in providers)
-    yield Finding("ok", f"onnxruntime {onnxruntime.__version__}: {names}")
-    if detector.kind == "onnx":
-        for name in detector.providers:
-            if name not in providers:
-                todo = "install another onnxruntime, or change perception.detector.providers"
-                yield Finding("fail", f"{name} is configured but not available", todo)
+
+def _sessions_crash() -> bool:
+    """Whether onnxruntime is there and fails, which `check_onnxruntime` says: what would make a
+    session of it in this process is not tried."""
+    probed = probe()
+    return probed is not None and CPU not in probed.ran
+
+
+def check_tensorrt(config: Config) -> Iterator[Finding]:
+    """TensorRT itself, where the detector is to run on it."""
+    detector = config.perception.detector
+    if detector.kind != "onnx" or TENSORRT not in detector.providers:
+        return
+    try:
+        version = tensorrt.load().__version__
+        cuda.Device(detector.device_id)
+    except UserError as error:
+        yield Finding("fail", *_split(error))
+    else:
+        yield Finding("ok", f"TensorRT {version}, on GPU {detector.device_id}")
 
 
 def _split(error: Exception) -> tuple[str, str]:
@@ -262,6 +295,8 @@ def check_vocabulary(config: Config) -> Iterator[Finding]:
     from edge.perception.text import TextEmbeddings, TextEncoder, words_for
 
     detector = config.perception.detector
+    if detector.kind == "onnx" and _sessions_crash():
+        return
     encoder: TextEncoder
     try:
         if detector.kind == "onnx":
@@ -288,6 +323,8 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     """Configured scorers can be made; where a server is to answer, something listens."""
     from edge.loop.scorers import make_scorers
 
+    if config.perception.similarity is not None and _sessions_crash():
+        return
     try:
         scorers = make_scorers(config, _targets(config))
     except UserError as error:
@@ -339,6 +376,7 @@ CHECKS: tuple[Check, ...] = (
     check_endpoint,
     check_strangers,
     check_onnxruntime,
+    check_tensorrt,
     check_models,
     check_mission,
     check_vocabulary,

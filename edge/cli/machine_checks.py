@@ -12,13 +12,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib import import_module, metadata, util
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Literal
 
+from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
+from edge.perception.backends.runtime import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
 MIN_CORES = 2
@@ -109,10 +111,15 @@ def check_jetson(config: Config) -> Iterator[Finding]:
     name = machine.tegra_release(TEGRA_RELEASE)
     if name is None:
         return
-    if "CUDAExecutionProvider" in onnx_providers():
+    probed, detector = probe(), config.perception.detector
+    with_tensorrt = detector.kind == "onnx" and TENSORRT in detector.providers
+    if with_tensorrt or (probed is not None and "CUDAExecutionProvider" in probed.ran):
         yield Finding("ok", f"Jetson: {name}")
     else:
-        todo = "onnxruntime cannot use its GPU: install NVIDIA's onnxruntime-gpu for this JetPack"
+        todo = (
+            "onnxruntime cannot use its GPU: set perception.detector.providers to [tensorrt], or "
+            "install NVIDIA's onnxruntime-gpu for this JetPack (docs/install.md)"
+        )
         yield Finding("warn", f"Jetson: {name}", todo)
 
 
@@ -164,12 +171,3 @@ def check_numba(config: Config) -> Iterator[Finding]:
         yield Finding("warn", "numba has nowhere to keep compiled kernels", todo)
         return
     yield Finding("ok", f"numba keeps compiled kernels in {path}")
-
-
-def onnx_providers() -> tuple[str, ...]:
-    """Execution providers of the installed onnxruntime; empty without one."""
-    if util.find_spec("onnxruntime") is None:
-        return ()
-    import onnxruntime
-
-    return tuple(onnxruntime.get_available_providers())

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import socket
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +16,19 @@ from simulated import simulated
 from edge import config
 from edge.bus.session import open_session
 from edge.cli import doctor, machine_checks
+from edge.cli.onnx_probe import CPU, Probed
 from edge.cli.parsers import make_parser
 from edge.host import calibration, machine, resources
 from edge.host.ports import free_port
 
 SIM = simulated()
 ONNX = simulated({"perception": {"detector": {"kind": "onnx", "model": "made-up"}}})
+TENSORRT = simulated(
+    {"perception": {"detector": {"kind": "onnx", "model": "made-up", "providers": ["tensorrt"]}}}
+)
+
+ORIN = "# R36 (release), REVISION: 4.3, GCID: 1"
+CUDA = "CUDAExecutionProvider"
 
 
 @pytest.fixture(autouse=True)
@@ -31,6 +40,11 @@ def cache(tmp_path, monkeypatch):
 
 def levels(check: machine_checks.Check, settings: config.Config = SIM) -> list[str]:
     return [finding.level for finding in check(settings)]
+
+
+def ran(*providers: str, fault: str = "") -> Probed | None:
+    """What the probe says where these were tried and ran; None where there are none."""
+    return Probed("1.23", providers, providers, fault) if providers else None
 
 
 def command(*words: str) -> argparse.Namespace:
@@ -126,20 +140,22 @@ def test_cores(monkeypatch, cores, level):
 
 
 @pytest.mark.parametrize(
-    ("release", "providers", "expected"),
+    ("release", "probed", "settings", "expected"),
     [
-        (None, (), []),
-        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CPUExecutionProvider",), ["warn"]),
-        ("# R36 (release), REVISION: 4.3, GCID: 1", ("CUDAExecutionProvider",), ["ok"]),
+        (None, ran(), SIM, []),
+        (ORIN, ran(CPU), ONNX, ["warn"]),
+        (ORIN, Probed("1.24", (CUDA, CPU), (CPU,), "fails on the GPU"), ONNX, ["warn"]),
+        (ORIN, ran(CUDA, CPU), ONNX, ["ok"]),
+        (ORIN, ran(), TENSORRT, ["ok"]),
     ],
 )
-def test_jetson(monkeypatch, tmp_path, release, providers, expected):
+def test_jetson(monkeypatch, tmp_path, release, probed, settings, expected):
     path = tmp_path / "nv_tegra_release"
     if release is not None:
         path.write_text(release)
     monkeypatch.setattr(machine_checks, "TEGRA_RELEASE", path)
-    monkeypatch.setattr(machine_checks, "onnx_providers", lambda: providers)
-    findings = list(machine_checks.check_jetson(SIM))
+    monkeypatch.setattr(machine_checks, "probe", lambda: probed)
+    findings = list(machine_checks.check_jetson(settings))
     assert [f.level for f in findings] == expected
     assert all("R36 (release), REVISION: 4.3" in f.what for f in findings)
 
@@ -233,22 +249,57 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
 
 
 @pytest.mark.parametrize(
-    ("installed", "providers", "settings", "expected"),
+    ("installed", "probed", "settings", "expected"),
     [
-        ((), (), SIM, ["warn"]),
-        ((), (), ONNX, ["fail"]),
-        (("onnxruntime",), ("CPUExecutionProvider",), ONNX, ["ok"]),
-        (("onnxruntime",), ("OtherExecutionProvider",), SIM, ["ok"]),
-        (("onnxruntime",), ("OtherExecutionProvider",), ONNX, ["ok", "fail"]),
-        (("onnxruntime", "onnxruntime-gpu"), ("CPUExecutionProvider",), SIM, ["warn", "ok"]),
+        ((), ran(), SIM, ["warn"]),
+        ((), ran(), ONNX, ["fail"]),
+        ((), ran(), TENSORRT, ["warn"]),
+        (("onnxruntime",), ran(CPU), ONNX, ["ok"]),
+        (("onnxruntime",), ran("Other"), SIM, ["ok"]),
+        (("onnxruntime",), ran("Other"), ONNX, ["ok", "fail"]),
+        (("onnxruntime", "onnxruntime-gpu"), ran(CPU), SIM, ["warn", "ok"]),
+        (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), SIM, ["warn"]),
+        (("onnxruntime",), Probed("1.23", (CPU,), (), "crashes"), ONNX, ["fail"]),
+        (("onnxruntime-gpu",), ran(CPU, fault="fails on the GPU"), ONNX, ["warn"]),
     ],
 )
-def test_onnxruntime(monkeypatch, installed, providers, settings, expected):
-    if providers:
-        pytest.importorskip("onnxruntime")
+def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
     monkeypatch.setattr(doctor, "_installed", lambda package: package in installed)
-    monkeypatch.setattr(doctor, "onnx_providers", lambda: providers)
-    assert levels(doctor.check_onnxruntime, settings) == expected
+    monkeypatch.setattr(doctor, "probe", lambda: probed)
+    findings = list(doctor.check_onnxruntime(settings))
+    assert [finding.level for finding in findings] == expected
+    assert all(finding.todo for finding in findings if finding.level != "ok")
+
+
+def test_an_onnxruntime_that_crashes_is_one_line(monkeypatch):
+    """And nothing that would have it crash in this process is tried after that."""
+    dead = Probed("1.23", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}")
+    monkeypatch.setattr(doctor, "probe", lambda: dead)
+    monkeypatch.setattr(machine_checks, "probe", lambda: dead)
+    crashing = ("check_onnxruntime", "check_vocabulary", "check_scorers")
+    checks = [check for check in doctor.CHECKS if check.__name__ in crashing]
+    monkeypatch.setattr(doctor, "CHECKS", checks)
+    uses_it_twice = simulated(
+        {
+            "perception": {
+                "detector": {"kind": "onnx", "model": "mini-house-256x320-int8-cpu"},
+                "similarity": "mini-house-similarity",
+            }
+        }
+    )
+    (finding,) = doctor.examine(uses_it_twice)
+    assert finding.what == f"onnxruntime 1.23 crashes (SIGSEGV) when it runs a model on {CPU}"
+    assert "docs/install.md" in finding.todo
+
+
+def test_tensorrt(monkeypatch):
+    assert levels(doctor.check_tensorrt, ONNX) == []
+    monkeypatch.setitem(sys.modules, "tensorrt", None)  # not to be had
+    (finding,) = doctor.check_tensorrt(TENSORRT)
+    assert (finding.level, "JetPack" in finding.todo) == ("fail", True)
+    monkeypatch.setitem(sys.modules, "tensorrt", SimpleNamespace(__version__="10.3.0"))
+    monkeypatch.setattr(doctor.cuda, "Device", lambda index: None)
+    assert levels(doctor.check_tensorrt, TENSORRT) == ["ok"]
 
 
 def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):

@@ -1,0 +1,100 @@
+"""onnxruntime is tried in a process of its own, whose end is told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from edge.cli import onnx_probe
+from edge.cli.onnx_probe import CPU, Probed, probe
+
+CUDA = "CUDAExecutionProvider"
+DIES = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+MODULE = """
+__version__ = "1.0"
+
+def get_available_providers():
+    return [{available}]
+
+class InferenceSession:
+    def __init__(self, path, providers, enable_fallback):
+        self.providers = providers
+        {on_open}
+
+    def get_providers(self):
+        return [*self.providers, "CPUExecutionProvider"]
+
+    def get_inputs(self):
+        return []
+
+    def run(self, outputs, feeds):
+        if self.providers == ["CUDAExecutionProvider"]:
+            {on_cuda}
+"""
+
+
+def module(*available: str, on_open: str = "pass", on_cuda: str = "pass") -> str:
+    named = ", ".join(map(repr, available))
+    return MODULE.format(available=named, on_open=on_open, on_cuda=on_cuda)
+
+
+def probe_of(source: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Probed | None:
+    """The answer where a stand-in of this source comes before the real module."""
+    (folder / "onnxruntime.py").write_text(source)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    monkeypatch.setattr(onnx_probe.util, "find_spec", lambda name: object())
+    return probe.__wrapped__()
+
+
+def test_the_real_one_runs_a_model():
+    onnxruntime = pytest.importorskip("onnxruntime")
+    probed = probe()
+    assert (probed.version, probed.fault) == (onnxruntime.__version__, "")
+    assert probed.providers == tuple(onnxruntime.get_available_providers())
+    assert CPU in probed.ran
+
+
+def test_it_is_not_installed(monkeypatch):
+    monkeypatch.setattr(onnx_probe.util, "find_spec", lambda name: None)
+    assert probe.__wrapped__() is None
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        (DIES, Probed("", (), (), "crashes (SIGSEGV) when it is imported")),
+        (
+            module(CPU, on_open=DIES),
+            Probed("1.0", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}"),
+        ),
+        (
+            "raise ImportError('libgomp.so.1: no such file')",
+            Probed(
+                "",
+                (),
+                (),
+                "fails when it is imported: ImportError: libgomp.so.1: no such file",
+            ),
+        ),
+        (
+            module(CUDA, CPU, on_cuda="raise RuntimeError('no kernel image')"),
+            Probed(
+                "1.0",
+                (CUDA, CPU),
+                (CPU,),
+                f"fails when it runs a model on {CUDA}: RuntimeError: no kernel image",
+            ),
+        ),
+        (module(CUDA, CPU), Probed("1.0", (CUDA, CPU), (CPU, CUDA))),
+    ],
+    ids=["dies-at-import", "dies-at-a-session", "no-import", "no-code-for-the-gpu", "both-run"],
+)
+def test_what_became_of_it(source, expected, tmp_path, monkeypatch):
+    assert probe_of(source, tmp_path, monkeypatch) == expected
+
+
+def test_one_that_hangs(tmp_path, monkeypatch):
+    monkeypatch.setattr(onnx_probe, "LIMIT_S", 0.5)
+    probed = probe_of("import time; time.sleep(3600)", tmp_path, monkeypatch)
+    assert probed == Probed("", (), (), "fails when it is imported: no answer within 0.5 s")

