@@ -308,10 +308,10 @@ def test_a_service_that_is_told_to_stop_has_not_failed_with_its_mission(
 
 
 def test_the_exit_codes_are_told():
-    readme = (Path(cli.__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    page = (Path(cli.__file__).parents[2] / "docs/service.md").read_text(encoding="utf-8")
     text = make_parser("", {}).format_help()
     for code, meaning in EXIT_CODES.items():
-        assert re.search(rf"^\|[^|]*\b{code}\b.*\|", readme, re.MULTILINE), code
+        assert re.search(rf"^\|[^|]*\b{code}\b.*\|", page, re.MULTILINE), code
         assert re.search(rf"^ +{code} +{re.escape(meaning)}$", text, re.MULTILINE), code
 
 
