@@ -1,6 +1,6 @@
 """A service as Zenoh sees it: `python secure_peer.py SETTINGS`, the section `zenoh` as JSON.
 
-Sends on every key of the project again and again, and prints `put KEY PAYLOAD` or `query KEY
+Sends on every one of `KEYS` again and again, and prints `put KEY PAYLOAD` or `query KEY
 PAYLOAD` for whatever reaches it from others.
 """
 
@@ -16,11 +16,15 @@ from edge.bus import topics
 from edge.bus.session import open_session
 from edge.config import Zenoh
 
+ROS = ("ros2/odom", "ros2/edge/path", "ros2/navigate_to_pose/_action/status")
+"""Some of what passes by the adapter."""
+KEYS = (*(topic.key for topic in topics.ALL), *ROS)
+
 
 def main(text: str) -> None:
     logging.basicConfig(level=logging.INFO)
     settings = Zenoh.model_validate_json(text)
-    keys = [settings.key(topic.key) for topic in topics.ALL]
+    keys = [settings.key(key) for key in KEYS]
     requests = [settings.key(key) for key in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)]
     with open_session(settings, "listen") as session:
         heard = session.declare_subscriber(

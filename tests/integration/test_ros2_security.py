@@ -24,6 +24,7 @@ from edge.host.ports import free_port
 ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 POSE, MAP = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/OccupancyGrid"
 SEND_GOAL = "nav2_msgs/action/NavigateToPose_SendGoal"
+ACTION = "/navigate_to_pose/_action/send_goal"
 REQUEST = "edge/mission/request"
 
 
@@ -132,7 +133,7 @@ def test_the_service_sees_drives_and_draws_and_does_nothing_else(graph):
         until([robot, service], exchange, "what is allowed does not come")
         assert (counts["private"], counts["cmd_vel"], counts["map of another"]) == (0, 0, 0)
 
-        action = service.client("/navigate_to_pose/_action/send_goal", SEND_GOAL).key()
+        action = service.client(ACTION, SEND_GOAL, PATIENCE_S).key()
         for key in (action, "0/shut_down/std_srvs::srv::dds_::Empty_/x"):
             stack.enter_context(robot.session.declare_queryable(key, _say_yes))
         eventually(lambda: asks(service.session, action), "the action is not answered")

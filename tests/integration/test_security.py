@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -19,7 +19,16 @@ import pytest
 import zenoh
 from edge_processes import LOCKSTEP, write_config
 from patience import PATIENCE_S, eventually
-from secure_files import PAGE, ROOT, etc_edge, out_of_date, page_commands, page_section
+from secure_files import (
+    PAGE,
+    ROOT,
+    etc_edge,
+    out_of_date,
+    page_commands,
+    page_section,
+    settings_of,
+)
+from secure_peer import KEYS, ROS
 
 from edge.bus import client, topics
 from edge.bus.session import open_session
@@ -32,14 +41,14 @@ IDLE = 120  # more than Zenoh's own limit of 100
 
 # What each may send, ask and hear, of all keys of the project, below the prefix.
 REQUESTS = {topics.MISSION_REQUEST, topics.MODELS_REQUEST}
-EVERY = {topic.key for topic in topics.ALL}
+EVERY = set(KEYS)
 BY_SENSORS = {t.key for t in topics.ALL if t.writer in ("sensors", "simulator")}
 BY_CONTROLLER = {t.key for t in topics.ALL if t.writer == "controller"}
 BY_SERVICE = {t.key for t in topics.ALL if t.writer == "service"}
 MAY_PUT = {
     "robot": BY_SENSORS,
     "controller": BY_CONTROLLER,
-    "adapter": BY_SENSORS | {"goal_status"},
+    "adapter": set(ROS),
     "operator": set(),
     "recorder": set(),
 }
@@ -47,7 +56,7 @@ MAY_ASK = {who: REQUESTS if who == "operator" else set() for who in MAY_PUT}
 MAY_HEAR = {
     "robot": BY_SERVICE | {"cmd_vel"},
     "controller": BY_SERVICE | {"odom"},
-    "adapter": BY_SERVICE,
+    "adapter": BY_SERVICE | set(ROS),
     "operator": BY_SERVICE,
     "recorder": EVERY,
 }
@@ -62,22 +71,6 @@ def etc(tmp_path_factory) -> Path:
 def elsewhere(tmp_path_factory, etc) -> Path:
     """The same of another authority."""
     return etc_edge(tmp_path_factory.mktemp("elsewhere"))
-
-
-def settings_of(etc: Path, kind: str, port: int, prefix: str = "edge") -> Callable[[str], Zenoh]:
-    """The section `zenoh` of the service, and of each client."""
-    protocol, start = ("tls", "") if kind == "certificates" else ("tcp", "password-")
-
-    def of(who: str) -> Zenoh:
-        return Zenoh(
-            endpoint=f"{protocol}/127.0.0.1:{port}",
-            file=str(etc / f"{start}service.json5"),
-            client_file=str(etc / f"{start}{who}.json5"),
-            prefix=prefix,
-            shared_memory=False,
-        )
-
-    return of
 
 
 class Service:

@@ -1,4 +1,5 @@
-"""The adapter beside a live ROS 2 (rclpy, Fast DDS): what it passes, and what becomes of goals."""
+"""The adapter beside a live ROS 2 (rclpy, Fast DDS): what it passes, and what becomes of
+goals, with no other rights than `config/secure` gives it."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ import zenoh
 from patience import PATIENCE_S, eventually
 from processes import Process, running
 from ros_peer_facts import ABORTED, ENDLESS, MOUNTED, PIXELS, REACHED, REJECTED, STAMP_NS
+from secure_files import etc_edge, settings_of
 from simulated import simulated
 
 from edge.bus.ros2.node import Subscription, open_node
@@ -33,9 +35,15 @@ READY = "passes up to 8 topics in and 3 out"
 
 
 @pytest.fixture(scope="module")
-def config(ros_python, tmp_path_factory) -> Iterator[tuple[Config, Path]]:
+def etc(tmp_path_factory) -> Path:
+    return etc_edge(tmp_path_factory.mktemp("etc-edge"))
+
+
+@pytest.fixture(scope="module")
+def config(etc, ros_python, tmp_path_factory) -> tuple[Config, Path]:
+    of = settings_of(etc, "certificates", free_port())
     data = {
-        "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
+        "zenoh": of("operator").model_dump(mode="json"),
         "source": {"kind": "ros2"},
         "sinks": ["ros2"],
         "ros2": {
@@ -104,10 +112,13 @@ def robot(ros_python, ros_environ) -> Iterator[Process]:
 
 
 @pytest.fixture(scope="module")
-def adapter(config, service, robot, ros_environ) -> Iterator[Process]:
-    path = {"PYTHONPATH": f"{HERE.parents[1]}:{ros_environ['PYTHONPATH']}"}
+def adapter(config, etc, service, robot, ros_environ) -> Iterator[Process]:
+    own = {
+        "PYTHONPATH": f"{HERE.parents[1]}:{ros_environ['PYTHONPATH']}",
+        "EDGE__ZENOH__CLIENT_FILE": str(etc / "adapter.json5"),
+    }
     command = [sys.executable, "-m", "edge.cli", "ros2-adapter", str(config[1])]
-    with running(command, {**ros_environ, **path}) as process:
+    with running(command, {**ros_environ, **own}) as process:
         process.says(READY)
         yield process
 

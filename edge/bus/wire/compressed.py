@@ -172,6 +172,6 @@ def decode_compressed_into(payload: bytes, header: CompressedHeader, out: np.nda
         np.multiply(picture, M_PER_MM, out=out)
     else:
         np.subtract(picture, np.float32(header.b), out=out, dtype=np.float32)
-        with np.errstate(divide="ignore", over="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             np.divide(np.float32(header.a), out, out=out)
         out[picture == 0] = 0.0

@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from edge.config import Zenoh
+
+ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
 USERS = {w: f"pw-of-{w}" for w in ("robot", "controller", "adapter", "operator", "recorder")}
 
@@ -51,6 +54,22 @@ def etc_edge(folder: Path) -> Path:
     for file in folder.glob("*.json5"):
         file.write_text(file.read_text().replace("/etc/edge", str(folder)))
     return folder
+
+
+def settings_of(etc: Path, kind: str, port: int, prefix: str = "edge") -> Callable[[str], Zenoh]:
+    """The section `zenoh` of the service, and of each client."""
+    protocol, start = ("tls", "") if kind == "certificates" else ("tcp", "password-")
+
+    def of(who: str) -> Zenoh:
+        return Zenoh(
+            endpoint=f"{protocol}/127.0.0.1:{port}",
+            file=str(etc / f"{start}service.json5"),
+            client_file=str(etc / f"{start}{who}.json5"),
+            prefix=prefix,
+            shared_memory=False,
+        )
+
+    return of
 
 
 def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
