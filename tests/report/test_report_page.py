@@ -73,7 +73,7 @@ def test_nothing_is_fetched(run):
     reader = Reader(text)
     assert reader.addresses
     assert all(address.startswith("data:image/") for address in reader.addresses)
-    assert not re.search(r"https?:|url\(|@import", text)
+    assert not re.search(r"https?://|url\(|@import", text)
     assert not {"script", "link", "iframe"} & set(reader.tags)
 
 
