@@ -122,6 +122,7 @@ def test_from_the_start_to_the_stop(edge, config, manager):
     manager.hears("STOPPING=1")
 
 
+@pytest.mark.slow  # a hang takes 10 s to be one
 def test_a_loop_that_hangs_gives_no_sign_of_life_though_its_process_lives(
     edge, config, manager, tmp_path
 ):
