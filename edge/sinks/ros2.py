@@ -25,6 +25,7 @@ from edge.geometry import SE2, Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.sinks.navigate import Navigator
+from edge.sinks.pace import Pace
 from edge.types import Goal, GoalStatus, Instance
 
 DRAWN_HZ = 1.0
@@ -57,11 +58,7 @@ class Ros2Sink:
         self._unheard: Goal | None = None
         self._way = Way(WAY_POSES, WAY_APART_M)
         self._driving = False
-        self._period_ns = {
-            "map": int(1e9 / config.report.map_hz),
-            "drawings": int(1e9 / DRAWN_HZ),
-        }
-        self._last_ns: dict[str, int] = {}
+        self._pace = Pace(map=config.report.map_hz, drawings=DRAWN_HZ)
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
 
     def _publisher(self, name: str) -> Publisher:
@@ -80,9 +77,9 @@ class Ros2Sink:
         now_ns = result.now_ns
         if result.pose is not None:
             self._way.add(result.pose)
-        if self._is_due("map", now_ns):
+        if self._pace.is_due("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
-        if self._is_due("drawings", now_ns):
+        if self._pace.is_due("drawings", now_ns):
             drawn = (
                 now_ns, self._way.poses(), result.frontiers(), result.instances(), result.goal
             )  # fmt: skip
@@ -95,14 +92,6 @@ class Ros2Sink:
             self._node.close()
             if self._answers is not None:
                 self._answers.undeclare()
-
-    def _is_due(self, name: str, now_ns: int) -> bool:
-        last_ns = self._last_ns.get(name)
-        # A clock that was set back must not silence the sink.
-        if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:
-            return False
-        self._last_ns[name] = now_ns
-        return True
 
     # -- on the worker's thread ------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.loop.status import status_of
+from edge.sinks.pace import Pace
 
 UNANSWERED_S = 0.5
 UNSETTLED_S = 1.0
@@ -67,12 +68,9 @@ class ZenohSink:
             # tick, and before it the map.
             self._repeat_s["tick"] = UNANSWERED_S
         self._last_map = b""
-        self._period_ns = {
-            "map": int(1e9 / config.report.map_hz),
-            "status": int(1e9 / config.report.status_hz),
-            "latency": int(1e9 / LATENCY_HZ),
-        }
-        self._last_ns: dict[str, int] = {}
+        self._pace = Pace(
+            map=config.report.map_hz, status=config.report.status_hz, latency=LATENCY_HZ
+        )
         self._mission: tuple[str, str, str] | None = None
         self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
 
@@ -85,11 +83,11 @@ class ZenohSink:
         for goal in result.goals:
             self._put("goal", goal)
         now_ns, status = result.now_ns, result.status
-        if self._is_due("map", now_ns):
+        if self._pace.is_due("map", now_ns):
             self._put("map", (now_ns, self._map_of(result)))
-        if self._is_due("status", now_ns):
+        if self._pace.is_due("status", now_ns):
             self._put("status", status_of(result))
-        if self._is_due("latency", now_ns):
+        if self._pace.is_due("latency", now_ns):
             self._put("latency", result.latency)
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
@@ -117,14 +115,6 @@ class ZenohSink:
             self._worker.queue((name, item))
         else:
             self._worker.submit((name, item), key=name)
-
-    def _is_due(self, name: str, now_ns: int) -> bool:
-        last_ns = self._last_ns.get(name)
-        # A clock that was set back must not silence the sink.
-        if last_ns is not None and 0 <= now_ns - last_ns < self._period_ns[name]:
-            return False
-        self._last_ns[name] = now_ns
-        return True
 
     # -- on the worker's thread ------------------------------------------------------------------
 

@@ -1,0 +1,22 @@
+"""How often a sink sends what."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.sinks.pace import Pace
+
+
+@pytest.mark.parametrize(
+    ("times_s", "due"),
+    [
+        ([], []),
+        ([0.0, 0.4, 0.5, 0.9, 1.0], [True, False, True, False, True]),
+        ([5.0, 1.0, 1.4, 1.5], [True, True, False, True]),  # the clock was set back
+    ],
+)
+def test_each_is_due_as_often_as_it_may_be(times_s, due):
+    pace = Pace(map=2.0, status=1e-3)
+    assert [pace.is_due("map", int(1e9 * t)) for t in times_s] == due
+    assert pace.is_due("status", 0)
+    assert not pace.is_due("status", 10**9)
