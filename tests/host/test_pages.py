@@ -43,7 +43,7 @@ def test_pages_are_made_when_they_are_asked_for():
         assert [json.loads(ask(port, "/count?x=1")[1])["n"] for _ in range(2)] == [0, 1]
         assert ask(port, "/down") == (503, b"no")
         assert ask(port, "/down", "HEAD") == (503, b"")
-        assert ask(port, "/down", "POST")[0] == 501
+        assert ask(port, "/down", "POST")[0] == 405
         status, text = ask(port, "/else")
         assert (status, b"/count" in text) == (404, True)
         with pytest.raises(OSError, match=r"closed|reset"):  # RemoteDisconnected is one

@@ -193,7 +193,7 @@ def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
     complete(grid, pose)
     rng = np.random.default_rng(seed)
     res, reach = grid.resolution_m, grid.reach
-    for x, y in rng.uniform(-3, 3, (20, 2)) + (pose.x_m, pose.y_m):
+    for x, y in np.add(rng.uniform(-3, 3, (20, 2)), (pose.x_m, pose.y_m)):
         way, away_m = reach.way_m(x, y), reach.distance_m(x, y)
         if math.isinf(away_m):
             assert len(way) == 0
