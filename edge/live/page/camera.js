@@ -39,23 +39,29 @@ export function draw() {
   }));
   context.font = "600 12px system-ui, sans-serif";
   context.textBaseline = "middle";
-  for (const box of boxes.filter((b) => !b.wanted)) frame(context, box, "#ffffffa0", 1);
-  for (const box of boxes.filter((b) => b.wanted)) frame(context, box, colourOf(box.label, targets), 2.5);
-  for (const [letter, u, v] of shot.letters) disc(context, letter, x0 + u * w, y0 + v * h);
+  const most = x0 + w;
+  for (const box of boxes.filter((b) => !b.wanted)) frame(context, box, "#ffffffa0", 1, most);
+  for (const box of boxes.filter((b) => b.wanted)) frame(context, box, colourOf(box.label, targets), 2.5, most);
+  let last = -Infinity; // from left to right: none over the one before
+  for (const [letter, u, v] of shot.letters) {
+    last = Math.max(x0 + u * w, last + 21);
+    disc(context, letter, last, y0 + v * h);
+  }
 }
 
-function frame(context, box, ink, line) {
+function frame(context, box, ink, line, most) {
   context.strokeStyle = ink;
   context.lineWidth = line;
   context.strokeRect(box.x, box.y, box.x1 - box.x, box.y1 - box.y);
   const text = `${box.label} ${box.score.toFixed(2)}`;
   const wide = context.measureText(text).width + 8;
   const y = box.y > 18 ? box.y - 17 : box.y;
+  const x = Math.max(Math.min(box.x - line / 2, most - wide), 0);
   const solid = line > 2;
   context.fillStyle = solid ? ink : "#0b0e12a0";
-  context.fillRect(box.x - line / 2, y, wide, 17);
+  context.fillRect(x, y, wide, 17);
   context.fillStyle = solid ? "#fff" : "#ffffffd0";
-  context.fillText(text, box.x + 4 - line / 2, y + 9);
+  context.fillText(text, x + 4, y + 9);
 }
 
 export function disc(context, letter, x, y, radius = 10) {

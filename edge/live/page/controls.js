@@ -2,6 +2,7 @@
 
 import { post, token } from "./api.js";
 import { $, say } from "./dom.js";
+import { isDone } from "./panels.js";
 
 const SURE_MS = 3000;
 let paused = false;
@@ -9,10 +10,9 @@ let paused = false;
 export function show({ controls, moment, service }) {
   $("controls").hidden = !controls;
   $("readonly").hidden = controls;
-  const done = !moment || ["reached", "failed"].includes(moment.phase);
   paused = moment?.paused ?? false;
   say("pause", paused ? "Resume" : "Pause");
-  $("pause").disabled = $("cancel").disabled = done;
+  $("pause").disabled = $("cancel").disabled = isDone(moment);
   $("new").disabled = service.state === "starting" || service.state === "stopping";
 }
 

@@ -63,7 +63,7 @@ async function story() {
   const told = await get("live/story");
   if (!told || !state.now) return;
   const { now } = state;
-  panels.mission({ mission: told.mission, steps: told.steps });
+  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment) });
   automaton.show(told.automaton);
   panels.latency(told.latency);
   panels.log({ events: told.events, n_events: told.n_events });

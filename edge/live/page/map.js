@@ -5,6 +5,7 @@ import { $, colour, colourOf, fitted, once, picture, say } from "./dom.js";
 
 const MARGIN_M = 0.6;
 const NEAR_PX = 16;
+const TOLD = 6; // so many frontiers, the best, have their scores beside them
 const [LEAST, MOST] = [4, 400]; // px a metre
 // Viridis, from nothing to all.
 const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -129,8 +130,10 @@ function paint() {
   line(context, trail(now), colour("trail"), 2.5);
   if (!now) return;
   line(context, now.way.map(toScreen), colour("way"), 2.5, [7, 5]);
-  const best = Math.max(...now.candidates.map((c) => c.score ?? 0), 1e-9);
-  for (const c of now.candidates.filter((c) => c.kind !== "instance")) frontier(context, c, best);
+  const open = now.candidates.filter((c) => c.kind !== "instance");
+  open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top
+  const best = Math.max(open.at(-1)?.score ?? 0, 1e-9);
+  open.forEach((c, i) => frontier(context, c, best, i >= open.length - TOLD));
   for (const thing of now.instances) instance(context, thing);
   if (now.goal) goal(context, now.goal);
   if (now.pose) robot(context, now.pose);
@@ -169,7 +172,7 @@ function line(context, places, ink, width, dash = []) {
   context.setLineDash([]);
 }
 
-function frontier(context, c, best) {
+function frontier(context, c, best, told) {
   const [x, y] = toScreen(c.xy_m);
   const share = Math.max(c.score ?? 0, 0) / best;
   context.globalAlpha = c.blocked ? 0.35 : 0.45 + 0.55 * share;
@@ -179,7 +182,7 @@ function frontier(context, c, best) {
   context.fill();
   context.globalAlpha = 1;
   if (c.letter) disc(context, c.letter, x, y - 15, 9);
-  else if (share >= 0.6 && c.score !== null) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
+  else if (told && c.score > 0) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
 }
 
 function instance(context, thing) {

@@ -2,7 +2,7 @@
 
 import { $, clock, make, once, say } from "./dom.js";
 
-const OF_THE_MISSION = { searching: "searching", approaching: "approaching", verifying: "verifying", paused: "paused", reached: "reached", failed: "failed" };
+export const isDone = (moment) => !moment || ["reached", "failed"].includes(moment.phase);
 
 function badge(kind, text) {
   say("phase", text);
@@ -19,8 +19,8 @@ export function header({ robot, moment, service }) {
   say("robot", robot);
   document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
   if (!moment) return badge("", service.state);
-  const phase = moment.paused && !["reached", "failed"].includes(moment.phase) ? "paused" : moment.phase;
-  badge(OF_THE_MISSION[phase] ?? "", phase);
+  const phase = moment.paused && !isDone(moment) ? "paused" : moment.phase;
+  badge(phase, phase);
   say("instruction", moment.instruction);
   say("reason", moment.reason || (moment.target ? `now: ${moment.target}` : ""));
   say("elapsed", duration(moment.elapsed_s));
@@ -42,7 +42,7 @@ export function tellState({ service, silent_s, moment }) {
   if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
   if (unseen) return banner("warn", `Not ready: ${why}. Check camera, depth or LiDAR, and odometry.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
-  if (moment?.paused) return banner("info", "Paused: the robot stands until the mission is resumed.");
+  if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot stands until the mission is resumed.");
   if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: the goal is not driven to.");
   banner("", "");
 }
@@ -59,12 +59,11 @@ function pairs(id, rows) {
   ]));
 }
 
-export const mission = once(({ mission: m, steps }) => {
+export const mission = once(({ mission: m, steps, done }) => {
   say("english", m.english);
   say("formula", m.formula);
   say("translated", `state ${m.state} of ${m.states}, by ${m.translated_by}`);
-  const rows = [["plan", m.plan.length ? m.plan.join(" → ") : "nothing left to reach"]];
-  if (m.why) rows.push(["why", m.why]);
+  const rows = done ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
   if (m.reached.length) rows.push(["reached", m.reached.join(", "), "ok"]);
   if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
   if (m.forbidden.length) rows.push(["not now", m.forbidden.join(", "), "warn"]);
