@@ -18,7 +18,8 @@ import pytest
 from patience import PATIENCE_S, eventually
 from websockets.sync.client import ClientConnection, connect
 
-BINARY = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+BINARY = next(filter(None, map(shutil.which, NAMES)), "")
 OPTIONS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-extensions",
@@ -111,7 +112,7 @@ class Tab:
 def open_chromium() -> Iterator[Tab]:
     """A tab of a browser of its own; skips where there is no Chromium."""
     if not BINARY:
-        pytest.skip("no Chromium on this machine (chromium, chromium-browser, google-chrome)")
+        pytest.skip(f"no Chromium on this machine ({', '.join(NAMES)})")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         process = subprocess.Popen(
             [BINARY, f"--user-data-dir={profile}", *OPTIONS],

@@ -145,6 +145,7 @@ def serve(
         server.shutdown()
         server.server_close()
         thread.join()
+        server.hang_up()
 
 
 class _Server(ThreadingMixIn, HTTPServer):
@@ -176,6 +177,13 @@ class _Server(ThreadingMixIn, HTTPServer):
                 with suppress(OSError):  # it may have been closed by now
                     next(iter(self._open)).shutdown(socket.SHUT_RDWR)
         super().process_request(request, client_address)
+
+    def hang_up(self) -> None:
+        """Whoever keeps a connection open is answered nothing more."""
+        with self._hand:
+            for connection in self._open:
+                with suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def shutdown_request(self, request: Any) -> None:
         with self._hand:
