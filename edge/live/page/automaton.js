@@ -1,10 +1,11 @@
 // The mission's automaton as a graph: columns by the longest way from the start.
 
-import { $, make, once } from "./dom.js";
+import { $, make, once, say } from "./dom.js";
 
 const [COLUMN, ROW, RADIUS] = [118, 62, 14];
 
 export const show = once(({ nodes, arrows, note }) => {
+  say("note", nodes.length < 2 ? "" : `The graph: ${note}`);
   if (nodes.length < 2) return $("automaton").replaceChildren();
   const places = layOut(nodes, arrows);
   const xs = places.map((p) => p[0]);
@@ -19,7 +20,7 @@ export const show = once(({ nodes, arrows, note }) => {
   const labels = arrows.map((arrow) => way(drawing, arrow, places, arrows));
   nodes.forEach((node, i) => drawing.append(state(node, places[i])));
   drawing.append(...labels);
-  $("automaton").replaceChildren(drawing, make("p", { text: note }));
+  $("automaton").replaceChildren(drawing);
 });
 
 function heads() {

@@ -53,11 +53,15 @@ export function picture(kind, base64) {
   });
 }
 
-const TARGETS = ["#d6225b", "#1c7ed6", "#9c36b5", "#0b7285", "#8d5524", "#5c940d", "#6741d9", "#5c6b7f"];
+const TARGETS = {
+  light: ["#d6225b", "#1c7ed6", "#9c36b5", "#0b7285", "#8d5524", "#5c940d", "#6741d9", "#5c6b7f"],
+  dark: ["#ff5c8d", "#4dabf7", "#da77f2", "#3bc9db", "#d9a066", "#a9e34b", "#9775fa", "#adb5bd"],
+};
 
 export function colourOf(label, targets) {
   const at = targets.indexOf(label);
-  return at < 0 ? colour("thing") : at === 0 ? colour("goal") : TARGETS[at % TARGETS.length];
+  const colours = TARGETS[document.documentElement.dataset.scheme];
+  return at < 0 ? colour("thing") : colours[at % colours.length];
 }
 
 export function clock(t_s) {
