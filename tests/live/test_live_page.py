@@ -179,3 +179,9 @@ def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
         else:
             tab.until("!document.getElementById('token-error').hidden")
     assert TOKEN not in tab.run("document.documentElement.outerHTML")
+
+
+def test_a_model_that_is_not_there_is_refused_in_a_line(page):
+    page.type("#model", "no-such-model")
+    page.click("#use")
+    page.says("#toast", "no-such-model")

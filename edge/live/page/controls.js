@@ -8,7 +8,7 @@ const SURE_MS = 3000;
 let paused = false;
 
 export function show({ controls, moment, service }) {
-  $("controls").hidden = !controls;
+  $("controls").hidden = $("swap").hidden = !controls;
   $("readonly").hidden = controls;
   paused = moment?.paused ?? false;
   say("pause", paused ? "Resume" : "Pause");
@@ -24,16 +24,18 @@ export function toast(text) {
   hide = setTimeout(() => ($("toast").hidden = true), 5000);
 }
 
-async function mission(said) {
+async function ask(key, said, done) {
   try {
-    return await post("mission/request", said);
+    await post(key, said);
+    if (done) toast(done);
   } catch (error) {
     toast(error.message);
-    return null;
   }
 }
 
-$("pause").addEventListener("click", () => mission({ do: paused ? "resume" : "pause" }));
+const mission = (verb) => ask("mission/request", { do: verb });
+
+$("pause").addEventListener("click", () => mission(paused ? "resume" : "pause"));
 
 // Twice, so that no slip ends a mission.
 let sure = 0;
@@ -41,13 +43,20 @@ $("cancel").addEventListener("click", () => {
   clearTimeout(sure);
   const again = $("cancel").textContent !== "Cancel";
   say("cancel", again ? "Cancel" : "Really?");
-  if (again) mission({ do: "cancel" });
+  if (again) mission("cancel");
   else sure = setTimeout(() => say("cancel", "Cancel"), SURE_MS);
 });
 
 $("lock").addEventListener("click", () => {
   token.forget();
   location.reload();
+});
+
+$("swap").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const model = $("model").value.trim();
+  ask("models/request", { do: "use", model }, `Loading ${model}; the present one goes on meanwhile.`);
+  $("model").value = "";
 });
 
 const dialog = $("new-dialog");
