@@ -7,7 +7,13 @@ from urllib.parse import urlsplit
 
 import pytest
 from chromium import Tab, open_chromium
-from live_house import TOKEN, House, open_house
+from live_house import HERE, TOKEN, House, open_house
+from simulated import simulated
+
+from edge.host.pages import serve
+from edge.host.service_manager import ServiceManager
+from edge.live.view import LiveView
+from edge.loop.vitals import Vitals
 
 SLOWLY = {"max_speed_mps": 0.15}
 INSTRUCTION = "find the <b>sofa</b>"
@@ -61,6 +67,16 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     assert painted(page, "camera") > 100
     assert {urlsplit(url).netloc for url in page.asked} - {""} == {f"127.0.0.1:{house.port}"}
     assert page.complaints == []
+
+
+def test_while_the_service_starts_it_says_what_it_is_at(tab):
+    vitals = Vitals(ServiceManager({}))
+    view = LiveView(simulated({"mission": {"target": "bed"}}), vitals)
+    vitals.starting("loading the detector")
+    with serve(view.pages(), HERE, 0) as port:
+        tab.open(f"http://{HERE}:{port}/")
+        tab.says("#banner", "Starting: loading the detector")
+        assert tab.text("#phase") == "STARTING"
 
 
 def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
