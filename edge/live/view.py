@@ -20,11 +20,9 @@ from edge.geometry import Grid
 from edge.host.pages import Forms, Page, Pages
 from edge.live.pictures import grid_of, shot_of
 from edge.live.sink import LiveSink, Moment
-from edge.live.words import now_of, story_of
+from edge.live.words import MAX_LAYERS, now_of, story_of
 from edge.loop.vitals import Vitals
 
-LAYERS = 16
-"""So many layers of the map can be looked at."""
 ANSWER_S = 120.0
 """How long a request may take: a language model may have to understand it."""
 _LATENCY_TICKS = 300
@@ -69,7 +67,7 @@ class LiveView:
 
     def pages(self) -> Pages:
         """The page, and what it asks for."""
-        layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(LAYERS)}
+        layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
         return {
             **{path: partial(_file, file) for path, file in _FILES.items()},
             "/live/now": self._now,
@@ -140,7 +138,7 @@ class LiveView:
         with self._hand:
             kept = self._kept.get(name)
             if kept is None or kept[0] != version:
-                if len(self._kept) > LAYERS:  # of missions that are over
+                if len(self._kept) > MAX_LAYERS:  # of missions that are over
                     self._kept.clear()
                 kept = self._kept[name] = version, make()
             return kept[1]

@@ -19,6 +19,7 @@ from edge.types import Goal, GoalStatus
 MAX_POINTS = 400
 """Of a way that is drawn."""
 MAX_STEPS = 60
+MAX_LAYERS = 16
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
 _NS = 1e-9
 
@@ -99,7 +100,7 @@ def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:
             for step in mission.steps[-MAX_STEPS:]
         ],
         "trail": points(moment.trail[:, :2]),
-        "layers": list(moment.layers),
+        "layers": list(moment.layers)[:MAX_LAYERS],
         "latency": latency.as_dict(),
         "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in moment.events],
         "n_events": moment.n_events,

@@ -514,4 +514,4 @@ class Service:
         valued = self.mission.brief.targets if self.config.value_source is not None else ()
         values, coverage = self.grid.values, self.grid.coverage
         of_targets = {f"value of {target}": partial(values.snapshot, target) for target in valued}
-        return {**of_targets, "looked at": coverage.snapshot}
+        return {"looked at": coverage.snapshot, **of_targets}

@@ -17,8 +17,8 @@ from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import Verb
 from edge.geometry import SE2, Grid
 from edge.host.service_manager import ServiceManager
-from edge.live.view import LAYERS, PUBLIC, LiveView
-from edge.live.words import MAX_POINTS, points
+from edge.live.view import PUBLIC, LiveView
+from edge.live.words import MAX_LAYERS, MAX_POINTS, points
 from edge.loop.result import Event, ScoredCandidates
 from edge.loop.vitals import Vitals
 from edge.types import Goal, GoalStatus, Instance, MissionStatus
@@ -117,7 +117,17 @@ def test_layers_are_told_by_their_place_and_there_may_be_none(view):
     view.sink.tick(result(**full()))
     layer = told(view, "/live/layers/0")
     assert (layer["name"], layer["size"]) == ("value of chair", [3, 2])
-    assert told(view, f"/live/layers/{LAYERS - 1}") is None
+    assert told(view, f"/live/layers/{MAX_LAYERS - 1}") is None
+
+
+def test_of_very_many_layers_those_are_named_that_can_be_had(view):
+    view.sink.look()
+    grid = Grid(np.ones((1, 1), np.uint8), (0, 0), 1)
+    layers = {f"value of {i}": lambda: grid for i in range(2 * MAX_LAYERS)}
+    view.sink.tick(result(**{**full(), "layers": lambda: layers}))
+    named = told(view, "/live/story")["layers"]
+    assert [told(view, f"/live/layers/{i}")["name"] for i in range(len(named))] == named
+    assert len(named) == sum(path.startswith("/live/layers/") for path in view.pages())
 
 
 def test_an_empty_map_has_no_picture(view):
