@@ -250,7 +250,7 @@ class _Handler(BaseHTTPRequestHandler):
         if site.token is None:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "read-only: set http.token_file")
         origin = self.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != self.headers.get("Host"):
+        if origin is not None and _authority(origin) != self.headers.get("Host"):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "posted by a page of another site")
         return site.forms[path]
 
@@ -323,6 +323,14 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         log.debug("%s", one_line(format % args))
+
+
+def _authority(origin: str) -> str:
+    """Host and port of a header `Origin`, as a header `Host` has them."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _names_this_machine(asked: str | None, host: str) -> bool:

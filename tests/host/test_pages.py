@@ -180,6 +180,7 @@ def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
         (b"{}", {"Authorization": ""}, 401),
         (b"{}", {"Origin": "http://evil.example"}, 403),
         (b"{}", {"Origin": "null"}, 403),
+        (b"{}", {"Origin": "http://[evil"}, 403),
     ],
 )
 def test_what_is_posted_is_taken_whole_or_not_at_all(taken, body, headers, status):

@@ -81,20 +81,20 @@ def test_while_the_service_starts_it_says_what_it_is_at(tab):
 
 def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
     page.until("document.getElementById('layer').options.length > 1")
-    yellow = "253, 231, 37"  # of what was looked at well, over the map's ground
     page.run(
         "(() => { const s = document.getElementById('layer'); s.value = 'looked at';"
         " s.dispatchEvent(new Event('change')); })()"
     )
     page.until(
-        f"""(() => {{
-          const c = document.getElementById("map"), [r, g, b] = [{yellow}];
-          const {{ data }} = c.getContext("2d").getImageData(0, 0, c.width, c.height);
+        # Yellow, of what was looked at well, over what is free.
+        """(() => {
+          const c = document.getElementById("map");
+          const { data } = c.getContext("2d").getImageData(0, 0, c.width, c.height);
           let n = 0;
           for (let i = 0; i < data.length; i += 4)
-            n += data[i] - data[i + 2] > 0.5 * (r - b) && data[i + 1] - data[i + 2] > 0.5 * (g - b);
+            n += data[i] - data[i + 1] < 30 && data[i] - data[i + 2] > 90;
           return n > 200;
-        }})()"""
+        })()"""
     )
     assert page.complaints == []
 
@@ -201,3 +201,15 @@ def test_a_model_that_is_not_there_is_refused_in_a_line(page):
     page.type("#model", "no-such-model")
     page.click("#use")
     page.says("#toast", "no-such-model")
+
+
+def test_the_map_follows_the_robot_until_it_is_dragged(page):
+    page.click("#follow")
+    pressed = "document.getElementById('follow').getAttribute('aria-pressed')"
+    assert page.run(pressed) == "true"
+    page.click("#zoom-in")
+    assert page.run(pressed) == "true"
+    mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+    for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=300, **mouse)
+    assert page.run(pressed) == "false"
