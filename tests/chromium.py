@@ -123,7 +123,9 @@ def open_chromium() -> Iterator[Tab]:
             port = eventually(lambda: active.is_file() and active.read_text().split("\n")[0])
             with urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
                 (page,) = [target for target in json.load(answer) if target["type"] == "page"]
-            with connect(page["webSocketDebuggerUrl"], max_size=None, ping_interval=None) as socket:
+            with connect(
+                page["webSocketDebuggerUrl"], max_size=None, ping_interval=None, close_timeout=0.1
+            ) as socket:
                 yield Tab(socket)
         finally:
             process.kill()
