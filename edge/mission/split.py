@@ -94,3 +94,14 @@ def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
     groups = nx.connected_components(shared)
     members = sorted(sorted(k for k in group if isinstance(k, int)) for group in groups)
     return [[given[k] for k in group] for group in members]
+
+
+def asked_for(formula: Formula, limits: Mission | None = None) -> tuple[str, ...]:
+    """The propositions that may have to be reached: all but those that must never be."""
+    automaton = _compiled(formula, limits or Mission())
+    alive = [q for q in range(automaton.n_states) if not automaton.dead(q)]
+    return tuple(
+        letter
+        for letter in automaton.letters
+        if any(not automaton.dead(automaton.step(q, letter)) for q in alive)
+    )
