@@ -21,7 +21,7 @@ from edge.config import Zenoh
 
 log = logging.getLogger("edge.bus.presence")
 
-LOOK_S = 2.0
+ANSWER_S = 5.0
 _REFUSED = "refused"
 _TELL_S = 60.0
 
@@ -31,12 +31,16 @@ def prefixes(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
 
     Args:
         pattern: of prefixes, a key expression such as `robots/*`.
+
+    Raises:
+        BusError: the router did not say it in time: some may be missing.
     """
     found: dict[str, set[str]] = {}
-    for reply in session.liveliness().get(f"{pattern}/{topics.ALIVE}/*", timeout=LOOK_S):
-        if reply.ok is not None:
-            prefix, _, who = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
-            found.setdefault(prefix, set()).add(who)
+    for reply in session.liveliness().get(f"{pattern}/{topics.ALIVE}/*", timeout=ANSWER_S):
+        if reply.ok is None:
+            raise BusError(f"{pattern}: the router did not say within {ANSWER_S:g} s who is there")
+        prefix, _, who = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
+        found.setdefault(prefix, set()).add(who)
     return found
 
 
@@ -79,7 +83,8 @@ class Presence:
     def _refuse_if(self, others: Iterable[str]) -> None:
         if any(True for _ in others):
             # It is gone with the session, which ends with this service's start.
-            self._session.liveliness().declare_token(f"{self._key}/{_REFUSED}")
+            refused = f"{self._key}/{_REFUSED}"
+            self._token = self._session.liveliness().declare_token(refused)
             raise BusError(
                 f"zenoh.prefix: another service is {self._settings.prefix} at "
                 f"{self._settings.address}: stop it, or give this one a prefix of its own"

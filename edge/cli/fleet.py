@@ -61,7 +61,9 @@ def table(robots: Iterable[Robot]) -> str:
     """A line a robot."""
     rows = [["robot", "phase", "mission", "target", "pose", "health"]]
     rows += [list(_cells(robot).values()) for robot in robots]
-    return aligned([[one_line(cell, _CELL) for cell in row] for row in rows])
+    return aligned(
+        [[*(one_line(cell, _CELL) for cell in row[:-1]), one_line(row[-1])] for row in rows]
+    )
 
 
 def _cells(robot: Robot) -> dict[str, str]:

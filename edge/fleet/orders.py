@@ -1,14 +1,15 @@
 """Who gets which part of a mission: decided from what the robots say of themselves alone.
 
-No state is kept: every part has a name, which its robot knows it by, now and after it is over. So
-whoever looks comes to the same orders, the first time or after a restart, alone or beside another.
+No state is needed: every part has a name, which its robot knows it by, now and after it is over.
+So whoever looks comes to the same orders, the first time or after a restart, alone or beside
+another.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from edge import names
@@ -98,7 +99,8 @@ def decide(
     parts: Sequence[Part],
     robots: Mapping[str, Robot],
     away: Mapping[str, str],
-    refused: Mapping[tuple[str, str], int] = Counter(),
+    refused: Mapping[tuple[str, str], int] = MappingProxyType({}),
+    reached: Mapping[str, Outcome] = MappingProxyType({}),
 ) -> Orders:
     """The orders for a mission.
 
@@ -107,6 +109,7 @@ def decide(
         away: parts by id, and the robot that was at each when it was last heard of, for as long as
             it is hoped to come back.
         refused: how often, by part and robot.
+        reached: parts that are known to be, whatever became of the robot that did it.
     """
     outcomes: dict[str, Outcome] = {}
     under_way: dict[str, str] = {}
@@ -115,11 +118,15 @@ def decide(
     for part in parts:
         held = list(_held(part, robots))
         at_it = sorted((h for h in held if h.phase not in OVER), key=lambda h: -h.elapsed_s)
-        reached = [h for h in held if h.phase == "reached"]
+        done = [h for h in held if h.phase == "reached"]
         failed = {h.robot: h.reason for h in held if h.phase == "failed" and h.reason != DOUBLED}
-        cancel += [Cancel(h.robot, h.id) for h in (at_it if reached else at_it[1:])]
-        if reached:
-            outcomes[part.id] = Outcome("reached", reached[0].robot, reached[0].reason)
+        cancel += [
+            Cancel(h.robot, h.id) for h in (at_it if done or part.id in reached else at_it[1:])
+        ]
+        if part.id in reached:
+            outcomes[part.id] = reached[part.id]
+        elif done:
+            outcomes[part.id] = Outcome("reached", done[0].robot, done[0].reason)
         elif at_it:
             under_way[part.id] = at_it[0].robot
         elif part.id in away:

@@ -128,7 +128,11 @@ class Roster:
         return sorted(self._sessions())
 
     def look(self) -> dict[str, Robot]:
-        """Every robot that is there, by name; takes as long as the slowest, `ANSWER_S` at most."""
+        """Every robot that is there, by name; takes as long as the slowest, `ANSWER_S` at most.
+
+        Raises:
+            BusError: the router did not say who is.
+        """
         there = self._sessions()
         robots = self.ask(there, {"do": "status"}, ANSWER_S)
         for name, sessions in there.items():
