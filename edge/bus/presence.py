@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable
+from typing import NoReturn
 
 import zenoh
 
@@ -24,6 +24,9 @@ log = logging.getLogger("edge.bus.presence")
 ANSWER_S = 5.0
 _REFUSED = "refused"
 _TELL_S = 60.0
+_YIELD_S = 3.0
+_LOOK_S = 0.1
+_SETTLE_S = 0.25  # a token takes a moment to be seen by all
 
 
 def prefixes(session: zenoh.Session, pattern: str) -> dict[str, set[str]]:
@@ -57,7 +60,8 @@ class Presence:
         self._key = f"{settings.prefix}/{topics.ALIVE}/{self._own}"
         self._token: zenoh.LivelinessToken | None = None
         self._told_s = -_TELL_S
-        self._refuse_if(self._others())
+        if self._others():
+            self._refuse()
         self._heard = session.liveliness().declare_subscriber(
             f"{settings.prefix}/{topics.ALIVE}/**", self._hear
         )
@@ -66,10 +70,18 @@ class Presence:
         """From now on the service takes requests.
 
         Raises:
-            BusError: another one got there first. Of two at the same moment, one stays.
+            BusError: another one got there first.
         """
         self._token = self._session.liveliness().declare_token(self._key)
-        self._refuse_if(other for other in self._others() if other < self._own)
+        # Of two that came at the same moment, and see each other, the lower session stays, once the
+        # other has gone; one that looked before it could see us does not go.
+        until_s = time.monotonic() + _YIELD_S
+        time.sleep(_SETTLE_S)
+        while others := self._others():
+            if min(others) < self._own or time.monotonic() >= until_s:
+                self._token.undeclare()
+                self._refuse()
+            time.sleep(_LOOK_S)
 
     def close(self) -> None:
         self._heard.undeclare()
@@ -80,15 +92,13 @@ class Presence:
         there = prefixes(self._session, self._settings.prefix)
         return there.get(self._settings.prefix, set()) - {self._own}
 
-    def _refuse_if(self, others: Iterable[str]) -> None:
-        if any(True for _ in others):
-            # It is gone with the session, which ends with this service's start.
-            refused = f"{self._key}/{_REFUSED}"
-            self._token = self._session.liveliness().declare_token(refused)
-            raise BusError(
-                f"zenoh.prefix: another service is {self._settings.prefix} at "
-                f"{self._settings.address}: stop it, or give this one a prefix of its own"
-            )
+    def _refuse(self) -> NoReturn:
+        """Let the other know, by a token that is gone with the session, and so with our start."""
+        self._token = self._session.liveliness().declare_token(f"{self._key}/{_REFUSED}")
+        raise BusError(
+            f"zenoh.prefix: another service is {self._settings.prefix} at "
+            f"{self._settings.address}: stop it, or give this one a prefix of its own"
+        )
 
     def _hear(self, sample: zenoh.Sample) -> None:
         """Called by Zenoh; says once a minute at most that there is another one."""

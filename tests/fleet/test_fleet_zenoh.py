@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -311,19 +312,26 @@ def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
     robots("bob")
 
 
-def test_of_two_that_start_at_the_same_moment_one_stays(port, robots):
+@pytest.mark.parametrize("order", ["together", "lower first", "lower last"])
+def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatch, order):
+    monkeypatch.setattr(presence, "_YIELD_S", PATIENCE_S if order == "together" else 0.2)
     two = [robots("anna", announced=False) for _ in range(2)]
-    refused = []
-    two[0].presence._token = None
-    for robot in two:
+    two.sort(key=lambda robot: robot.presence._own, reverse=order == "lower last")
+
+    def stays(robot: FakeRobot) -> bool:
         try:
             robot.presence.announce()
         except BusError:
-            refused.append(robot)
-            robot.close()
-    assert len(refused) <= 1
-    with open_roster(settings_of(port, "any")) as seen:
-        eventually(lambda: len(presence.prefixes(seen._session, "robots/*")["robots/anna"]) <= 2)
+            return False
+        return True
+
+    if order == "together":
+        with ThreadPoolExecutor(2) as pool:
+            assert sorted(pool.map(stays, two)) == [False, True]
+    else:
+        assert [stays(robot) for robot in two] == [True, False]
+    session = two[0].presence._session
+    eventually(lambda: len(presence.prefixes(session, "robots/*")["robots/anna"]) == 1)
 
 
 def test_two_services_that_came_together_later_are_shown(port, robots):

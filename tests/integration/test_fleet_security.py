@@ -1,8 +1,9 @@
-"""The rules of `config/secure/fleet-router.json5`, with the certificates that docs/fleet.md makes."""
+"""The rules of `config/secure/fleet-router.json5`, with the certificates of docs/fleet.md."""
 
 from __future__ import annotations
 
 import re
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -39,9 +40,9 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc):
     port = free_port()
     section = parse_yaml(page_section("robots/anna\n  file", etc, PAGE))["zenoh"]
 
-    def settings(who: str, prefix: str = "") -> Zenoh:
+    def settings(who: str) -> Zenoh:
         own = {"endpoint": f"tls/127.0.0.1:{port}", "file": str(etc / f"{who}.json5")}
-        return Zenoh(**{**section, **own, "prefix": prefix or f"robots/{who}"})
+        return Zenoh(**{**section, **own, "prefix": f"robots/{who}"})
 
     route = Zenoh(endpoint=f"tls/127.0.0.1:{port}", file=str(etc / "fleet-router.json5"))
     with zenoh_session(route, "route"), ExitStack() as stack:
@@ -61,15 +62,14 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc):
         everyone = {f"robots/{who}" for who in ROBOTS}
         eventually(lambda: presence.prefixes(operator, "robots/*").keys() == everyone)
         for who in ROBOTS:
-            assert presence.prefixes(sessions[who], f"robots/{who}").keys() == {f"robots/{who}"}
-            assert presence.prefixes(sessions[who], "robots/*") == {}
+            assert presence.prefixes(sessions[who], "robots/*").keys() == {f"robots/{who}"}
         heard = {who: put_by_all(sessions, who) for who in ROBOTS}
         assert heard == {who: {who} for who in ROBOTS}
         for asker in (*ROBOTS, "client"):
             for who in ROBOTS:
                 key = settings(who).key(topics.MISSION_REQUEST)
                 may = asker in (who, "client")
-                assert asked(sessions[asker], key) == may, (asker, who)
+                assert (asked(sessions[asker], key) == {}) == may, (asker, who)
 
 
 def answer(request, now_ns) -> dict:
@@ -78,8 +78,6 @@ def answer(request, now_ns) -> dict:
 
 def serve(server: RequestServer):
     """Serves on a thread; what it returns ends that."""
-    import threading
-
     over = threading.Event()
 
     def run() -> None:
@@ -117,12 +115,12 @@ def put_by_all(sessions: dict[str, zenoh.Session], whom: str) -> set[str]:
     return heard
 
 
-def asked(session: zenoh.Session, key: str) -> bool:
+def asked(session: zenoh.Session, key: str) -> dict | str:
+    """The answer, or what is said where there is none."""
     try:
-        return client.ask(session, key, {"do": "status"}, PATIENCE_S, "fleet") == {}
+        return client.ask(session, key, {"do": "status"}, PATIENCE_S, "fleet")
     except client.RequestError as error:
-        assert "access rules" in str(error)
-        return False
+        return str(error)
 
 
 def test_the_page_names_what_is_there():

@@ -94,7 +94,7 @@ MISSIONS = st.builds(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(MISSIONS, st.data())
 def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, data):
     found = split(formula)
