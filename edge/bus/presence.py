@@ -60,11 +60,9 @@ class Presence:
         self._key = f"{settings.prefix}/{topics.ALIVE}/{self._own}"
         self._token: zenoh.LivelinessToken | None = None
         self._told_s = -_TELL_S
+        self._heard: zenoh.Subscriber | None = None
         if self._others():
             self._refuse()
-        self._heard = session.liveliness().declare_subscriber(
-            f"{settings.prefix}/{topics.ALIVE}/**", self._hear
-        )
 
     def announce(self) -> None:
         """From now on the service takes requests.
@@ -82,11 +80,15 @@ class Presence:
                 self._token.undeclare()
                 self._refuse()
             time.sleep(_LOOK_S)
+        # Not before: a session that listens now and then misses one when it looks.
+        self._heard = self._session.liveliness().declare_subscriber(
+            f"{self._settings.prefix}/{topics.ALIVE}/**", self._hear, history=True
+        )
 
     def close(self) -> None:
-        self._heard.undeclare()
-        if self._token is not None:
-            self._token.undeclare()
+        for declared in (self._heard, self._token):
+            if declared is not None:
+                declared.undeclare()
 
     def _others(self) -> set[str]:
         there = prefixes(self._session, self._settings.prefix)

@@ -97,11 +97,12 @@ def watch(args: argparse.Namespace) -> int:
         before: dict[str, dict[str, str]] = {}
         online = True
         while not stop.is_set():
-            if roster.online != online:
-                online = roster.online
+            robots = roster.seen()
+            if (robots is not None) != online:
+                online = robots is not None
                 _say("the router is back" if online else "the router is gone")
-            if online:
-                before = _changes(before, roster.look(), args.json)
+            if robots is not None:
+                before = _changes(before, robots, args.json)
             roster.wait(LOOK_S)
     return 0
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from edge.bus.client import RefusedError, RequestError
-from edge.bus.session import BusError
 from edge.config import Mission
 from edge.fleet.orders import DOUBLED, Cancel, Give, Orders, Outcome, Part, decide
 from edge.fleet.roster import OVER, Robot, Roster
@@ -120,7 +119,7 @@ class Dispatcher:
         self._patience_s, self._clock = patience_s, clock
         self._heard: dict[str, tuple[str, float]] = {}  # who was at a part, and when it said so
         self._refused: Counter[tuple[str, str]] = Counter()
-        self._reached: dict[str, Outcome] = {}
+        self._settled: dict[str, Outcome] = {}
         self._gave: set[tuple[str, str]] = set()
         self._told: dict[str, object] = {}
         self.ended_ns: dict[str, int] = {}
@@ -135,7 +134,7 @@ class Dispatcher:
 
     def step(self) -> Orders | None:
         """Look once, and do what that comes to; None while nobody can be seen."""
-        robots = self._look()
+        robots = self._roster.seen()
         if robots is None:
             self._once("router", "the router is gone; robots go on, trying to reach it")
             now_s = self._clock()
@@ -144,24 +143,14 @@ class Dispatcher:
         self._once("router", None, "the router is back")
         for at in [at for at in self._refused if at[1] in robots and robots[at[1]].busy_with]:
             del self._refused[at]  # it refused since it is another's by now
-        orders = decide(self._plan.parts, robots, self._away(robots), self._refused, self._reached)
-        self._reached |= {id: o for id, o in orders.outcomes.items() if o.phase == "reached"}
+        orders = decide(self._plan.parts, robots, self._away(robots), self._refused, self._settled)
+        self._settled = dict(orders.outcomes)
         self._report(orders, robots)
         self._roster.each(
             [*(partial(self._give, g) for g in orders.give),
              *(partial(self._cancel, c) for c in orders.cancel)]
         )  # fmt: skip
         return orders
-
-    def _look(self) -> dict[str, Robot] | None:
-        """None where not all of them can be seen: whoever is missing then need not be gone."""
-        if not self._roster.online:
-            return None
-        try:
-            robots = self._roster.look()
-        except BusError:
-            return None
-        return robots if self._roster.online else None
 
     def _is_over(self, orders: Orders) -> bool:
         parts = self._plan.parts

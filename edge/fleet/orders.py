@@ -100,7 +100,7 @@ def decide(
     robots: Mapping[str, Robot],
     away: Mapping[str, str],
     refused: Mapping[tuple[str, str], int] = MappingProxyType({}),
-    reached: Mapping[str, Outcome] = MappingProxyType({}),
+    settled: Mapping[str, Outcome] = MappingProxyType({}),
 ) -> Orders:
     """The orders for a mission.
 
@@ -109,7 +109,7 @@ def decide(
         away: parts by id, and the robot that was at each when it was last heard of, for as long as
             it is hoped to come back.
         refused: how often, by part and robot.
-        reached: parts that are known to be, whatever became of the robot that did it.
+        settled: outcomes from before, which stand whatever became of the robots since.
     """
     outcomes: dict[str, Outcome] = {}
     under_way: dict[str, str] = {}
@@ -120,13 +120,13 @@ def decide(
         at_it = sorted((h for h in held if h.phase not in OVER), key=lambda h: -h.elapsed_s)
         done = [h for h in held if h.phase == "reached"]
         failed = {h.robot: h.reason for h in held if h.phase == "failed" and h.reason != DOUBLED}
-        cancel += [
-            Cancel(h.robot, h.id) for h in (at_it if done or part.id in reached else at_it[1:])
-        ]
-        if part.id in reached:
-            outcomes[part.id] = reached[part.id]
-        elif done:
-            outcomes[part.id] = Outcome("reached", done[0].robot, done[0].reason)
+        outcome = settled.get(part.id)
+        if outcome is None and done:
+            outcome = Outcome("reached", done[0].robot, done[0].reason)
+        reached = outcome is not None and outcome.phase == "reached"
+        cancel += [Cancel(h.robot, h.id) for h in (at_it if reached else at_it[1:])]
+        if outcome is not None:
+            outcomes[part.id] = outcome
         elif at_it:
             under_way[part.id] = at_it[0].robot
         elif part.id in away:

@@ -7,7 +7,8 @@ a fleet.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ import zenoh
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from edge.bus import client, presence, topics
+from edge.bus.session import BusError
 from edge.config import Zenoh
 from edge.errors import UserError
 from edge.text import one_line
@@ -25,6 +27,7 @@ from edge.types import MissionPhase
 ANSWER_S = 2.0
 OVER = ("idle", "reached", "failed")
 _ASKED_AT_ONCE = 32
+_AGAIN_S = 0.05
 _FINITE = ConfigDict(allow_inf_nan=False)
 
 
@@ -113,6 +116,7 @@ class Roster:
         self.pattern = f"{parent}/*" if parent else "*"
         self._session, self._settings = session, settings
         self._changed = threading.Event()
+        self._before: Set[str] = set()
         self._pool = ThreadPoolExecutor(_ASKED_AT_ONCE, thread_name_prefix="robot")
         self._heard = session.liveliness().declare_subscriber(
             f"{self.pattern}/{topics.ALIVE}/*", lambda sample: self._changed.set()
@@ -140,6 +144,16 @@ class Roster:
                 problem = f"{len(sessions)} services have this name: stop all but one"
                 robots[name] = replace(robots[name], account=None, problem=problem)
         return robots
+
+    def seen(self) -> dict[str, Robot] | None:
+        """The same; None where not all can be seen: whoever is missing then need not be gone."""
+        if not self.online:
+            return None
+        try:
+            robots = self.look()
+        except BusError:
+            return None
+        return robots if self.online else None
 
     def ask(
         self, names: Iterable[str], request: Mapping[str, Any], timeout_s: float
@@ -172,6 +186,11 @@ class Roster:
 
     def _sessions(self) -> dict[str, set[str]]:
         found = presence.prefixes(self._session, self.pattern)
+        if self._before - found.keys():
+            # An answer now and then lacks one that is there, just as another comes or goes.
+            time.sleep(_AGAIN_S)
+            found = presence.prefixes(self._session, self.pattern) | found
+        self._before = found.keys()
         return {prefix.rpartition("/")[2]: found[prefix] for prefix in sorted(found)}
 
     def _ask(self, name: str, request: Mapping[str, Any], timeout_s: float) -> Robot:

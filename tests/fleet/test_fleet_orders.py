@@ -114,6 +114,16 @@ def test_what_a_person_cancelled_is_given_to_nobody():
     assert end.give == ()
 
 
+def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
+    stopped = {"m.1": Outcome("failed", "a", "cancelled")}
+    end = decide([BED, SOFA], {"b": robot("b")}, {}, {}, stopped)
+    assert (end.outcomes, end.give) == (stopped, ())
+    done = {"m.1": Outcome("reached", "a", "seen")}
+    on = decide([BED, SOFA], {"b": robot("b", "m.1", "searching"), "c": robot("c")}, {}, {}, done)
+    assert (on.outcomes, on.cancel) == (done, (Cancel("b", "m.1"),))
+    assert [(give.id, give.robot) for give in on.give] == [("m.2", "c")]
+
+
 def test_who_refused_comes_last():
     assert given([BED], robot("a"), robot("b"), refused={("m.1", "a"): 1}) == {"m.1": "b"}
 

@@ -26,7 +26,7 @@ from edge.cli.main import main
 from edge.errors import UserError
 from edge.fleet import dispatch, roster
 from edge.fleet.dispatch import Dispatcher, plan
-from edge.fleet.roster import open_roster
+from edge.fleet.roster import Robot, open_roster
 from edge.mission.brief import prepare
 
 THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet"
@@ -330,8 +330,8 @@ def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatc
             assert sorted(pool.map(stays, two)) == [False, True]
     else:
         assert [stays(robot) for robot in two] == [True, False]
-    session = two[0].presence._session
-    eventually(lambda: len(presence.prefixes(session, "robots/*")["robots/anna"]) == 1)
+    with open_roster(settings_of(port, "any")) as seen:
+        eventually(lambda: seen.look().get("anna", Robot("anna")).account)
 
 
 def test_two_services_that_came_together_later_are_shown(port, robots):
