@@ -142,7 +142,7 @@ def ask(args: argparse.Namespace) -> int:
         print(json.dumps([_data(robot) for robot in answers.values()], indent=2))
     else:
         for robot in answers.values():
-            answer = f"  {robot.problem}" if robot.answer is None else as_text(dict(robot.answer))
+            answer = robot.problem if robot.answer is None else as_text(dict(robot.answer))
             print(f"{one_line(robot.name)}:", answer.replace("\n", "\n  "), sep="\n  ")
     silent = [robot for robot in answers.values() if robot.account is None]
     if not args.robots:

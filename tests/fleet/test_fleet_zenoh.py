@@ -35,6 +35,8 @@ THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.setattr(dispatch, "LOOK_S", 0.05)
+    # Commands run in this process, whose signal handlers they must leave alone.
+    monkeypatch.setattr("signal.signal", lambda *_: None)
 
 
 @pytest.fixture
@@ -101,6 +103,61 @@ def test_nobody_is_there(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
     assert capsys.readouterr().out == "no robot is there (robots/*)\n"
     assert main(["fleet", "pause", f"tcp/127.0.0.1:{port}"]) == 69
+
+
+def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
+    anna, bob = robots("anna"), robots("bob")
+    where = f"tcp/127.0.0.1:{port}"
+
+    def fleet(*words: str) -> tuple[int, str]:
+        code = main(["fleet", words[0], where, *words[1:]])
+        said = capsys.readouterr()
+        return code, said.out + said.err
+
+    with open_roster(settings_of(port, "any")) as seen:
+        seen.tell("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
+    assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
+    assert "anna:\n  instruction: F bed" in said
+    assert "bob:\n  refused: no mission is under way: none was given yet" in said
+    assert fleet("pause", "bob")[0] == 69
+    assert fleet("resume", "anna")[0] == 0
+    assert not anna.mission.paused
+    code, said = fleet("cancel", "carl", "anna")
+    assert (code, anna.mission.done) == (69, False)
+    assert "fleet: no robot 'carl' (there are: anna, bob)" in said
+    assert fleet("cancel", "anna")[0] == 0
+    assert anna.mission.reason == "cancelled"
+    told = {robot["robot"]: robot for robot in json.loads(fleet("list", "--json")[1])}
+    assert told["anna"]["answer"]["phase"] == "failed"
+    assert told["bob"]["answer"]["robot"]["pose"] == [0.0, 0.0, 0.0]
+    code, said = fleet("new", "go to the bed", "--to", "carl")
+    assert (code, "no robot 'carl'" in said) == (69, True)
+    assert fleet("new", "frobnicate the bed")[0] == 65
+
+
+def test_a_mission_for_each_of_several(port, robots):
+    both = [robots(name, reaches_in_s=0.0) for name in ("anna", "bob")]
+    robots("carl")
+    sharing = Sharing(port, "go to the bed", share=False, to=("anna", "bob"))
+    sharing.ended()
+    assert [o.by for o in sharing.outcomes.values()] == ["anna", "bob"]
+    assert [robot.service.begun for robot in both] == [1, 1]
+
+
+def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
+    anna = robots("anna")
+    watching = Edge("fleet", "watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+    try:
+        watching.says("anna  idle  -  -  ok")
+        anna.amiss = ("nothing to be seen",)
+        watching.says("anna  idle  -  -  nothing to be seen")
+        anna.close()
+        watching.says("anna  gone")
+        assert watching.stop(signal.SIGTERM) == 0
+        assert len([line for line in watching.lines if " anna " in line]) in (3, 4)
+    finally:
+        watching.kill()
 
 
 def test_a_mission_in_three_parts_is_done_by_three(port, robots):

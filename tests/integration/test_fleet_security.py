@@ -62,7 +62,7 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc):
         everyone = {f"robots/{who}" for who in ROBOTS}
         eventually(lambda: presence.prefixes(operator, "robots/*").keys() == everyone)
         for who in ROBOTS:
-            assert presence.prefixes(sessions[who], "robots/*").keys() == {f"robots/{who}"}
+            assert presence.prefixes(sessions[who], "robots/*").keys() <= {f"robots/{who}"}
         heard = {who: put_by_all(sessions, who) for who in ROBOTS}
         assert heard == {who: {who} for who in ROBOTS}
         for asker in (*ROBOTS, "client"):
