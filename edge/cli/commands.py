@@ -83,12 +83,13 @@ def _serve(
     sinks = [ConsoleSink(), recorder]
     with (
         _served(vitals.pages(), config.http),
-        open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
+        open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
     ):
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
-        instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
+        mission = running.service.mission
+        doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
+        log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
         loop(running, stop, once, partial(vitals.beat, running))
         vitals.stopping()
