@@ -86,13 +86,14 @@ def _serve(
     sinks = [ConsoleSink(), recorder, live.sink]
     with (
         _served({**vitals.pages(), **live.pages()}, live.forms(), config.http),
-        open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
+        open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
-        instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
+        mission = running.service.mission
+        doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
+        log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
         loop(running, stop, once, partial(vitals.beat, running))
         vitals.stopping()

@@ -34,6 +34,7 @@ class MissionFacts:
         knowledge: the sets D, R and B (ViTL IV-A2); `reached`: R in order of reaching.
         forbidden: targets from which, reached next, success would be impossible.
         steps: what happened, oldest first.
+        id: what whoever asked for it calls it; "" where it has no name.
     """
 
     brief: Brief
@@ -45,13 +46,14 @@ class MissionFacts:
     forbidden: tuple[str, ...]
     paused: bool
     steps: tuple[Step, ...]
+    id: str
 
 
 def facts_of(mission: MissionRun) -> MissionFacts:
     """A mission as it stands."""
     return MissionFacts(
         mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
-        mission.reached, mission.forbidden, mission.paused, mission.steps,
+        mission.reached, mission.forbidden, mission.paused, mission.steps, mission.id,
     )  # fmt: skip
 
 

@@ -94,7 +94,8 @@ class Vitals:
             self._images, self._detected_s = images, now_s
         self._amiss = tuple(_amiss(running, now_s - self._seen_s, now_s - self._detected_s))
         status = running.service.status
-        said = f"{status.phase}: {one_line(status.instruction, 100)}"
+        doing = status.reason if status.phase == "idle" else status.instruction
+        said = f"{status.phase}: {one_line(doing, 100)}"
         if self._amiss:
             said = f"not ready: {'; '.join(self._amiss)} ({said})"
         if running.reloader is not None and running.reloader.outcome:

@@ -3,9 +3,10 @@
 const TOKEN = "edge-token";
 
 export class Refused extends Error {
-  constructor(status, why) {
+  constructor(status, why, bearer) {
     super(why);
     this.status = status;
+    this.bearer = bearer; // the token that was sent
   }
 }
 
@@ -17,7 +18,8 @@ export const token = {
 
 async function ask(path, options, limit_ms) {
   const headers = { ...options.headers };
-  if (token.get() !== null) headers.Authorization = `Bearer ${token.get()}`;
+  const bearer = token.get();
+  if (bearer !== null) headers.Authorization = `Bearer ${bearer}`;
   const answer = await fetch(path, {
     ...options, headers, cache: "no-store", signal: AbortSignal.timeout(limit_ms),
   });
@@ -30,7 +32,7 @@ async function ask(path, options, limit_ms) {
     } catch {
       // It is plain text.
     }
-    throw new Refused(answer.status, why);
+    throw new Refused(answer.status, why, bearer);
   }
   return answer;
 }

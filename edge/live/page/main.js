@@ -31,7 +31,8 @@ function every(period_ms, round) {
 
 function lost(error) {
   if (error instanceof Refused && error.status === 401) {
-    controls.askForToken(token.get() !== null);
+    // An answer to the token before this one asks for no other.
+    if (error.bearer === token.get()) controls.askForToken(error.bearer !== null);
   } else if (error instanceof Refused) {
     panels.banner("bad", error.message);
   } else if (error instanceof TypeError || error.name === "TimeoutError") {

@@ -2,7 +2,8 @@
 
 import { $, clock, make, once, say } from "./dom.js";
 
-export const isDone = (moment) => !moment || ["reached", "failed"].includes(moment.phase);
+// Nothing is to be done, or was ever given.
+export const isDone = (moment) => !moment || ["idle", "reached", "failed"].includes(moment.phase);
 
 function badge(kind, text) {
   say("phase", text);
@@ -21,7 +22,7 @@ export function header({ robot, moment, service }) {
   if (!moment) return badge("", service.state);
   const phase = moment.paused && !isDone(moment) ? "paused" : moment.phase;
   badge(phase, phase);
-  say("instruction", moment.instruction);
+  say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
   say("reason", moment.reason || (moment.target ? `now: ${moment.target}` : ""));
   say("elapsed", duration(moment.elapsed_s));
   say("driven", `${moment.path_m.toFixed(1)} m`);
