@@ -143,6 +143,9 @@ SERVICE: tuple[Metric[Look], ...] = (
            lambda s: s.service.epoch),
     # What fails.
     Metric("edge_faults_total", "counter", "Errors that the loop outlived.",
+           lambda s: s.service.faults.failed),
+    Metric("edge_faults_by_step_total", "counter",
+           "The same, by step of the loop and type of error, once there was one.",
            _faults, ("step", "error")),
     Metric("edge_loop_degraded", "gauge", "Whether a step of the loop fails again and again.",
            lambda s: s.service.faults.state != "ok"),
