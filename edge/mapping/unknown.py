@@ -25,7 +25,7 @@ def count(plane):
     n = 0
     for row in plane:
         for word in row:
-            n += _popcount(word)
+            n += np.int64(_popcount(word))
     return n
 
 

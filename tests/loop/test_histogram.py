@@ -17,9 +17,10 @@ def test_empty():
     assert found == (BOUNDS_S, (0, 0, 0, 0), 0.0)
 
 
-@given(
-    st.lists(st.tuples(*[st.integers(-1, 3 * 10**9) | st.sampled_from([10**6, 10**7, 10**9])] * 2))
-)
+DURATIONS_NS = st.sampled_from([NEVER, 0, 10**6, 10**7, 10**9]) | st.integers(0, 3 * 10**9)
+
+
+@given(st.lists(st.tuples(DURATIONS_NS, DURATIONS_NS)))
 def test_every_duration_is_in_the_first_bucket_that_holds_it(rows):
     histograms = Histograms(2, BOUNDS_S)
     for row in rows:
