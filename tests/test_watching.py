@@ -202,9 +202,121 @@ def test_the_ready_scrape_configuration_is_for_these_alerts_and_asks_with_a_toke
     assert all("robot" in robot["labels"] for robot in job["static_configs"])
 
 
-@pytest.mark.skipif(
+promtool = pytest.mark.skipif(
     shutil.which("promtool") is None, reason="no promtool (it comes with Prometheus)"
 )
+RUNS = {'edge_service_state{edge_service_state="running"}': ("1x200", "1x200")}
+# By alert: series of a robot that must have it after 45 minutes, and of one that must not.
+FIRES = {
+    "EdgeDown": {'up{job="edge"}': ("0x200", "1x200")},
+    "EdgeRestarts": {'process_start_time_seconds{job="edge"}': ("0+7x200", "5x200")},
+    "EdgeLoopHangs": {"edge_loop_beat_age_seconds": ("0+15x200", "0x200"), **RUNS},
+    "EdgeBlind": {"edge_observation_age_seconds": ("Inf " * 200, "0.03x200"), **RUNS},
+    "EdgeNotReady": {"edge_service_ready": ("0x200", "1x200"), **RUNS},
+    "EdgeLoopDegraded": {"edge_loop_degraded": ("1x200", "0x200")},
+    "EdgeFaults": {"edge_faults_total": ("0x150 1x50", "3x200")},
+    "EdgeTickOverBudget": {
+        'edge_tick_duration_seconds_bucket{le="0.002"}': ("0x200", "0+450x200"),
+        'edge_tick_duration_seconds_bucket{le="0.005"}': ("0+450x200", "0+450x200"),
+        'edge_tick_duration_seconds_bucket{le="+Inf"}': ("0+450x200", "0+450x200"),
+        "edge_tick_budget_seconds": ("0.003x200", "0.003x200"),
+    },
+    "EdgeDeadlinesMissed": {
+        "edge_tick_deadline_missed_total": ("0+9x200", "0+1x200"),
+        "edge_tick_duration_seconds_count": ("0+450x200", "0+450x200"),
+    },
+    "EdgeDetectorSlow": {
+        'edge_stage_duration_seconds_bucket{stage="detect",le="0.02"}': ("0x200", "0+450x200"),
+        'edge_stage_duration_seconds_bucket{stage="detect",le="0.05"}': ("0+450x200", "0+450x200"),
+        'edge_stage_duration_seconds_bucket{stage="detect",le="+Inf"}': ("0+450x200", "0+450x200"),
+        'edge_stage_budget_seconds{stage="detect"}': ("0.033x200", "0.033x200"),
+    },
+    "EdgeMessagesDropped": {
+        'edge_source_dropped_total{reason="stale"}': ("0+90x200", "0x200"),
+        'edge_source_dropped_total{reason="superseded"}': ("0x200", "0+900x200"),
+        "edge_source_received_total": ("0+900x200", "0+900x200"),
+    },
+    "EdgePoseJumped": {"edge_pose_jumps_total": ("0x150 1x50", "1x200")},
+    "EdgeDetectorDegraded": {
+        'edge_detector_state{edge_detector_state="degraded"}': ("1x200", "0x200")
+    },
+    "EdgeModelProcessRestarts": {
+        'edge_model_process_restarts_total{model="m"}': ("0+0.1x200", "0x150 1x50")
+    },
+    "EdgeModelRolledBack": {
+        'edge_model_swaps_total{outcome="rolled back"}': ("0x150 1x50", "0x200"),
+        'edge_model_swaps_total{outcome="kept"}': ("0x200", "0x150 1x50"),
+    },
+    "EdgeReloadRefused": {'edge_reloads_total{outcome="refused"}': ("0x150 1x50", "0x200")},
+    "EdgeControllerSilent": {
+        "edge_controller_answers": ("0x200", "0x200"),
+        'edge_goal_state{edge_goal_state="none"}': ("0x200", "1x200"),
+    },
+    "EdgeGoalOld": {"edge_goal_age_seconds": ("0+15x200", "20x200")},
+    "EdgeMissionFailed": {'edge_mission_state{edge_mission_state="failed"}': ("1x200", "0x200")},
+    "EdgeSinkFails": {'edge_sink_failures_total{sink="ZenohSink"}': ("0+1x200", "3x200")},
+    "EdgeCheckpointFails": {"edge_checkpoint_failed_total": ("0+1x200", "0x200")},
+    "EdgeMemoryGrows": {
+        'process_resident_memory_bytes{job="edge"}': ("3e8+1000000x200", "3e8x200"),
+        'process_start_time_seconds{job="edge"}': ("-9000x200", "-9000x200"),
+    },
+    "EdgeMemoryLow": {
+        'edge_board_memory_bytes{kind="available"}': ("5e8x200", "4e9x200"),
+        'edge_board_memory_bytes{kind="total"}': ("8e9x200", "8e9x200"),
+    },
+    "EdgeFilesLeak": {
+        'process_open_fds{job="edge"}': ("900x200", "40x200"),
+        'process_max_fds{job="edge"}': ("1024x200", "1024x200"),
+    },
+    "EdgeHot": {
+        'edge_board_temperature_celsius{zone="cpu"}': ("97x200", "60x200"),
+        'edge_board_trip_celsius{zone="cpu",trip="passive"}': ("99x200", "99x200"),
+    },
+    "EdgeThrottled": {'edge_board_throttled_ratio{device="gpu"}': ("0.5x200", "0x200")},
+    "EdgeOverCurrent": {'edge_board_over_current_total{alarm="oc3"}': ("0+2x200", "5000x200")},
+}
+
+
+def of_robot(series: str, robot: str) -> str:
+    """The series with the labels that Prometheus gives to what it scrapes there."""
+    name, _, labels = series.rstrip("}").partition("{")
+    return f'{name}{{robot="{robot}",instance="{robot}:7480",{labels}}}'
+
+
+def test_every_alert_is_tried():
+    assert list(FIRES) == [rule["alert"] for rule in RULES]
+
+
+@promtool
+def test_every_alert_fires_for_the_robot_that_has_it_and_for_no_other(tmp_path):
+    tests = [
+        {
+            "name": alert,
+            "interval": "15s",
+            "input_series": [
+                {"series": of_robot(series, robot), "values": values[i]}
+                for series, values in given.items()
+                for i, robot in enumerate(("ill", "well"))
+            ],
+            "promql_expr_test": [
+                {
+                    "expr": f'max by (robot) (ALERTS{{alertname="{alert}",alertstate="firing"}})',
+                    "eval_time": "45m",
+                    "exp_samples": [{"labels": '{robot="ill"}', "value": 1}],
+                }
+            ],
+        }
+        for alert, given in FIRES.items()
+    ]
+    shutil.copy(CONFIG / "prometheus/alerts.yaml", tmp_path)
+    data = {"rule_files": ["alerts.yaml"], "evaluation_interval": "15s", "tests": tests}
+    (tmp_path / "tests.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    command = ["promtool", "test", "rules", "tests.yaml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@promtool
 def test_prometheus_itself_takes_configuration_and_rules(tmp_path):
     for file in (CONFIG / "prometheus").iterdir():
         shutil.copy(file, tmp_path)
