@@ -22,6 +22,7 @@ from edge.cli.commands import run_service
 from edge.host.ports import free_port
 from edge.host.resources import data_dir
 from edge.loop.metrics import BOARD, LIFE, SERVICE
+from edge.loop.warmup import warm_up
 
 promql = pytest.importorskip("promql_parser", reason="no wheel of promql-parser for this machine")
 
@@ -85,6 +86,7 @@ def told() -> dict[str, set[str]]:
         finally:
             connection.close()
 
+    warm_up(config)  # what is compiled here takes longer than anybody waits below
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_service, config, stop, False, None)
         try:
