@@ -20,6 +20,7 @@ from edge.host.ports import free_port
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
 from edge.live.view import PUBLIC, LiveView
+from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
 from edge.loop.vitals import PROBES, Vitals
@@ -82,15 +83,17 @@ def _serve(
     reload: Reload | None = None,
 ) -> RunRecord:
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
-    live = LiveView(config, vitals)
+    live, metrics = LiveView(config, vitals), Metrics(vitals)
     sinks = [ConsoleSink(), recorder, live.sink]
+    pages = {**vitals.pages(), **metrics.pages(), **live.pages()}
     with (
-        _served({**vitals.pages(), **live.pages()}, live.forms(), config.http),
+        _served(pages, live.forms(), config.http),
         open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
+        metrics.watch(running, running.sinks)
         mission = running.service.mission
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)

@@ -164,7 +164,10 @@ class Keeper:
         """For the status message."""
         writer = self._writer
         problem = writer.problem or self.problem
-        return {"path": str(writer.path), "written": writer.written, "problem": problem}
+        return {
+            "path": str(writer.path), "written": writer.written, "failed": writer.failed,
+            "problem": problem,
+        }  # fmt: skip
 
     def close(self) -> None:
         """Write what waits."""

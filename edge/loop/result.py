@@ -141,7 +141,10 @@ class TickResult:
 
 
 class Sink(Protocol):
-    """Takes results. Its methods never block; what they raise is counted and costs no one else."""
+    """Takes results. Its methods never block; what they raise is counted and costs no one else.
+
+    One with a thread of its own may have `stats` (`edge.host.worker.Stats`), for `/metrics`.
+    """
 
     def tick(self, result: TickResult) -> None:
         """A tick ended, or there was nothing to see for a moment."""

@@ -71,6 +71,7 @@ class Service:
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
         blind_s: so long without an observation no one drives on.
+        overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
@@ -90,7 +91,7 @@ class Service:
         idle: bool = False,
     ) -> None:
         self.config = config
-        self.keeper = keeper
+        self.keeper, self.overruns = keeper, overruns
         self.grid = RollingMap(config.mapping)
         self._seen_map = MapView(self.grid)
         self.sightings = SightingTracker(config.perception)
@@ -480,6 +481,10 @@ class Service:
     def goal(self) -> Goal | None:
         """Where the robot is sent; None: nowhere."""
         return self.goals.goal
+
+    @property
+    def scorers(self) -> Scorers | None:
+        return self._scorers
 
     @property
     def status(self) -> MissionStatus:
