@@ -10,9 +10,10 @@ from simulated import simulated
 
 from edge.geometry import Grid
 from edge.loop.latency import LatencyRing
-from edge.loop.result import MissionFacts, TickResult, facts_of
+from edge.loop.result import MissionFacts, TickResult, facts_of, scored
 from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
+from edge.policies.base import Candidates
 from edge.types import MissionStatus, Observation
 
 CELLS = np.array([[-1, 0], [100, 0]], np.int8)
@@ -41,6 +42,8 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
         "events": (), "detections": None, "mission": lambda: facts(status.target),
         "instances": list, "frontiers": lambda: np.zeros((0, 2), np.float32),
+        "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
+        "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,
         "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),
         "latency": LatencyRing().report, "health": health,

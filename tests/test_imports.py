@@ -22,6 +22,7 @@ LAYERS = (
     ("motion", "policies", "mission"),
     ("loop",),
     ("sources", "sinks", "report", "ros2_adapter", "fleet"),
+    ("live",),
     ("launch",),
     ("sim",),
     ("eval",),

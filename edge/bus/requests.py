@@ -1,65 +1,32 @@
 """Requests to the running service over Zenoh: JSON in, one answer out, nobody waits.
 
 A server is a queryable: `{"do": VERB, …}` comes in, a JSON object or an error
-`{"error": <one line>}` goes out, for every query. One thread receives and keeps time, one prepares
-requests that take a while to understand, a few send the answers. The loop only looks into two
-lanes, so neither a slow preparation nor a slow client holds up the robot.
-
-Zenoh does not tell whose a query is, so a flood is limited by what it asks for, not by who asks:
-requests that need no preparation pass all others, equal ones are one for the loop, and those that
-stop the robot always find a place. These also end whatever was asked for before and is still to be
-prepared or begun: once a stop was answered, only a later request sets the robot going.
+`{"error": <one line>}` goes out, for every query. One thread receives and keeps time, a few send
+the answers; between them is a `RequestQueue`, which others may bring queries to as well.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import zenoh
 
+from edge.bus.request_queue import MAX_BYTES, PATIENCE_S, RequestQueue
 from edge.bus.session import QueryRing
-from edge.bus.verbs import Request, Verb, error_of, read_request
-from edge.errors import UserError
+from edge.bus.verbs import Request, Verb, error_of
 
 log = logging.getLogger("edge.bus.requests")
-
-MAX_BYTES = 65536
-PATIENCE_S = 2.0
 
 _ARRIVED = 1024  # kept by Zenoh until as many before them are received: 6,400 a second
 _A_LOOK = 128
 _RECEIVE_S = 0.02
-_SERVED = 12  # a look of the loop: more than wait in the first lane
-_WAITING_NEW = 2  # to be prepared, besides the one that is being worked on
-_WAITING = 8  # requests in each lane
-_SAME = 256  # queries of one request, which may take minutes to prepare
 _SENDERS = 4
-_BUSY = "busy with other requests; try again later"
-_STOPPED = "stopped meanwhile: give it again"
-
-
-@dataclass(eq=False)
-class Query:
-    """One query of a client; `until_s` is when it has waited long enough for its answer."""
-
-    asked: zenoh.Query
-    until_s: float = math.inf
-
-    def payload(self) -> bytes:
-        """ValueError when there is none, or too much of it."""
-        payload = self.asked.payload
-        if payload is None or not len(payload):
-            raise ValueError("no payload: expected a JSON object")
-        if len(payload) > MAX_BYTES:
-            raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
-        return payload.to_bytes()
 
 
 class RequestServer:
@@ -67,10 +34,10 @@ class RequestServer:
 
     Args:
         key: of the queryable.
-        verbs: what can be asked for.
-        handle: does what a request asks for, at the loop's time; called by `serve`. Returns the
-            answer; raises UserError to refuse and change nothing.
-        patience_s: how long the loop may take to answer.
+        verbs, handle, patience_s: see `RequestQueue`.
+
+    Attributes:
+        queue: what is asked for; the same for whoever else brings queries.
     """
 
     def __init__(
@@ -81,20 +48,16 @@ class RequestServer:
         handle: Callable[[Request, int], dict],
         patience_s: float = PATIENCE_S,
     ) -> None:
-        self.key, self._verbs, self._handle = key, verbs, handle
-        self._patience_s = patience_s
-        self._lock = threading.Lock()  # for the two lanes and what is open
-        self._to_prepare = threading.Condition(self._lock)
-        self._first: list[Request] = []
-        self._second: list[Request] = []  # prepared, or to be prepared
-        self._open: set[Query] = set()
-        self._polled_s = -math.inf
-        self._replies: queue.SimpleQueue[tuple[Query, bytes, bool] | None] = queue.SimpleQueue()
+        self.key = key
+        self.queue = RequestQueue(key, verbs, handle, patience_s)
+        self.serve, self.poll = self.queue.serve, self.queue.poll
+        self._replies: queue.SimpleQueue[tuple[zenoh.Query, bytes, bool] | None]
+        self._replies = queue.SimpleQueue()
         self._closing = threading.Event()
         # A ring lets the oldest go when it is full; a FIFO would block the session.
         self._ring = QueryRing(session, key, _ARRIVED)
         self._looked: deque[zenoh.Query] = deque()  # taken from the ring, and yet to be received
-        tasks = [self._receive_all, self._prepare_all, *[self._send_all] * _SENDERS]
+        tasks = [self._receive_all, *[self._send_all] * _SENDERS]
         self._threads = [
             threading.Thread(target=task, name=f"{key}{task.__name__}", daemon=True)
             for task in tasks
@@ -108,46 +71,11 @@ class RequestServer:
         unanswered (see `Ring.overruns`)."""
         return self._ring.overruns
 
-    def serve(self, now_ns: int) -> int:
-        """Do what waits, for one look: a few, of which one was prepared, since a new mission takes
-        a while to begin. For the loop: never blocks.
-
-        Returns:
-            How many there were.
-
-        Raises:
-            Exception: a handler failed; who asked was told.
-        """
-        for served in range(_SERVED):
-            if (request := self.poll()) is None:
-                return served
-            try:
-                request.answer(self._handle(request, now_ns))
-            except UserError as error:
-                request.refuse(str(error))
-            except Exception as error:
-                request.refuse(f"internal error: {type(error).__name__}: {error}")
-                raise
-            if self._verbs[request.do].prepare is not None:
-                return served + 1
-        return _SERVED
-
-    def poll(self) -> Request | None:
-        """The next request, if there is one; a prepared one when no other waits."""
-        self._polled_s = time.monotonic()
-        if not self._first and not self._second:
-            return None
-        with self._lock:
-            for lane in (self._first, self._second):
-                if lane and lane[0].ready:
-                    return lane.pop(0)
-        return None
-
     def close(self, timeout_s: float = 1.0) -> None:
         """Refuse what is open and take nothing more; a preparation that goes on is abandoned."""
         self._closing.set()
         until_s = time.monotonic() + timeout_s
-        for thread in self._threads:
+        for thread in (*self._threads, self.queue):
             thread.join(max(until_s - time.monotonic(), 0.0))
 
     # The thread that receives.
@@ -157,139 +85,38 @@ class RequestServer:
             while not self._closing.wait(_RECEIVE_S):
                 for query in self._arrived(_A_LOOK):
                     self._receive(query)
-                self._give_up(time.monotonic())
-            self._note(self._arrived(2 * _ARRIVED))
+                self.queue.give_up()
+            self.queue.close()
+            for query in self._arrived(2 * _ARRIVED):
+                self._receive(query)
             self._ring.close()
         except zenoh.ZError as error:
             log.warning("no more requests are taken, the session is closed: %s", _reason(error))
         finally:
             self._closing.set()
-            with self._lock:
-                left = tuple(self._open)
-                self._to_prepare.notify()
-            self._finish(left, error_of("the service is stopping"), True)
+            self.queue.close()
             for _ in range(_SENDERS):
                 self._replies.put(None)
 
-    def _arrived(self, most: int) -> Iterator[Query]:
+    def _arrived(self, most: int) -> Iterator[zenoh.Query]:
         for _ in range(most):
             if not self._looked:
                 self._looked.extend(self._ring.take())
             if not self._looked:
                 return
-            yield Query(self._looked.popleft())
+            yield self._looked.popleft()
 
-    def _note(self, queries: Iterable[Query]) -> None:
-        with self._lock:
-            self._open.update(queries)
-
-    def _receive(self, query: Query) -> None:
-        self._note((query,))
+    def _receive(self, query: zenoh.Query) -> None:
+        reply = partial(self._reply, query)
         try:
-            do, fields = read_request(query.payload(), self._verbs)
+            payload = _payload(query)
         except ValueError as error:
-            self._finish((query,), error_of(str(error)), True)
-            return
-        overtaken: list[Request] = []
-        with self._lock:
-            if self._verbs[do].stops:
-                overtaken, self._second = self._second, []
-            if (request := self._place(do, fields)) is not None:
-                request.queries.append(query)
-                request.overtaken += len(overtaken)
-                if request.ready:
-                    query.until_s = time.monotonic() + self._patience_s
-                self._to_prepare.notify()
-        for stopped in overtaken:
-            stopped.refuse(_STOPPED)
-        if request is None:
-            self._finish((query,), error_of(_BUSY), True)
-
-    def _place(self, do: str, fields: dict) -> Request | None:
-        """The request that a query joins, or a new one in its lane; None: too many wait.
-
-        A query joins the last request, if that asks for the same, however far it is. It passes no
-        other, or the other would have the last word. Only what stops the robot joins an equal one
-        even past other stops, so however many come, only few of them wait, and none is ever turned
-        away.
-        """
-        verb = self._verbs[do]
-        lane = self._first if verb.prepare is None else self._second
-        for request in reversed(lane):
-            if (request.do, request.fields) == (do, fields):
-                return request if verb.stops or len(request.queries) < _SAME else None
-            other = self._verbs[request.do]
-            if not verb.stops or not (other.stops or other.reads):
-                break
-        full = len(lane) >= _WAITING
-        if not verb.stops and (full or (verb.prepare and len(self._unready()) > _WAITING_NEW)):
-            return None
-        lane.append(Request(do, fields, self._finish, ready=verb.prepare is None))
-        return lane[-1]
-
-    def _give_up(self, now_s: float) -> None:
-        waiting: set[Query] = set()
-        with self._lock:
-            late = {query for query in self._open if now_s >= query.until_s}
-            for lane in (self._first, self._second) if late else ():
-                for request in lane:
-                    waiting.update(late.intersection(request.queries))
-                    request.queries = [query for query in request.queries if query not in late]
-                lane[:] = [request for request in lane if request.queries]
-            polled_s = self._polled_s
-        limit = f"within {self._patience_s:g} s"
-        why = f"the loop is not running: not taken {limit}"
-        if now_s - polled_s < self._patience_s:
-            why = f"busy with other requests: not taken {limit}; try again later"
-        self._finish(waiting, error_of(why), True)
-        taken = f"taken, but not answered {limit}; ask for the status"
-        self._finish(late - waiting, error_of(taken), True)
-
-    def _finish(self, queries: Iterable[Query], reply: bytes, is_error: bool) -> None:
-        """See `edge.bus.verbs.Finish`."""
-        with self._lock:
-            finished = self._open.intersection(queries)
-            self._open -= finished
-        for query in finished:
-            self._replies.put((query, reply, is_error))
-
-    # The thread that prepares. What it works on may be overtaken, and its queries refused. Then
-    # what follows changes nothing: it is in no lane, and a query's first answer counts.
-
-    def _prepare_all(self) -> None:
-        while (request := self._wait_for_work()) is not None:
-            self._prepare(request)
-
-    def _wait_for_work(self) -> Request | None:
-        """The next request to prepare; None when the server closes."""
-        with self._to_prepare:
-            self._to_prepare.wait_for(lambda: self._closing.is_set() or self._unready())
-            return None if self._closing.is_set() else self._unready()[0]
-
-    def _unready(self) -> list[Request]:
-        """Requests to prepare: the first is worked on, others wait for that."""
-        return [request for request in self._second if not request.ready]
-
-    def _prepare(self, request: Request) -> None:
-        try:
-            prepared = self._verbs[request.do].prepare(request.fields)
-        except UserError as error:
-            self._drop(request, str(error))
-        except Exception as error:
-            log.exception("a request could not be prepared")
-            self._drop(request, f"internal error: {type(error).__name__}: {error}")
+            reply(error_of(str(error)), True)
         else:
-            with self._lock:
-                request.prepared, request.ready = prepared, True
-                until_s = time.monotonic() + self._patience_s
-                for query in request.queries:
-                    query.until_s = until_s
+            self.queue.take(payload, reply)
 
-    def _drop(self, request: Request, reason: str) -> None:
-        with self._lock:
-            if request in self._second:
-                self._second.remove(request)
-        request.refuse(reason)
+    def _reply(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
+        self._replies.put((query, reply, is_error))
 
     # The others: one that answers a stopped client waits until Zenoh lets that one go.
 
@@ -297,16 +124,26 @@ class RequestServer:
         while (entry := self._replies.get()) is not None:
             self._send(*entry)
 
-    def _send(self, query: Query, reply: bytes, is_error: bool) -> None:
+    def _send(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
         """Reply and let the query go, or its client would wait on."""
         try:
-            with query.asked as asked:
+            with query as asked:
                 if is_error:
                     asked.reply_err(reply, encoding=zenoh.Encoding.APPLICATION_JSON)
                 else:
                     asked.reply(self.key, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
         except zenoh.ZError as error:
             log.warning("an answer to a request was lost: %s", _reason(error))
+
+
+def _payload(query: zenoh.Query) -> bytes:
+    """What a query says; ValueError when that is nothing, or too much."""
+    payload = query.payload
+    if payload is None or not len(payload):
+        raise ValueError("no payload: expected a JSON object")
+    if len(payload) > MAX_BYTES:
+        raise ValueError(f"{len(payload)} bytes, at most {MAX_BYTES} are taken")
+    return payload.to_bytes()
 
 
 def _reason(error: zenoh.ZError) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,11 @@ from edge.cli.console import ConsoleSink
 from edge.config import Config, Http
 from edge.errors import FAILED, Stopped
 from edge.host.credentials import read_token
-from edge.host.pages import Pages, serve
+from edge.host.pages import Forms, Pages, serve
+from edge.host.ports import free_port
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
+from edge.live.view import PUBLIC, LiveView
 from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
@@ -81,12 +83,14 @@ def _serve(
     reload: Reload | None = None,
 ) -> RunRecord:
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
-    metrics = Metrics(vitals)
-    sinks = [ConsoleSink(), recorder]
+    live, metrics = LiveView(config, vitals), Metrics(vitals)
+    sinks = [ConsoleSink(), recorder, live.sink]
+    pages = {**vitals.pages(), **metrics.pages(), **live.pages()}
     with (
-        _served({**vitals.pages(), **metrics.pages()}, config.http),
+        _served(pages, live.forms(), config.http),
         open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
     ):
+        live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
         metrics.watch(running, running.sinks)
@@ -99,11 +103,17 @@ def _serve(
         return recorder.record(running.service.result(), running.source.counters)
 
 
-def _served(pages: Pages, http: Http) -> AbstractContextManager[int | None]:
+@contextmanager
+def _served(pages: Pages, forms: Forms, http: Http) -> Iterator[None]:
     """The pages over HTTP, as is configured; see `edge.host.pages.serve`."""
-    unasked = http.port is None or http.token_file is None
-    token = None if unasked else read_token("http.token_file", http.token_file)
-    return serve(pages, http.host, http.port, token, PROBES)
+    if http.port is None:
+        yield
+        return
+    token = None if http.token_file is None else read_token("http.token_file", http.token_file)
+    with serve(pages, http.host, http.port, token, PROBES, forms, PUBLIC) as port:
+        host = f"[{http.host}]" if ":" in http.host else http.host
+        log.info("live view: http://%s:%s/", one_line(host), port)
+        yield
 
 
 def _conclude(record: RunRecord, report: str | None) -> int:
@@ -134,13 +144,18 @@ def run_demo(
     report: str,
     asked: str | None = None,
     formula: str | None = None,
+    live: int | None = None,
 ) -> int:
     """Simulated robot, reference controller and service on this machine; ends with the mission.
 
     Args:
         asked, formula: see `run_service`.
+        live: port for the live view; 0: `http.port`, or a free one; None: only `http.port`.
     """
     config = on_a_free_port(config)
+    if live is not None:
+        http = config.http.model_copy(update={"port": live or config.http.port or free_port()})
+        config = config.model_copy(update={"http": http})
     _prepare(report)
     record = None
     try:

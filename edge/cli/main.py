@@ -111,7 +111,7 @@ def _demo(args: argparse.Namespace) -> int:
     from edge.cli.commands import run_demo
 
     config, asked = load_config(args), args.target or args.mission
-    return run_demo(config, stop, args.report, asked, args.formula)
+    return run_demo(config, stop, args.report, asked, args.formula, args.live)
 
 
 def _sim(args: argparse.Namespace) -> int:

@@ -34,6 +34,14 @@ def count(text: str) -> int:
     return value
 
 
+def port(text: str) -> int:
+    """An option's TCP port."""
+    number = int(text)
+    if not 1 <= number <= 65535:
+        raise argparse.ArgumentTypeError(f"must be a port, 1 to 65535, got {text}")
+    return number
+
+
 def shares(text: str) -> tuple[float, ...]:
     """An option's probabilities above 0, each once."""
     try:

@@ -13,7 +13,18 @@ from typing import NoReturn
 
 from edge import __version__
 from edge.cli import fleet_parsers, model_parsers, requests
-from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares, unit_name
+from edge.cli.options import (
+    CONFIG,
+    Handler,
+    cores,
+    count,
+    lazy,
+    port,
+    positive,
+    seed,
+    shares,
+    unit_name,
+)
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
 
@@ -79,6 +90,8 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     _what(demo)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
+    text = "show a page of what happens, on this port (default: http.port, or a free one)"
+    demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)
     _trust(demo)
     return demo
 

@@ -13,6 +13,8 @@ from edge.loop.latency import LatencyReport
 from edge.mission.brief import Brief
 from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
+from edge.perception.choice.question import Choice
+from edge.policies.base import Candidates
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 
@@ -55,14 +57,39 @@ def facts_of(mission: MissionRun) -> MissionFacts:
     )  # fmt: skip
 
 
+class ScoredCandidates(NamedTuple):
+    """The candidates of a tick as parallel arrays, copies; see `edge.policies.base.Candidates`.
+
+    Attributes:
+        kind: (n,) int8; `id`: (n,) int64.
+        xy_m: (n, 2) float32 in `map`.
+        score: (n,) float32, the policy's; `path_m`: (n,) float32, inf where no way leads to.
+        blocked: (n,) bool.
+    """
+
+    kind: np.ndarray
+    id: np.ndarray
+    xy_m: np.ndarray
+    score: np.ndarray
+    path_m: np.ndarray
+    blocked: np.ndarray
+
+
+def scored(candidates: Candidates, scores: np.ndarray) -> ScoredCandidates:
+    """Candidates as they stand, those that have a score."""
+    c, n = candidates, min(candidates.n, len(scores))
+    parts = (c.kind, c.id, c.xy_m, scores, c.path_m, c.blocked)
+    return ScoredCandidates(*(part[:n].copy() for part in parts))
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TickResult:
     """All that a sink may know of a tick, or of a moment in which there was nothing to see.
 
     What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
-    `instances` and `frontiers` say the same from their first call on; `known_m2`, `snapshot`,
-    `latency` and `health` tell how things stand at each. Only `snapshot` and `latency` may be
-    called at other times, by another thread.
+    `instances`, `frontiers`, `candidates` and `way` say the same from their first call on;
+    `known_m2`, `snapshot`, `layers`, `latency` and `health` tell how things stand at each. Only
+    `snapshot`, `latency` and what `layers` holds may be called at other times, by another thread.
 
     Attributes:
         now_ns: the loop's time.
@@ -78,8 +105,12 @@ class TickResult:
         instances: those of all targets that are worth driving to, best first a target; one that
             answers to two targets stands twice. They are copies, whose arrays nobody writes to.
         frontiers: (n, 2) float32 in `map`, a copy.
+        candidates: where the robot could go, and the policy's score of each.
+        way: (k, 2) float32 in `map`, the shortest way to the goal; (0, 2) where there is none.
+        choice: the newest answer about directions, where a model is asked.
         known_m2: area that was seen.
         snapshot: a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
+        layers: by name what makes a copy of a layer of the map, uint8, 0 where it says nothing.
         latency: see `edge.loop.latency.LatencyRing.report`.
         health: of loop, checkpoint, detector, swap and scorers, JSON-ready.
     """
@@ -99,8 +130,12 @@ class TickResult:
     mission: Callable[[], MissionFacts]
     instances: Callable[[], list[Instance]]
     frontiers: Callable[[], np.ndarray]
+    candidates: Callable[[], ScoredCandidates]
+    way: Callable[[], np.ndarray]
+    choice: Choice | None
     known_m2: Callable[[], float]
     snapshot: Callable[..., Grid]
+    layers: Callable[[], dict[str, Callable[[], Grid]]]
     latency: Callable[..., LatencyReport]
     health: Callable[[], dict[str, Any]]
 

@@ -15,7 +15,7 @@ from time import perf_counter_ns
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2
+from edge.geometry import SE2, Grid
 from edge.host.calibration import Calibration
 from edge.loop import stages
 from edge.loop.candidates import CandidatePool
@@ -25,7 +25,7 @@ from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.prior import make_prior
 from edge.loop.publish import Publisher
-from edge.loop.result import Event, Sink, TickResult, facts_of
+from edge.loop.result import Event, Sink, TickResult, facts_of, scored
 from edge.loop.scorers import Scorers
 from edge.loop.status import HealthWatch
 from edge.mapping.grid import RollingMap
@@ -517,8 +517,25 @@ class Service:
                 lambda: [found.copied() for label in targets for found in self.tracker.of(label)]
             ),
             frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
+            candidates=cache(partial(scored, self.pool.candidates, self.scores)),
+            way=cache(self._way),
+            choice=None if self._scorers is None else self._scorers.answers.choice,
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
+            layers=self._layers,
             latency=self.latency.report,
             health=self._health.status,
         )
+
+    def _way(self) -> np.ndarray:
+        """See `TickResult.way`."""
+        if self.goal is None:
+            return np.zeros((0, 2), np.float32)
+        return self.grid.reach.way_m(self.goal.pose.x_m, self.goal.pose.y_m)
+
+    def _layers(self) -> dict[str, Callable[[], Grid]]:
+        """See `TickResult.layers`."""
+        valued = self.mission.brief.targets if self.config.value_source is not None else ()
+        values, coverage = self.grid.values, self.grid.coverage
+        of_targets = {f"value of {target}": partial(values.snapshot, target) for target in valued}
+        return {"looked at": coverage.snapshot, **of_targets}

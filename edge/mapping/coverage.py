@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from edge.geometry import optical_yaw_rad
+from edge.geometry import Grid, optical_yaw_rad
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
 from edge.mapping.reach import STRAIGHT, ReachField
 from edge.mapping.window import Window
@@ -111,6 +111,19 @@ class Coverage:
     def write_off(self, view: Viewpoint) -> None:
         """What a view was to show and was not seen well all the same is not sought again."""
         self._planned(view, WRITE_OFF)
+
+    def snapshot(self) -> Grid:
+        """A copy of how well each place was looked at; see `Window.copy_of`.
+
+        Returns:
+            uint8 cells: 0 where nobody looked, 255 where the detector looked often enough.
+        """
+
+        def plane() -> np.ndarray:
+            looks = np.minimum(self._looks & np.uint8(_FLAG - 1), self._enough)
+            return (looks.astype(np.uint16) * 255 // self._enough).astype(np.uint8)
+
+        return self._window.copy_of(plane)
 
     def start_over(self) -> None:
         """Have the next `search` begin anew."""

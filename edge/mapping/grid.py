@@ -416,6 +416,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.reach.step(SE2(0.0, 0.0, 0.0))
     grid.reach.nearest(0.0, 0.0, 0.5)
     grid.reach.approach(np.zeros((1, 3), np.float32), 0.5)
+    grid.reach.way_m(0.0, 0.0)
     which = np.zeros(1, np.int32)
     grid.gain.around(grid.frontiers.xy_m, which, 1, np.zeros(1, np.float32))
     grid.gain.look(SE2(0.0, 0.0, 0.0), 0.0, 1.0)

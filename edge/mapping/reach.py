@@ -25,6 +25,8 @@ _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 _CLEAR_PER_CELL = 16
 # What stands so near to a point of a thing's surface is the thing.
 _OWN_CELLS = 4
+WAY_CELLS = 4096
+"""Of a longer way the end is shown."""
 
 
 class Wave(NamedTuple):
@@ -176,6 +178,20 @@ class ReachField:
         if steps == _UNREACHED:
             return None
         return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+
+    def way_m(self, x_m: float, y_m: float) -> np.ndarray:
+        """The shortest way to a point's cell, from where the field began, for people to look at.
+
+        Returns:
+            (k, 2) float32 centres of cells in `map`, at most `WAY_CELLS`, the point's own last;
+            (0, 2) where the robot does not get to.
+        """
+        if self.generation == 0:
+            return np.zeros((0, 2), np.float32)
+        distance, common = self.field
+        cells = np.empty((WAY_CELLS, 2), np.int64)
+        n = trace(distance, *common, *self._window.cell_of(x_m, y_m), cells)
+        return ((cells[:n][::-1] + 0.5) * self._window.resolution_m).astype(np.float32)
 
     def paths_m(
         self, xy_m: np.ndarray, kind: np.ndarray, radius_m: np.ndarray, n: int, out_m: np.ndarray
@@ -375,6 +391,36 @@ def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out
             layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
         )
         out[i] = (steps - 1) / STRAIGHT * res if steps != 0 else np.inf
+
+
+@njit(nogil=True, cache=True)
+def trace(distance, x0, y0, x1, y1, x, y, cells):
+    """The way back from a world cell to where a field began.
+
+    Args:
+        x0, y0, x1, y1: see `ReachField.field`.
+        cells: (cap, 2) int64 output, world cells, the first the given one.
+
+    Returns:
+        How many there are; 0 where the cell was not reached.
+    """
+    n, k = distance.shape[0], 0
+    if not (x0 <= x < x1 and y0 <= y < y1) or distance[y % n, x % n] == 0:
+        return 0
+    while k < len(cells):
+        cells[k, 0], cells[k, 1] = x, y
+        k += 1
+        here, came_x, came_y = distance[y % n, x % n], x, y
+        for ny in range(max(y - 1, y0), min(y + 2, y1)):
+            for nx in range(max(x - 1, x0), min(x + 2, x1)):
+                there = distance[ny % n, nx % n]
+                step = DIAGONAL if nx != x and ny != y else STRAIGHT
+                if there > 0 and there + step == here:
+                    came_x, came_y = nx, ny
+        if came_x == x and came_y == y:
+            break
+        x, y = came_x, came_y
+    return k
 
 
 @njit(nogil=True, cache=True)

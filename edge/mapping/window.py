@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import numpy as np
+
+from edge.geometry import Grid
 
 
 class Window:
@@ -41,3 +46,27 @@ class Window:
         """Whether a world cell lies in the window."""
         (ox, oy), n = self.origin, self.n
         return self.placed and ox <= x < ox + n and oy <= y < oy + n
+
+    def copy_of(self, plane: Callable[[], np.ndarray]) -> Grid:
+        """What is written of a layer, as it lies in the world; costs with the map's size.
+
+        Another thread may call it while the window moves: then the layer is read again.
+
+        Args:
+            plane: gives an (m, m) copy of the layer by its storage cells, 0 where nothing is
+                written; m divides the window's n.
+        """
+        while True:
+            (ox, oy), cells = self.origin, plane()
+            step = self.n // len(cells)
+            cell_m = step * self.resolution_m
+            unrolled = np.roll(cells, (-(oy // step), -(ox // step)), (0, 1))
+            if self.origin == (ox, oy):
+                break
+        rows, columns = (np.flatnonzero(unrolled.any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            return Grid(np.zeros((0, 0), cells.dtype), (0.0, 0.0), cell_m)
+        y, x = int(rows[0]), int(columns[0])
+        written = unrolled[y : rows[-1] + 1, x : columns[-1] + 1].copy()
+        corner_m = ox * self.resolution_m + x * cell_m, oy * self.resolution_m + y * cell_m
+        return Grid(written, corner_m, cell_m)

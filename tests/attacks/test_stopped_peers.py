@@ -20,7 +20,7 @@ from viewer_peer import ALIVE
 
 from edge.bus import topics
 from edge.bus.client import ask
-from edge.bus.requests import Query, RequestServer
+from edge.bus.requests import RequestServer
 from edge.bus.session import declare_publisher, open_session
 from edge.config import Zenoh
 from edge.loop.requests import mission_verbs
@@ -143,7 +143,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
 def test_a_stopped_client_holds_up_no_other_answer(endpoint, start_viewer, monkeypatch):
     answered, send = [], RequestServer._send
 
-    def noted(server: RequestServer, query: Query, reply: bytes, is_error: bool) -> None:
+    def noted(server: RequestServer, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
         send(server, query, reply, is_error)
         answered.append(reply)
 

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 from patience import PATIENCE_S, eventually
 
-from edge.bus import requests
+from edge.bus import request_queue
 from edge.bus.client import RequestError, ask
 from edge.bus.requests import MAX_BYTES, RequestServer
 from edge.bus.session import open_session
@@ -203,10 +203,10 @@ class Preparing:
 
 def give(server: RequestServer, session: zenoh.Session, texts: str) -> list[Asking]:
     """New missions that the server takes in, one after the other."""
-    asked, before = [], len(server._open)
+    asked, before = [], len(server.queue._open)
     for n, text in enumerate(texts, start=before + 1):
         asked.append(Asking(session, do="new", instruction=text))
-        eventually(lambda n=n: len(server._open) == n)
+        eventually(lambda n=n: len(server.queue._open) == n)
     return asked
 
 
@@ -245,19 +245,19 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
 def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve):
     server = serve(Preparing(quick="ab"), patience_s=1.0)
     asked = give(server, session, "a")
-    eventually(lambda: server._second[0].ready)
+    eventually(lambda: server.queue._second[0].ready)
     asked += give(server, session, "ab")
     assert begin_all(server, 2) == ["a", "b"]
     assert [asking.answer["began"] for asking in asked] == ["a", "a", "b"]
     late = give(server, session, "a")
-    eventually(lambda: server._second[0].ready)
+    eventually(lambda: server.queue._second[0].ready)
     late += give(server, session, "a")
     assert all("the loop is not running" in asking.refusal for asking in late)
     assert server.poll() is None
 
 
 def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monkeypatch):
-    monkeypatch.setattr("edge.bus.requests._SAME", 4)
+    monkeypatch.setattr("edge.bus.request_queue._SAME", 4)
     preparing = Preparing()
     server = serve(preparing)
     give(server, session, "a")
@@ -288,8 +288,8 @@ def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(s
     asked = [Asking(session, do="new", formula=f"F {name}") for name in "ab"]
     # What goes first keeps the loop busy; it never comes to the prepared ones.
     while not all(asking.done for asking in asked):
-        with server._lock:
-            server._first.append(Request("status"))
+        with server.queue._lock:
+            server.queue._first.append(Request("status"))
         server.poll()
     for asking in asked:
         assert "busy with other requests: not taken within 0.2 s" in asking.refusal
@@ -300,7 +300,7 @@ def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve,
     asking = Asking(session, do="pause")
     request = taken(server)
     late = SimpleNamespace(monotonic=lambda: time.monotonic() + PATIENCE_S)
-    monkeypatch.setattr("edge.bus.requests.time", late)
+    monkeypatch.setattr("edge.bus.request_queue.time", late)
     assert "taken, but not answered" in asking.refusal
     request.answer({"phase": "late"})
     asking = Asking(session, do="status")
@@ -370,10 +370,10 @@ def test_a_crowd_of_clients_gets_an_answer_each(session, serve):
 
 def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str]) -> list[Asking]:
     """Requests that the server takes in, one after the other, and the loop has not seen."""
-    asked, before = [], len(server._open)
+    asked, before = [], len(server.queue._open)
     for n, verb in enumerate(verbs, start=before + 1):
         asked.append(Asking(session, do=verb))
-        eventually(lambda n=n: len(server._open) == n)
+        eventually(lambda n=n: len(server.queue._open) == n)
     return asked
 
 
@@ -428,7 +428,7 @@ def test_what_stops_no_robot_leaves_what_is_to_be_prepared(session):
     new = Verb(("instruction",), prepare=lambda fields: fields["instruction"])
     server = RequestServer(session, KEY, {"new": new, "cancel": Verb()}, broken)
     asked = give(server, session, "a")
-    eventually(lambda: server._second[0].ready)
+    eventually(lambda: server.queue._second[0].ready)
     asked += waiting(server, session, ["cancel"])
     assert [server.poll().do for _ in range(2)] == ["cancel", "new"]
     server.close()
@@ -472,7 +472,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
 def test_what_stops_the_robot_always_finds_a_place(session, serve):
     server = serve()
     flood = ["pause", "resume"] * 8
-    asked = waiting(server, session, flood[: requests._WAITING])
+    asked = waiting(server, session, flood[: request_queue._WAITING])
     for verb in ("status", "status"):
         assert "busy with other requests" in Asking(session, do=verb).refusal
     asked += waiting(server, session, ["pause", "cancel", "pause", "cancel"])
@@ -480,8 +480,8 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     while (request := server.poll()) is not None:
         done.append(request.do)
         request.answer({"did": request.do})
-    assert done == [*flood[: requests._WAITING], "pause", "cancel"]
-    assert [a.answer["did"] for a in asked[requests._WAITING :]] == ["pause", "cancel"] * 2
+    assert done == [*flood[: request_queue._WAITING], "pause", "cancel"]
+    assert [a.answer["did"] for a in asked[request_queue._WAITING :]] == ["pause", "cancel"] * 2
 
 
 def test_a_client_that_has_gone_is_no_matter(session, serve):
@@ -557,7 +557,7 @@ def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
     server = RequestServer(session, KEY, verbs, handle)
     assert server.serve(0) == 0
     new = give(server, session, "ab")
-    eventually(lambda: not server._unready())
+    eventually(lambda: not server.queue._unready())
     others = waiting(server, session, ["status", "resume"])
     assert [server.serve(0) for _ in range(3)] == [3, 1, 0]
     assert [asking.answer["did"] for asking in (*others, *new)] == [

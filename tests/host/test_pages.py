@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+from collections.abc import Iterator
 from contextlib import suppress
 from http import HTTPStatus
 from http.client import HTTPConnection
@@ -13,7 +14,7 @@ from patience import PATIENCE_S
 
 from edge.errors import UnavailableError
 from edge.host.credentials import Token
-from edge.host.pages import MOST_OPEN, Page, json_page, serve
+from edge.host.pages import MOST_BYTES, MOST_OPEN, Page, json_page, serve
 
 HERE = "127.0.0.1"
 
@@ -43,7 +44,7 @@ def test_pages_are_made_when_they_are_asked_for():
         assert [json.loads(ask(port, "/count?x=1")[1])["n"] for _ in range(2)] == [0, 1]
         assert ask(port, "/down") == (503, b"no")
         assert ask(port, "/down", "HEAD") == (503, b"")
-        assert ask(port, "/down", "POST")[0] == 501
+        assert ask(port, "/down", "POST")[0] == 405
         status, text = ask(port, "/else")
         assert (status, b"/count" in text) == (404, True)
         with pytest.raises(OSError, match=r"closed|reset"):  # RemoteDisconnected is one
@@ -118,3 +119,152 @@ def test_a_port_that_is_taken_is_one_line_with_what_to_do():
         serve({}, HERE, port),
     ):
         pass
+
+
+def say(port: int, request: bytes) -> bytes:
+    """What is answered to these bytes, until the connection ends or nothing more comes."""
+    with socket.create_connection((HERE, port), PATIENCE_S) as sock:
+        sock.sendall(request)
+        sock.settimeout(1.0)
+        answer = b""
+        with suppress(TimeoutError, ConnectionResetError):
+            while part := sock.recv(1 << 16):
+                answer += part
+        return answer
+
+
+def post(port: int, body: bytes = b"{}", path: str = "/form", **headers: str) -> tuple[int, bytes]:
+    given = {"Authorization": "Bearer right", "Content-Type": "application/json", **headers}
+    connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
+    connection.request("POST", path, body, {k.replace("_", "-"): v for k, v in given.items()})
+    answer = connection.getresponse()
+    said = answer.status, answer.read()
+    connection.close()
+    return said
+
+
+@pytest.fixture
+def taken() -> Iterator[tuple[int, list[bytes]]]:
+    """A port where bodies are taken from who knows the token, and those that were."""
+    bodies: list[bytes] = []
+
+    def take(body: bytes) -> Page:
+        bodies.append(body)
+        return Page(b"taken", "text/plain")
+
+    pages = {"/": lambda: Page(b"here", "text/plain"), "/data": lambda: json_page(1)}
+    token = Token(b"right")
+    with serve(pages, HERE, 0, token, forms={"/form": take}, public=("/",)) as port:
+        yield port, bodies
+
+
+def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
+    port, _ = taken
+    assert ask(port, "/") == (200, b"here")
+    assert ask(port, "/data")[0] == 401
+
+
+@pytest.mark.parametrize(
+    ("body", "headers", "status"),
+    [
+        (b"", {}, 200),
+        (b"{}", {"Content_Type": "Application/JSON; charset=utf-8"}, 200),
+        (b"x" * MOST_BYTES, {}, 200),
+        (b"x" * (MOST_BYTES + 1), {}, 413),
+        (b"{}", {"Content_Length": "9" * 30}, 413),
+        (b"{}", {"Content_Length": "-1"}, 411),
+        (b"{}", {"Content_Length": "2_"}, 411),
+        (b"{}", {"Transfer_Encoding": "chunked"}, 411),
+        (b"{}", {"Content_Type": "text/plain"}, 415),
+        (b"{}", {"Authorization": "Bearer wrong"}, 401),
+        (b"{}", {"Authorization": ""}, 401),
+        (b"{}", {"Origin": "http://evil.example"}, 403),
+        (b"{}", {"Origin": "null"}, 403),
+        (b"{}", {"Origin": "http://[evil"}, 403),
+    ],
+)
+def test_what_is_posted_is_taken_whole_or_not_at_all(taken, body, headers, status):
+    port, bodies = taken
+    assert post(port, body, **headers)[0] == status
+    assert bodies == ([body] if status == 200 else [])
+
+
+def test_a_page_of_ours_may_post(taken):
+    port, bodies = taken
+    assert post(port, Origin=f"http://{HERE}:{port}") == (200, b"taken")
+    assert post(port, path="/data")[0] == 405
+    assert bodies == [b"{}"]
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
+    monkeypatch.setattr("edge.host.pages._PATIENCE_S", 0.2)
+    port, bodies = taken
+    head = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
+    head += b"Content-Type: application/json\r\nContent-Length: 9\r\n\r\n"
+    assert say(port, head + b"12345").startswith(b"HTTP/1.1 408 ")
+    assert bodies == []
+
+
+def test_what_was_refused_is_not_read_as_the_next_request(taken):
+    """A body of a request that may have none, or of a stranger, is no request."""
+    port, bodies = taken
+    inner = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
+    inner += b"Content-Type: application/json\r\nContent-Length: 0\r\n\r\n"
+    for method in (b"GET /", b"POST /form"):
+        length = b"Content-Length: %d\r\n\r\n" % len(inner)
+        answer = say(port, method + b" HTTP/1.1\r\nHost: x\r\n" + length + inner)
+        assert answer.count(b"HTTP/1.1") == 1
+    assert bodies == []
+
+
+def test_without_a_token_nothing_can_be_posted():
+    with serve({}, HERE, 0, forms={"/form": lambda body: 1 // 0}) as port:
+        assert post(port) == (403, b"read-only: set http.token_file\n")
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1:{port}", 200),
+        ("localhost", 200),
+        ("LOCALHOST:1234", 200),
+        ("[::1]:{port}", 200),
+        ("evil.example:{port}", 421),
+        ("127.0.0.1.evil.example", 421),
+        ("192.168.0.7", 421),
+        ("[::1", 421),
+        ("", 421),
+    ],
+)
+def test_without_a_token_only_who_asks_for_this_machine_is_told(host, status):
+    """A page of another site may have its name lead here (DNS rebinding)."""
+    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0, public=("/",)) as port:
+        assert ask(port, "/", Host=host.format(port=port))[0] == status
+
+
+def test_what_one_has_already_is_not_sent_again():
+    page = Page(b"here", "text/plain", etag="7")
+    with serve({"/": lambda: page}, HERE, 0) as port:
+        assert ask(port, "/", **{"If-None-Match": '"6"'}) == (200, b"here")
+        assert ask(port, "/", **{"If-None-Match": '"7"'}) == (304, b"")
+
+
+def test_a_connection_is_kept_and_ends_with_the_block():
+    with serve({"/": lambda: Page(b"here", "text/plain")}, HERE, 0) as port:
+        connection = HTTPConnection(HERE, port, timeout=PATIENCE_S)
+        for _ in range(3):
+            connection.request("GET", "/")
+            assert connection.getresponse().read() == b"here"
+            sock = connection.sock
+        assert sock is not None
+    with suppress(ConnectionResetError, BrokenPipeError):
+        sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        assert sock.recv(1) == b""
+    connection.close()
+
+
+def test_every_answer_says_what_a_page_may_do():
+    with serve({}, HERE, 0) as port:
+        answer = say(port, b"GET /else HTTP/1.0\r\n\r\n")
+    assert b"Content-Security-Policy: default-src 'none'; script-src 'self';" in answer
+    assert b"X-Content-Type-Options: nosniff" in answer

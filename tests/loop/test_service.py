@@ -339,3 +339,22 @@ def test_the_steady_tick_allocates_no_large_arrays(watched):
     large = [peak for peak in peaks if peak > 50_000]
     assert len(large) <= 3, peaks
     assert max(peaks) < 300_000, peaks
+
+
+def test_a_result_tells_of_candidates_the_way_and_layers():
+    loop = ClosedLoop(config(mission={"target": "bed"}))
+    nothing = loop.service.result()
+    assert (len(nothing.candidates().score), len(nothing.way())) == (0, 0)
+    for _ in range(10):
+        loop.step()
+    told = loop.service.result()
+    there, way, goal = told.candidates(), told.way(), told.goal
+    assert goal.candidate_id in there.id
+    assert {len(part) for part in there} == {loop.service.pool.candidates.n}
+    assert goal.pose.distance_to(*map(float, way[-1])) < 0.05
+    assert list(told.layers()) == ["looked at"]
+    assert told.layers()["looked at"]().cells.max() > 0
+    before = there.xy_m.copy()
+    for _ in range(20):
+        loop.step()
+    assert (told.candidates().xy_m == before).all()

@@ -285,3 +285,17 @@ def test_coverage_rolls_with_the_map():
     for x in np.arange(0.0, 40.0, 1.0):
         look(grid, SE2(float(x), 0.0, 0.0), [])
     assert not grid.coverage._looks.any()
+
+
+def test_a_snapshot_tells_how_well_each_place_was_looked_at():
+    grid = explored()
+    assert grid.coverage.snapshot().cells.size == 0
+    for looks in (1, 2, 3):
+        grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)
+        shown = grid.coverage.snapshot()
+        assert set(np.unique(shown.cells)) == {0, (127, 255, 255)[looks - 1]}
+    rows, columns = np.nonzero(shown.cells)
+    ahead_m = shown.centres_m(rows, columns)
+    assert np.all(ahead_m[:, 0] > 0.3)
+    assert np.all(np.hypot(*ahead_m.T) < 2.2)
+    assert len(rows) == np.count_nonzero(grid.coverage._looks)

@@ -180,3 +180,32 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     assert np.hypot(*(desk_m[:, :2] - (x, y)).T).min() <= 0.7
     assert three_m > one_m
     assert grid.reach.approach(surface_m, 0.7, len(surface_m) + 1) is None
+
+
+def test_without_a_field_there_is_no_way():
+    assert RollingMap(SMALL).reach.way_m(0.0, 0.0).shape == (0, 2)
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
+    grid, pose = explored(seed)
+    complete(grid, pose)
+    rng = np.random.default_rng(seed)
+    res, reach = grid.resolution_m, grid.reach
+    for x, y in np.add(rng.uniform(-3, 3, (20, 2)), (pose.x_m, pose.y_m)):
+        way, away_m = reach.way_m(x, y), reach.distance_m(x, y)
+        if math.isinf(away_m):
+            assert len(way) == 0
+            continue
+        np.testing.assert_allclose(way[[0, -1]], cell_centres(res, (pose.x_m, pose.y_m), (x, y)))
+        steps = np.abs(np.diff(np.rint(way / res - 0.5), axis=0))
+        assert len(steps) == 0 or (steps.max() == 1 and steps.max(axis=1).min() == 1)
+        cost = np.where(steps.sum(axis=1) == 2, DIAGONAL, STRAIGHT).sum() / STRAIGHT * res
+        assert cost == pytest.approx(away_m)
+        distances = [reach.distance_m(*map(float, cell)) for cell in way]
+        assert distances == sorted(distances)
+
+
+def cell_centres(res: float, *points: tuple[float, float]) -> np.ndarray:
+    return (np.floor(np.array(points) / res) + 0.5) * res

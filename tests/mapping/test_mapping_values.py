@@ -374,3 +374,23 @@ def test_values_roll_with_the_map():
     look(grid, SE2(0.0, 0.0, 0.0), [])
     grid.values.best(0, place, 1, 0.2, out)
     assert np.isnan(out[0])  # forgotten, not only out of sight
+
+
+def test_a_snapshot_without_anything_said_is_empty():
+    assert value_map(()).snapshot("bed").cells.shape == value_map().snapshot("bed").cells.shape
+    assert value_map().snapshot("bed").cells.shape == (0, 0)
+
+
+@pytest.mark.parametrize("origin", [(-64, -64), (0, -128), (64, 320)])
+def test_a_snapshot_lies_where_it_was_written(origin):
+    values = value_map(("bed", "tv"), origin=origin)
+    seen = sight(*((o + 96) * 0.05 for o in origin), yaw=1.0, range_m=2.0)
+    values.write_view(seen, ("tv",), np.array([0.5]))
+    assert values.snapshot("bed").cells.size == 0
+    grid = values.snapshot("tv")
+    x, y = centres(values)
+    rows, columns = np.nonzero(grid.cells)
+    places = np.round(grid.centres_m(rows, columns), 6)
+    weighty = values.weight[..., 1] > 0
+    assert {*map(tuple, places)} == {*zip(x[weighty].round(6), y[weighty].round(6), strict=True)}
+    assert set(np.unique(grid.cells)) - {0} == {128}, "half of 254, and 1"

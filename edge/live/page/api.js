@@ -1,0 +1,58 @@
+// What is asked of the service. The token, where there is one, is kept for this tab alone.
+
+const TOKEN = "edge-token";
+
+export class Refused extends Error {
+  constructor(status, why, bearer) {
+    super(why);
+    this.status = status;
+    this.bearer = bearer; // the token that was sent
+  }
+}
+
+export const token = {
+  get: () => sessionStorage.getItem(TOKEN),
+  set: (said) => sessionStorage.setItem(TOKEN, said),
+  forget: () => sessionStorage.removeItem(TOKEN),
+};
+
+async function ask(path, options, limit_ms) {
+  const headers = { ...options.headers };
+  const bearer = token.get();
+  if (bearer !== null) headers.Authorization = `Bearer ${bearer}`;
+  const answer = await fetch(path, {
+    ...options, headers, cache: "no-store", signal: AbortSignal.timeout(limit_ms),
+  });
+  if (answer.status === 304) return answer;
+  if (!answer.ok) {
+    const said = (await answer.text()).trim();
+    let why = said;
+    try {
+      why = JSON.parse(said).error ?? said;
+    } catch {
+      // It is plain text.
+    }
+    throw new Refused(answer.status, why, bearer);
+  }
+  return answer;
+}
+
+const tags = new Map();
+
+// The newest of a resource; undefined where it is what was told before.
+export async function get(path) {
+  const tag = tags.get(path);
+  const answer = await ask(path, { headers: tag ? { "If-None-Match": tag } : {} }, 5000);
+  if (answer.status === 304) return undefined;
+  tags.set(path, answer.headers.get("ETag"));
+  return answer.json();
+}
+
+export const forget = (path) => tags.delete(path);
+
+export async function post(path, said) {
+  const options = {
+    method: "POST", body: JSON.stringify(said), headers: { "Content-Type": "application/json" },
+  };
+  return (await ask(path, options, 130000)).json();
+}

@@ -1,0 +1,101 @@
+// What is asked of the robot: only who knows the token can.
+
+import { post, token } from "./api.js";
+import { $, say } from "./dom.js";
+import { isDone } from "./panels.js";
+
+const SURE_MS = 3000;
+let paused = false;
+
+export function show({ controls, moment, service }) {
+  $("controls").hidden = $("swap").hidden = !controls;
+  $("readonly").hidden = controls;
+  paused = moment?.paused ?? false;
+  say("pause", paused ? "Resume" : "Pause");
+  $("pause").disabled = $("cancel").disabled = isDone(moment);
+  $("new").disabled = service.state === "starting" || service.state === "stopping";
+}
+
+let hide = 0;
+export function toast(text) {
+  say("toast", text);
+  $("toast").hidden = false;
+  clearTimeout(hide);
+  hide = setTimeout(() => ($("toast").hidden = true), 5000);
+}
+
+async function ask(key, said, done) {
+  try {
+    await post(key, said);
+    if (done) toast(done);
+  } catch (error) {
+    toast(error.message);
+  }
+}
+
+const mission = (verb) => ask("mission/request", { do: verb });
+
+$("pause").addEventListener("click", () => mission(paused ? "resume" : "pause"));
+
+// Twice, so that no slip ends a mission.
+let sure = 0;
+$("cancel").addEventListener("click", () => {
+  clearTimeout(sure);
+  const again = $("cancel").textContent !== "Cancel";
+  say("cancel", again ? "Cancel" : "Really?");
+  if (again) mission("cancel");
+  else sure = setTimeout(() => say("cancel", "Cancel"), SURE_MS);
+});
+
+$("lock").addEventListener("click", () => {
+  token.forget();
+  location.reload();
+});
+
+$("swap").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const model = $("model").value.trim();
+  ask("models/request", { do: "use", model }, `Loading ${model}; the present one goes on meanwhile.`);
+  $("model").value = "";
+});
+
+const dialog = $("new-dialog");
+$("new").addEventListener("click", () => {
+  $("new-error").hidden = true;
+  dialog.showModal();
+});
+$("new-close").addEventListener("click", () => dialog.close());
+dialog.querySelector("form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const as = new FormData(event.target).get("as");
+  $("new-ok").disabled = true;
+  say("new-ok", "Understanding…");
+  $("new-error").hidden = true;
+  try {
+    const answer = await post("mission/request", { do: "new", [as]: $("words").value });
+    $("words").value = "";
+    dialog.close();
+    toast(`Begun: ${answer.english ?? answer.instruction}`);
+  } catch (error) {
+    say("new-error", error.message);
+    $("new-error").hidden = false;
+  } finally {
+    $("new-ok").disabled = false;
+    say("new-ok", "Start");
+  }
+});
+
+// -- the token ----------------------------------------------------------------------------------
+
+export function askForToken(wrong) {
+  if ($("token-dialog").open) return;
+  $("token-error").hidden = !wrong;
+  $("token-dialog").showModal();
+}
+
+$("token-dialog").addEventListener("cancel", (event) => event.preventDefault());
+$("token-dialog").querySelector("form").addEventListener("submit", () => {
+  token.set($("token").value.trim());
+  $("token").value = "";
+});
+export const asking = () => $("token-dialog").open;

@@ -1,0 +1,123 @@
+// Asks for what is new, as often as it is worth it, and has it shown.
+
+import { forget, get, Refused, token } from "./api.js";
+import * as automaton from "./automaton.js";
+import * as camera from "./camera.js";
+import * as controls from "./controls.js";
+import { $, make, once } from "./dom.js";
+import * as map from "./map.js";
+import * as panels from "./panels.js";
+
+const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
+const state = { seen_ms: 0, now: null, layers: [] };
+
+// One round after the other, never two at a time; none while the page is hidden.
+function every(period_ms, round) {
+  const again = async () => {
+    const begun = performance.now();
+    let rest = period_ms;
+    if (!document.hidden && !controls.asking()) {
+      try {
+        await round();
+      } catch (error) {
+        lost(error);
+        rest = GONE_MS;
+      }
+    }
+    setTimeout(again, Math.max(rest - (performance.now() - begun), 20));
+  };
+  again();
+}
+
+function lost(error) {
+  if (error instanceof Refused && error.status === 401) {
+    // An answer to the token before this one asks for no other.
+    if (error.bearer === token.get()) controls.askForToken(error.bearer !== null);
+  } else if (error instanceof Refused) {
+    panels.banner("bad", error.message);
+  } else if (error instanceof TypeError || error.name === "TimeoutError") {
+    // No connection, or no answer.
+    document.body.classList.add("gone");
+    panels.gone(state.seen_ms);
+  } else {
+    throw error;
+  }
+}
+
+async function now() {
+  const told = await get("live/now");
+  state.now = told;
+  state.seen_ms = Date.now();
+  document.body.classList.remove("gone");
+  panels.header(told);
+  panels.tellState(told);
+  controls.show(told);
+  map.update({ now: told.moment, radius_m: told.radius_m });
+  if (told.shot !== null && told.shot !== camera.seq()) {
+    const shot = await get("live/camera");
+    if (shot) await camera.show(shot);
+  }
+  camera.age();
+}
+
+async function story() {
+  const told = await get("live/story");
+  if (!told || !state.now) return;
+  const { now } = state;
+  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment) });
+  automaton.show(told.automaton);
+  panels.latency(told.latency);
+  panels.log({ events: told.events, n_events: told.n_events });
+  panels.health({ service: now.service, health: told.health, controlled: now.moment?.controlled ?? false });
+  camera.name(told.targets);
+  map.update({ trail: told.trail, targets: told.targets });
+  offer(told.layers);
+}
+
+const offer = once((layers) => {
+  const chosen = $("layer").value;
+  state.layers = layers;
+  $("layer").replaceChildren(make("option", { value: "", text: "none" }), ...layers.map((name) => make("option", { value: name, text: name })));
+  $("layer").value = layers.includes(chosen) ? chosen : "";
+});
+
+async function maps() {
+  const grid = await get("live/map");
+  if (grid) await map.showMap(grid);
+  const at = state.layers.indexOf($("layer").value);
+  if (at < 0) return map.showLayer(null);
+  const layer = await get(`live/layers/${at}`);
+  if (layer && layer.name === $("layer").value) await map.showLayer(layer);
+}
+
+$("layer").addEventListener("change", () => {
+  state.layers.forEach((_, i) => forget(`live/layers/${i}`));
+  map.showLayer(null);
+});
+$("fit").addEventListener("click", () => {
+  map.follow(false);
+  map.fit();
+});
+$("follow").addEventListener("click", () => map.follow($("follow").getAttribute("aria-pressed") !== "true"));
+$("zoom-in").addEventListener("click", () => map.zoom(1.3));
+$("zoom-out").addEventListener("click", () => map.zoom(1 / 1.3));
+
+// -- light and dark -----------------------------------------------------------------------------
+
+const dark = matchMedia("(prefers-color-scheme: dark)");
+function scheme() {
+  document.documentElement.dataset.scheme = localStorage.getItem("edge-scheme") ?? (dark.matches ? "dark" : "light");
+  map.recolour();
+  camera.draw();
+}
+$("scheme").addEventListener("click", () => {
+  localStorage.setItem("edge-scheme", document.documentElement.dataset.scheme === "dark" ? "light" : "dark");
+  scheme();
+});
+dark.addEventListener("change", scheme);
+scheme();
+new ResizeObserver(camera.draw).observe($("camera"));
+
+every(NOW_MS, now);
+every(STORY_MS, story);
+every(MAP_MS, maps);

@@ -1,0 +1,128 @@
+// Header, banner, mission, latency, log and health.
+
+import { $, clock, make, once, say } from "./dom.js";
+
+// Nothing is to be done, or was ever given.
+export const isDone = (moment) => !moment || ["idle", "reached", "failed"].includes(moment.phase);
+
+function badge(kind, text) {
+  say("phase", text);
+  $("phase").className = `badge ${kind}`;
+}
+
+export function banner(kind, text) {
+  $("banner").hidden = !text;
+  $("banner").className = kind;
+  say("banner", text);
+}
+
+export function header({ robot, moment, service }) {
+  say("robot", robot);
+  document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
+  if (!moment) return badge("", service.state);
+  const phase = moment.paused && !isDone(moment) ? "paused" : moment.phase;
+  badge(phase, phase);
+  say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
+  say("reason", moment.reason || (moment.target ? `now: ${moment.target}` : ""));
+  say("elapsed", duration(moment.elapsed_s));
+  say("driven", `${moment.path_m.toFixed(1)} m`);
+  say("beat", `${moment.beat_hz.toFixed(0)} Hz`);
+}
+
+function duration(s) {
+  const pad = (n) => String(Math.floor(n)).padStart(2, "0");
+  return s >= 3600 ? `${Math.floor(s / 3600)}:${pad((s / 60) % 60)}:${pad(s % 60)}` : `${Math.floor(s / 60)}:${pad(s % 60)}`;
+}
+
+// What a person has to know first, in order of weight.
+export function tellState({ service, silent_s, moment }) {
+  const why = service.why.join("; ");
+  const unseen = service.why.includes("nothing to be seen");
+  if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
+  if (service.state === "stopping") return banner("warn", "The service is stopping.");
+  if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
+  if (unseen) return banner("warn", `Not ready: ${why}. Check camera, depth or LiDAR, and odometry.`);
+  if (!service.ready) return banner("warn", `Not ready: ${why}.`);
+  if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot stands until the mission is resumed.");
+  if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: the goal is not driven to.");
+  banner("", "");
+}
+
+export function gone(since_ms) {
+  badge("gone", "no answer");
+  const s = Math.round((Date.now() - since_ms) / 1000);
+  banner("bad", since_ms ? `The service does not answer: last seen ${clock(since_ms / 1000)}, ${s} s ago. Trying again…` : "The service does not answer. Trying again…");
+}
+
+function pairs(id, rows) {
+  $(id).replaceChildren(...rows.flatMap(([name, text, kind]) => [
+    make("dt", { text: name }), make("dd", kind ? { text, class: kind } : { text }),
+  ]));
+}
+
+export const mission = once(({ mission: m, steps, done }) => {
+  say("english", m.english);
+  say("formula", m.formula);
+  say("translated", `state ${m.state} of ${m.states}, by ${m.translated_by}`);
+  const rows = done ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
+  if (m.reached.length) rows.push(["reached", m.reached.join(", "), "ok"]);
+  if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
+  if (m.forbidden.length) rows.push(["not now", m.forbidden.join(", "), "warn"]);
+  for (const warning of m.warnings) rows.push(["note", warning, "warn"]);
+  pairs("plan", rows);
+  times("steps", steps.map((step) => ({ ...step, kind: step.kind })));
+});
+
+function times(id, lines) {
+  $(id).replaceChildren(...lines.map(({ t_s, text, kind }) =>
+    make("li", { class: kind ?? "" }, make("time", { text: clock(t_s) }), make("span", { text }))));
+}
+
+export const log = once(({ events, n_events }) => {
+  times("log", [...events].reverse());
+  say("log-note", n_events > events.length ? `newest ${events.length} of ${n_events}` : `${n_events}`);
+});
+
+export function latency({ stages, tick, deadline_ms }) {
+  const head = ["", "", "p95", "budget", "drops"].map((text) => make("th", { text }));
+  const rows = [...Object.entries(stages), ["tick", tick]].map(([name, row]) => {
+    const cells = [
+      make("td", { text: row.in_tick ? name : `${name} *`, title: row.in_tick ? "" : "beside the tick" }),
+      make("td", { class: "gauge" }, gauge(row)),
+      make("td", { text: row.n ? ms(row.p95_ms) : "–", class: row.verdict === "over" ? "bad" : "" }),
+      make("td", { text: ms(row.budget_ms) }),
+      make("td", { text: String(row.drops) }),
+    ];
+    return make("tr", { class: name === "tick" ? "tick" : "" }, ...cells);
+  });
+  $("latency").replaceChildren(make("tr", {}, ...head), ...rows);
+  say("latency-note", `ms; ${tick.overruns} of ${tick.count} ticks over ${deadline_ms} ms`);
+}
+
+// Its budget lies at two thirds.
+function gauge(row) {
+  const share = (value) => `${(100 * Math.min(value / row.budget_ms, 1.5)) / 1.5}%`;
+  const bars = [["", row.p95_ms], ["p50", row.p50_ms]].map(([kind, value]) => {
+    const bar = make("i", { class: kind });
+    bar.style.width = share(value);
+    return bar;
+  });
+  return make("div", { class: `track ${row.verdict}` }, ...bars, make("b"));
+}
+
+const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
+
+export const health = once(({ service, health: h, controlled }) => {
+  const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
+  const { detector, loop, checkpoint, swap, scorers } = h;
+  rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
+  rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} passed over`]);
+  rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
+  rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
+  if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.reason ?? ""}`]);
+  for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "asked"]);
+  if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
+  pairs("health", rows);
+});
+
+const level = (state) => (state === "ok" ? "ok" : "warn");

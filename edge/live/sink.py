@@ -1,0 +1,216 @@
+"""What the page shows, kept while somebody looks."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.geometry import Grid
+from edge.loop.result import Event, MissionFacts, ScoredCandidates, TickResult
+from edge.perception.choice.picture import visible_marks
+from edge.perception.choice.question import LETTERS, Choice
+from edge.policies.base import FRONTIER
+from edge.report.record import is_target
+from edge.report.recorder import Trail
+from edge.types import Detections, Instance, Observation
+
+WATCHED_S = 3.0
+"""Nobody looks who has not asked for so long."""
+PERIOD_S = 0.2
+MAX_EVENTS = 400
+MAX_SHOT_PX = 960
+MAX_BOXES = 60
+_BEAT_S = 1.0
+_UNBOXED_S = 0.5  # without detections for so long, images are shown without boxes
+_TRAIL = 2048
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """How all stood in one tick.
+
+    Attributes:
+        at_s: on the sink's clock.
+        result: of which only what may be called at other times is called later.
+        letters: id of a candidate to its letter, and what the model gives it.
+        trail: (n, 3) float64 poses, the way driven.
+        beat_hz: ticks with an observation, a second.
+        n_events: how many there were since the start; `events` are the newest.
+    """
+
+    at_s: float
+    result: TickResult
+    mission: MissionFacts
+    instances: Sequence[Instance]
+    candidates: ScoredCandidates
+    way: np.ndarray
+    layers: dict[str, Callable[[], Grid]]
+    health: dict[str, Any]
+    letters: dict[int, tuple[str, float]]
+    trail: np.ndarray
+    beat_hz: float
+    events: tuple[Event, ...]
+    n_events: int
+
+
+class Box(NamedTuple):
+    """`xyxy` in shares of the image's width and height."""
+
+    label: str
+    score: float
+    wanted: bool
+    xyxy: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A camera image.
+
+    Attributes:
+        seq: counts shots.
+        rgb: (h, w, 3) uint8, a copy, thinned where it was large.
+        boxes: of targets, and of what stands around them.
+        letters: (letter, u, v) of the directions that the choice scorer was asked about and that
+            are in view; u and v in shares of the image's width and height.
+    """
+
+    seq: int
+    rgb: np.ndarray
+    boxes: tuple[Box, ...]
+    letters: tuple[tuple[str, float, float], ...]
+
+
+class LiveSink:
+    """A sink whose calls cost next to nothing while nobody looks.
+
+    Args:
+        clock: seconds.
+
+    Attributes:
+        moment: the newest; None before anybody looked.
+        shot: the newest image; None while there was none.
+        ticked_s: when the loop last came by, on the clock; None: never.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self.moment: Moment | None = None
+        self.shot: Shot | None = None
+        self.ticked_s: float | None = None
+        self._looked_s = self._boxed_s = -math.inf
+        self._due_s = self._shot_due_s = -math.inf
+        self._trail = Trail(_TRAIL)
+        self._events: tuple[Event, ...] = ()
+        self._n_events = self._n_shots = self._n_ticks = 0
+        self._beat = (0.0, 0, 0.0)  # since when, ticks until then, and the beat before
+
+    # -- for any thread ------------------------------------------------------------------------
+
+    def look(self) -> float:
+        """Somebody looks; the time on the sink's clock."""
+        self._looked_s = self._clock()
+        return self._looked_s
+
+    # -- on the loop's thread ------------------------------------------------------------------
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        now_s = self.ticked_s = self._clock()
+        if result.events:
+            self._n_events += len(result.events)
+            self._events = (*self._events, *result.events)[-MAX_EVENTS:]
+        if result.observation is not None:
+            self._n_ticks += 1
+            self._trail.append(result.now_ns, result.observation.pose)
+        if now_s - self._beat[0] >= _BEAT_S:
+            since_s, ticks, _ = self._beat
+            self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
+        if now_s - self._looked_s > WATCHED_S:
+            return
+        if now_s >= self._due_s:
+            self._due_s = now_s + PERIOD_S
+            self.moment = self._gather(result, now_s)
+        if now_s >= self._shot_due_s:
+            self._shoot(result, now_s)
+
+    def close(self) -> None:
+        """See `edge.loop.result.Sink`."""
+
+    def _gather(self, result: TickResult, now_s: float) -> Moment:
+        choice = result.choice
+        return Moment(
+            at_s=now_s,
+            result=result,
+            mission=result.mission(),
+            instances=result.instances(),
+            candidates=result.candidates(),
+            way=result.way(),
+            layers=result.layers(),
+            health=result.health(),
+            letters={} if choice is None else _letters(choice),
+            trail=self._trail.arrays()[0],
+            beat_hz=self._beat[2],
+            events=self._events,
+            n_events=self._n_events,
+        )
+
+    def _shoot(self, result: TickResult, now_s: float) -> None:
+        """Copy the image that boxes came for, or with none for a while, the newest."""
+        detections, boxes = result.detections, ()
+        if detections is not None:
+            observation, self._boxed_s = detections.observation, now_s
+            boxes = _boxes(detections, result.targets)
+        elif result.observation is not None and now_s - self._boxed_s > _UNBOXED_S:
+            observation = result.observation
+        else:
+            return
+        if observation.rgb is None:
+            return
+        self._shot_due_s = now_s + PERIOD_S
+        stride = -(-max(observation.rgb.shape[:2]) // MAX_SHOT_PX)
+        self._n_shots += 1
+        self.shot = Shot(
+            self._n_shots,
+            np.array(observation.rgb[::stride, ::stride]),
+            boxes,
+            _in_view(observation, result),
+        )
+
+
+def _letters(choice: Choice) -> dict[int, tuple[str, float]]:
+    told = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
+    return {candidate: (letter, p) for candidate, letter, p in told}
+
+
+def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
+    rgb, boxes = detections.observation.rgb, []
+    if rgb is None:
+        return ()
+    height, width = rgb.shape[:2]
+    for told in (detections, detections.around()):
+        if told is not None:
+            shares = (told.xyxy_px / np.float32([width, height, width, height])).tolist()
+            of = zip(told.class_id.tolist(), told.score.tolist(), shares, strict=True)
+            boxes += [(told.prompts[i], score, xyxy) for i, score, xyxy in list(of)[:MAX_BOXES]]
+    return tuple(
+        Box(label, score, is_target(label, targets), tuple(xyxy)) for label, score, xyxy in boxes
+    )
+
+
+def _in_view(observation: Observation, result: TickResult) -> tuple[tuple[str, float, float], ...]:
+    """The letters of directions whose frontiers are still there, where they lie in this image."""
+    camera, choice = observation.camera, result.choice
+    if camera is None or choice is None:
+        return ()
+    letters, there = _letters(choice), result.candidates()
+    lettered = np.isin(there.id, choice.ids) & (there.kind == FRONTIER)
+    marks = visible_marks(observation, there.xy_m[lettered], there.id[lettered])
+    return tuple(
+        (letters[m.id][0], (m.u_px + 0.5) / camera.width_px, (m.v_px + 0.5) / camera.height_px)
+        for m in marks
+    )

@@ -1,0 +1,170 @@
+"""The page, what it asks for, and what it asks the service to do."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from hashlib import blake2b
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+from edge.bus import topics
+from edge.bus.request_queue import RequestQueue
+from edge.bus.verbs import error_of
+from edge.config import Config
+from edge.geometry import Grid
+from edge.host.pages import Forms, Page, Pages
+from edge.live.pictures import grid_of, shot_of
+from edge.live.sink import LiveSink, Moment
+from edge.live.words import MAX_LAYERS, now_of, story_of
+from edge.loop.vitals import Vitals
+
+ANSWER_S = 120.0
+"""How long a request may take: a language model may have to understand it."""
+_LATENCY_TICKS = 300
+_TOO_CLOSE = 50  # the map's value of cells near what is occupied, which the page draws apart
+_FOLDER = Path(__file__).parent / "page"
+_KINDS = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
+_FILES = {
+    "/" if path.name == "index.html" else f"/live/{path.name}": path
+    for path in sorted(_FOLDER.iterdir())
+    if path.suffix in _KINDS
+}
+PUBLIC = tuple(_FILES)
+"""The page itself: it says nothing of the robot."""
+_REQUESTS = (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
+
+
+class LiveView:
+    """Answers the page; but for `sink`, on threads of HTTP's.
+
+    Args:
+        vitals: tell what is amiss, from the start on.
+
+    Attributes:
+        sink: takes the results.
+    """
+
+    def __init__(self, config: Config, vitals: Vitals) -> None:
+        self.sink = LiveSink()
+        self._config, self._vitals = config, vitals
+        self._queues: Mapping[str, RequestQueue] = {}
+        self._hand = threading.Lock()  # one encodes, for all who look
+        self._kept: dict[str, tuple[object, Page]] = {}
+
+    def open(self, queues: Mapping[str, RequestQueue]) -> None:
+        """From now on requests are taken, by key."""
+        self._queues = queues
+
+    def pages(self) -> Pages:
+        """The page, and what it asks for."""
+        layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
+        return {
+            **{path: partial(_file, file) for path, file in _FILES.items()},
+            "/live/now": self._now,
+            "/live/story": self._story,
+            "/live/map": self._map,
+            "/live/camera": self._camera,
+            **layers,
+        }
+
+    def forms(self) -> Forms:
+        """Requests, as over the bus: see `edge.loop.requests`."""
+        return {f"/{key}": partial(self._request, key) for key in _REQUESTS}
+
+    # -- what is told --------------------------------------------------------------------------
+
+    def _now(self) -> Page:
+        now_s = self.sink.look()
+        moment, shot, ticked_s = self.sink.moment, self.sink.shot, self.sink.ticked_s
+        why = self._vitals.amiss()
+        return _json(
+            {
+                "robot": self._config.robot.name,
+                "radius_m": self._config.robot.radius_m,
+                "service": {"state": self._vitals.state, "ready": not why, "why": why},
+                "controls": self._config.http.token_file is not None,
+                "silent_s": None if ticked_s is None else round(now_s - ticked_s, 1),
+                "shot": None if shot is None else shot.seq,
+                "moment": None if moment is None else now_of(moment),
+            }
+        )
+
+    def _story(self) -> Page:
+        moment = self._looked()
+        if moment is None:
+            return _json(None)
+        return _json(story_of(moment, moment.result.latency(last=_LATENCY_TICKS)))
+
+    def _map(self) -> Page:
+        moment = self._looked()
+        if moment is None:
+            return _json(None)
+        return self._grid("map", partial(moment.result.snapshot, inflated=_TOO_CLOSE))
+
+    def _layer(self, index: int) -> Page:
+        moment = self._looked()
+        layers = [] if moment is None else list(moment.layers.items())
+        return self._grid(*layers[index]) if index < len(layers) else _json(None)
+
+    def _camera(self) -> Page:
+        self._looked()
+        if (shot := self.sink.shot) is None:
+            return _json(None)
+        return self._once("camera", shot.seq, lambda: _json(shot_of(shot)))
+
+    def _looked(self) -> Moment | None:
+        self.sink.look()
+        return self.sink.moment
+
+    def _grid(self, name: str, take: Callable[[], Grid]) -> Page:
+        grid = take()
+        said = blake2b(grid.cells, digest_size=8)
+        said.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
+        tag = said.hexdigest()
+        return self._once(name, tag, lambda: _json({"name": name, **grid_of(grid)}, tag))
+
+    def _once(self, name: str, version: object, make: Callable[[], Page]) -> Page:
+        """What is made once for all who ask for the same version."""
+        with self._hand:
+            kept = self._kept.get(name)
+            if kept is None or kept[0] != version:
+                if len(self._kept) > MAX_LAYERS:  # of missions that are over
+                    self._kept.clear()
+                kept = self._kept[name] = version, make()
+            return kept[1]
+
+    # -- what is asked for ---------------------------------------------------------------------
+
+    def _request(self, key: str, body: bytes) -> Page:
+        if key not in self._queues:
+            state = self._vitals.state
+            return Page(error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE)
+        answers: queue.SimpleQueue[tuple[bytes, bool]] = queue.SimpleQueue()
+        self._queues[key].take(body, lambda reply, is_error: answers.put((reply, is_error)))
+        try:
+            reply, is_error = answers.get(timeout=ANSWER_S)
+        except queue.Empty:
+            reply, is_error = error_of(f"not answered within {ANSWER_S:g} s"), True
+        return Page(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
+
+
+_JSON = "application/json"
+
+
+def _json(said: Any, etag: str = "") -> Page:
+    body = json.dumps(said, separators=(",", ":"), allow_nan=False).encode()
+    return Page(body, _JSON, etag=etag)
+
+
+def _file(path: Path) -> Page:
+    return Page(path.read_bytes(), f"{_KINDS[path.suffix]}; charset=utf-8")

@@ -1,0 +1,133 @@
+"""What the page is told, as JSON types: a moment of the sink, and what stays for longer."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge.live.sink import Moment
+from edge.loop.latency import LatencyReport
+from edge.loop.result import MissionFacts
+from edge.loop.status import mission_of
+from edge.policies.base import FRONTIER, INSTANCE
+from edge.report.scene import make_scene
+from edge.text import one_line
+from edge.types import Goal, GoalStatus
+
+MAX_POINTS = 400
+"""Of a way that is drawn."""
+MAX_STEPS = 60
+MAX_LAYERS = 16
+_KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
+_NS = 1e-9
+
+
+def now_of(moment: Moment) -> dict[str, Any]:
+    """What changes all the time: pose, goal, candidates, things."""
+    result, status, pose = moment.result, moment.result.status, moment.result.pose
+    return {
+        "t_s": result.now_ns * _NS,
+        "beat_hz": round(moment.beat_hz, 1),
+        "pose": None if pose is None else _numbers((pose.x_m, pose.y_m, pose.yaw_rad)),
+        "instruction": status.instruction,
+        "phase": status.phase,
+        "reason": status.reason,
+        "target": status.target,
+        "paused": moment.mission.paused,
+        "elapsed_s": round(status.elapsed_s, 1),
+        "path_m": round(status.path_m, 2),
+        "controlled": result.controlled,
+        "goal": None if result.goal is None else _goal(result.goal, result.answer),
+        "way": points(moment.way),
+        "candidates": _candidates(moment),
+        "instances": [
+            {
+                "id": i.id,
+                "label": i.label,
+                "xy_m": _numbers(i.center_m[:2]),
+                "score": _number(i.score),
+                "hits": i.hits,
+                "state": i.state,
+            }
+            for i in moment.instances
+        ],
+    }
+
+
+def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
+    return {
+        "kind": goal.kind,
+        "id": goal.candidate_id,
+        "target": goal.target,
+        "pose": _numbers((goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad)),
+        "candidate_xy_m": _numbers(goal.candidate_xy_m),
+        "score": _number(goal.score),
+        "answer": "" if answer is None else answer.state,
+        "why": "" if answer is None else one_line(answer.reason),
+    }
+
+
+def _candidates(moment: Moment) -> list[dict[str, Any]]:
+    told = []
+    for kind, i, xy_m, score, path_m, blocked in zip(*moment.candidates, strict=True):
+        letter, p = moment.letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
+        told.append(
+            {
+                "kind": _KINDS.get(int(kind), "look"),
+                "id": int(i),
+                "xy_m": _numbers(xy_m),
+                "score": _number(score),
+                "path_m": _number(path_m),
+                "blocked": bool(blocked),
+                "letter": letter,
+                "p": _number(p),
+            }
+        )
+    return told
+
+
+def story_of(moment: Moment, latency: LatencyReport) -> dict[str, Any]:
+    """What changes now and then: mission, way driven, times, log, health."""
+    result, mission = moment.result, moment.mission
+    return {
+        "targets": list(result.targets),
+        "mission": {**mission_of(mission), "warnings": list(mission.brief.warnings)},
+        "automaton": scene_of(mission),
+        "steps": [
+            {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
+            for step in mission.steps[-MAX_STEPS:]
+        ],
+        "trail": points(moment.trail[:, :2]),
+        "layers": list(moment.layers)[:MAX_LAYERS],
+        "latency": latency.as_dict(),
+        "events": [{"t_s": e.now_ns * _NS, "text": e.text} for e in moment.events],
+        "n_events": moment.n_events,
+        "health": moment.health,
+    }
+
+
+def scene_of(mission: MissionFacts) -> dict[str, Any]:
+    """The automaton as a graph: see `edge.report.scene`."""
+    scene = make_scene(mission.brief.automaton, mission.state, mission.plan.steps, mission.word)
+    return {
+        "nodes": [node._asdict() for node in scene.nodes],
+        "arrows": [arrow._asdict() for arrow in scene.arrows],
+        "note": scene.note,
+    }
+
+
+def points(xy_m: np.ndarray) -> list[list[float]]:
+    """(n, 2) places as JSON, of many only some, the last among them."""
+    stride = -(-len(xy_m) // MAX_POINTS) or 1
+    return np.round(xy_m[::-1][::stride][::-1].astype(np.float64), 2).tolist()
+
+
+def _numbers(values: Any) -> list[float | None]:
+    return [_number(value) for value in values]
+
+
+def _number(value: float) -> float | None:
+    """JSON knows no infinity."""
+    return round(float(value), 4) if math.isfinite(value) else None

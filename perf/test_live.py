@@ -1,0 +1,76 @@
+"""What the live view costs: a tick while nobody looks, and what who looks asks for."""
+
+from __future__ import annotations
+
+import base64
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.host.service_manager import ServiceManager
+from edge.live.pictures import JPEG_QUALITY, grid_of, shot_of
+from edge.live.sink import LiveSink, Shot
+from edge.live.view import LiveView
+from edge.loop.vitals import Vitals
+
+STEPS = 60
+
+
+@pytest.fixture(scope="module")
+def closed() -> ClosedLoop:
+    """A robot that has driven for some seconds."""
+    config = parse({"perception": {"detector": {"kind": "sim"}}, "mission": {"target": "bed"}})
+    closed = ClosedLoop(config)
+    for _ in range(STEPS):
+        closed.step()
+    return closed
+
+
+def test_a_tick_that_nobody_looks_at(benchmark, closed):
+    sink, result = LiveSink(), closed.service.result(1, closed.observe())
+    benchmark.extra_info["budget"] = "live_tick_unseen"
+    benchmark(sink.tick, result)
+    assert sink.moment is None
+
+
+def test_a_tick_that_is_looked_at(benchmark, closed):
+    """Gathered anew each time, which a running service does five times a second."""
+    service, observation = closed.service, closed.observe()
+
+    def fresh():
+        sink = LiveSink()
+        sink.look()
+        return (sink, service.result(1, observation)), {}
+
+    benchmark.extra_info["budget"] = "live_tick_seen"
+    benchmark.pedantic(lambda sink, result: sink.tick(result), setup=fresh, rounds=200)
+
+
+def test_what_is_asked_five_times_a_second(benchmark, closed):
+    view = LiveView(closed.config, Vitals(ServiceManager({})))
+    view.sink.look()
+    view.sink.tick(closed.service.result(1, closed.observe()))
+    benchmark.extra_info["budget"] = "live_now"
+    assert len(benchmark(view.pages()["/live/now"]).body) > 500
+
+
+def test_a_map_of_a_house(benchmark, against, closed):
+    """Against OpenCV's own encoder, at the same compression."""
+    grid = closed.service.grid.snapshot(50)
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    against(lambda: cv2.imencode(".png", grid.cells.view(np.uint8), options))
+    benchmark.extra_info["budget"] = "live_map"
+    assert benchmark(grid_of, grid)["png"]
+
+
+def test_an_image(benchmark, against):
+    """Against OpenCV's own encoder and base64, of an image whose colours are as it wants them."""
+    rng = np.random.default_rng(0)
+    rgb = cv2.resize(rng.integers(0, 255, (24, 32, 3), np.uint8), (640, 480))
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    against(lambda: base64.b64encode(cv2.imencode(".jpg", rgb, options)[1]))
+    benchmark.extra_info["budget"] = "live_camera_640x480"
+    assert benchmark(shot_of, Shot(1, rgb, (), ()))["jpeg"]

@@ -1,0 +1,129 @@
+"""Whatever bytes come to the port where requests are posted: what is sound is taken, and all else
+is refused, and the next is answered."""
+
+from __future__ import annotations
+
+import json
+import random
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+from decoders import mutate
+from hypothesis import given
+from hypothesis import strategies as st
+from patience import PATIENCE_S
+from simulated import simulated
+
+from edge.bus.request_queue import RequestQueue
+from edge.bus.verbs import Verb
+from edge.host.credentials import Token
+from edge.host.pages import serve
+from edge.host.service_manager import ServiceManager
+from edge.live.view import LiveView
+from edge.loop.vitals import Vitals
+
+HERE, TOKEN = "127.0.0.1", "a-token-of-the-tests"
+GOOD = b'{"do": "pause"}'
+SEEDS = (
+    GOOD,
+    b'{"do": "new", "instruction": "find the sofa"}',
+    b'{"do": "new", "formula": "F sofa"}',
+    json.dumps({"do": "new", "instruction": "<b>\u202e"}).encode(),
+)
+
+
+class Port:
+    """Attributes:
+    done: what the loop would have been asked to do.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.port, self.done = port, list[str]()
+
+    def head(self, length: int, token: str = TOKEN) -> bytes:
+        return (
+            f"POST /mission/request HTTP/1.1\r\nHost: {HERE}\r\nConnection: close\r\n"
+            f"Authorization: Bearer {token}\r\nContent-Type: application/json\r\n"
+            f"Content-Length: {length}\r\n\r\n"
+        ).encode()
+
+    def say(self, request: bytes) -> bytes:
+        """All that is answered; whoever says no more is told so at once."""
+        with socket.create_connection((HERE, self.port), PATIENCE_S) as sock:
+            answer = b""
+            with suppress(ConnectionResetError, BrokenPipeError):
+                sock.sendall(request)
+                sock.shutdown(socket.SHUT_WR)
+                while part := sock.recv(1 << 16):
+                    answer += part
+        return answer
+
+    def lives(self) -> None:
+        answer = self.say(self.head(len(GOOD)) + GOOD)
+        assert answer.startswith(b"HTTP/1.1 200 "), answer
+        assert self.done.pop() == "pause"
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[Port]:
+    view = LiveView(simulated({"mission": {"target": "bed"}}), Vitals(ServiceManager({})))
+    with serve(
+        view.pages(), HERE, 0, Token(TOKEN.encode()), forms=view.forms(), public=("/",)
+    ) as number:
+        there = Port(number)
+
+        def handle(request, now_ns):
+            there.done.append(request.do)
+            return {}
+
+        verbs = {"new": Verb(("instruction", "formula")), "pause": Verb(stops=True)}
+        queue = RequestQueue("x", verbs, handle)
+        view.open({"mission/request": _Served(queue)})
+        yield there
+        queue.close()
+
+
+class _Served:
+    """A queue whose loop comes by right after each query."""
+
+    def __init__(self, queue: RequestQueue) -> None:
+        self._queue = queue
+
+    def take(self, payload, reply) -> None:
+        self._queue.take(payload, reply)
+        self._queue.serve(0)
+
+
+def test_nothing_at_all_is_no_trouble(port):
+    assert port.say(b"") == b""
+    port.lives()
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_do_nothing(port, request):
+    port.say(request)
+    port.say(b"POST /mission/request HTTP/1.1\r\n" + request)
+    assert port.done == []
+    port.lives()
+
+
+@given(st.sampled_from(SEEDS), st.randoms(use_true_random=False))
+def test_changed_bodies_are_answered_in_json(port, seed, chance):
+    body = mutate(seed, chance)
+    answer = port.say(port.head(len(body)) + body)
+    head, _, said = answer.partition(b"\r\n\r\n")
+    status = int(head.split()[1])
+    assert status in ((200, 409) if body else (409,))
+    assert ("error" in json.loads(said)) == (status == 409)
+    port.done.clear()
+    port.lives()
+
+
+@given(st.sampled_from(SEEDS), st.randoms(use_true_random=False))
+def test_changed_requests_do_nothing_without_the_token(port, seed, chance):
+    head = mutate(port.head(len(seed), "not-the-token-at-all"), random.Random(chance.random()))
+    port.say(head + seed)
+    assert port.done == []
+    port.lives()

@@ -1,0 +1,215 @@
+"""The page in a real browser, before a robot that really drives in a simulated house."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+from chromium import Tab, open_chromium
+from live_house import HERE, TOKEN, House, open_house
+from simulated import simulated
+
+from edge.host.pages import serve
+from edge.host.service_manager import ServiceManager
+from edge.live.view import LiveView
+from edge.loop.vitals import Vitals
+
+SLOWLY = {"max_speed_mps": 0.15}
+INSTRUCTION = "find the <b>sofa</b>"
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Tab]:
+    with open_chromium() as tab:
+        tab.size(1400, 900)
+        yield tab
+
+
+@pytest.fixture
+def house() -> Iterator[House]:
+    with open_house(robot=SLOWLY) as house:
+        yield house
+
+
+@pytest.fixture
+def page(tab, house) -> Tab:
+    """The page, before somebody who knows the token."""
+    tab.open(house.url)
+    tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
+    tab.asked.clear()
+    tab.open(house.url)
+    tab.complaints.clear()
+    tab.says("#phase", "SEARCHING")
+    return tab
+
+
+def painted(tab: Tab, canvas: str) -> int:
+    """How many colours a canvas shows."""
+    return tab.run(
+        f"""(() => {{
+          const c = document.getElementById("{canvas}");
+          const {{ data }} = c.getContext("2d").getImageData(0, 0, c.width, c.height);
+          return new Set(new Uint32Array(data.buffer)).size;
+        }})()"""
+    )
+
+
+def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
+    page.says("#english", "bed")
+    page.says("#health", "running, ready")
+    page.says("#latency", "tick")
+    page.says("#log", "target: bed")
+    page.until("document.querySelectorAll('#automaton circle').length >= 3")
+    for canvas in ("map", "camera"):
+        page.until(f"document.getElementById('{canvas}').width > 300")
+    assert painted(page, "map") > 20
+    assert painted(page, "camera") > 100
+    assert {urlsplit(url).netloc for url in page.asked} - {""} == {f"127.0.0.1:{house.port}"}
+    assert page.complaints == []
+
+
+def test_while_the_service_starts_it_says_what_it_is_at(tab):
+    vitals = Vitals(ServiceManager({}))
+    view = LiveView(simulated({"mission": {"target": "bed"}}), vitals)
+    vitals.starting("loading the detector")
+    with serve(view.pages(), HERE, 0) as port:
+        tab.open(f"http://{HERE}:{port}/")
+        tab.says("#banner", "Starting: loading the detector")
+        assert tab.text("#phase") == "STARTING"
+
+
+def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
+    page.until("document.getElementById('layer').options.length > 1")
+    page.run(
+        "(() => { const s = document.getElementById('layer'); s.value = 'looked at';"
+        " s.dispatchEvent(new Event('change')); })()"
+    )
+    page.until(
+        # Yellow, of what was looked at well, over what is free.
+        """(() => {
+          const c = document.getElementById("map");
+          const { data } = c.getContext("2d").getImageData(0, 0, c.width, c.height);
+          let n = 0;
+          for (let i = 0; i < data.length; i += 4)
+            n += data[i] - data[i + 1] < 30 && data[i] - data[i + 2] > 90;
+          return n > 200;
+        })()"""
+    )
+    assert page.complaints == []
+
+
+def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
+    page.click("#pause")
+    page.says("#phase", "PAUSED")
+    page.says("#banner", "Paused: the robot stands")
+    assert house.service.mission.paused
+    assert house.service.goal is None
+    page.says("#pause", "Resume")
+    page.click("#pause")
+    page.says("#phase", "SEARCHING")
+    assert not house.service.mission.paused
+
+
+def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
+    page.click("#new")
+    page.type("#words", "find the sofa")
+    page.click("#new-ok")
+    page.until("!document.getElementById('new-dialog').open")
+    page.says("#instruction", "find the sofa")
+    assert house.service.mission.brief.targets == ("sofa",)
+
+
+def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
+    page.click("#new")
+    page.type("#words", INSTRUCTION)
+    page.click("#new-ok")
+    page.until("!document.getElementById('new-error').hidden")
+    assert page.run("document.querySelector('#new-error b')") is None
+    assert house.service.mission.brief.targets == ("bed",)
+
+
+def test_cancelling_takes_two_clicks(page, house):
+    page.click("#cancel")
+    page.says("#cancel", "Really?")
+    assert not house.service.mission.done
+    page.click("#cancel")
+    page.says("#phase", "FAILED")
+    page.says("#reason", "cancelled")
+    assert house.service.mission.done
+
+
+def test_what_is_seen_is_approached_and_reached(tab):
+    with open_house(token=None, mission={"target": "sofa"}) as house:
+        tab.open(house.url)
+        tab.says("#phase", "APPROACHING")
+        tab.says("#phase", "REACHED")
+        assert house.service.status.phase == "reached"
+
+
+def test_without_sensors_it_says_what_to_look_at(page, house):
+    house.robot.blind = True
+    page.says("#banner", "Not ready: nothing to be seen")
+    page.says("#camera-note", "no new image for")
+    house.robot.blind = False
+    page.until("document.getElementById('banner').hidden")
+
+
+def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):
+    house.brittle.broken = True
+    page.says("#banner", "the loop is degraded")
+    page.says("#banner", "<b>broken</b>")
+    page.says("#log", "<b>broken</b>")
+    assert page.run("document.querySelectorAll('#banner b, #log b, #health b').length") == 0
+    house.brittle.broken = False
+    page.until("document.getElementById('banner').hidden")
+
+
+def test_a_service_that_has_gone_was_last_seen(tab):
+    with open_house(token=None) as house:
+        tab.open(house.url)
+        tab.says("#phase", "SEARCHING")
+    tab.says("#banner", "does not answer: last seen")
+    tab.says("#phase", "NO ANSWER")
+
+
+def test_without_a_token_nothing_can_be_done(tab):
+    with open_house(token=None, robot=SLOWLY) as house:
+        tab.open(house.url)
+        tab.says("#phase", "SEARCHING")
+        assert tab.run("document.getElementById('controls').hidden")
+        assert "http.token_file" in tab.text("#readonly")
+
+
+def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
+    tab.open(house.url)
+    tab.run("sessionStorage.clear()")
+    tab.open(house.url)
+    tab.until("document.getElementById('token-dialog').open")
+    assert tab.text("#phase") == "CONNECTING"
+    for said, shown in (("a-wrong-one-of-these", False), (TOKEN, True)):
+        tab.type("#token", said)
+        tab.click("#token-ok")
+        if shown:
+            tab.says("#phase", "SEARCHING")
+        else:
+            tab.until("!document.getElementById('token-error').hidden")
+    assert TOKEN not in tab.run("document.documentElement.outerHTML")
+
+
+def test_a_model_that_is_not_there_is_refused_in_a_line(page):
+    page.type("#model", "no-such-model")
+    page.click("#use")
+    page.says("#toast", "no-such-model")
+
+
+def test_the_map_follows_the_robot_until_it_is_dragged(page):
+    page.click("#follow")
+    pressed = "document.getElementById('follow').getAttribute('aria-pressed')"
+    assert page.run(pressed) == "true"
+    page.click("#zoom-in")
+    assert page.run(pressed) == "true"
+    mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+    for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=300, **mouse)
+    assert page.run(pressed) == "false"

@@ -1,0 +1,138 @@
+"""What the sink keeps, and what it costs nobody who does not look."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from results import observation, result
+
+from edge.geometry import SE2, CameraModel
+from edge.live.sink import MAX_EVENTS, MAX_SHOT_PX, PERIOD_S, WATCHED_S, LiveSink
+from edge.loop.result import Event, ScoredCandidates
+from edge.perception.choice.question import Choice
+from edge.policies.base import FRONTIER, INSTANCE
+from edge.types import ContextBoxes, Detections, Observation
+
+DEAR = ("mission", "instances", "candidates", "way", "layers", "health")
+CAMERA = CameraModel.from_hfov(40, 30, 1.2)
+T_BASE_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def sink(clock) -> LiveSink:
+    return LiveSink(clock)
+
+
+def seen(rgb: np.ndarray, **fields: Any) -> Observation:
+    return replace(observation(1), rgb=rgb, camera=CAMERA, T_base_camera=T_BASE_CAMERA, **fields)
+
+
+def test_before_the_first_tick_there_is_nothing(sink):
+    assert (sink.moment, sink.shot, sink.ticked_s) == (None, None, None)
+    sink.look()
+    sink.close()
+    assert sink.moment is None
+
+
+def test_while_nobody_looks_nothing_dear_is_asked_for(sink, clock):
+    dear = {name: lambda: pytest.fail("gathered for nobody") for name in DEAR}
+    rgb = np.zeros((30, 40, 3), np.uint8)
+    sink.tick(result(observation=seen(rgb), **dear))
+    assert (sink.moment, sink.shot) == (None, None)
+    assert sink.ticked_s == clock.now_s
+    sink.look()
+    clock.now_s += WATCHED_S + 0.1
+    sink.tick(result(**dear))
+
+
+def test_for_who_looks_it_gathers_once_a_period(sink, clock):
+    sink.look()
+    gathered = []
+    for _ in range(11):
+        sink.tick(result(health=lambda: gathered.append(clock.now_s) or {}))
+        clock.now_s += PERIOD_S / 5
+    assert len(gathered) == 3
+    assert sink.moment.at_s == gathered[-1]
+
+
+def test_the_way_driven_events_and_beat_are_known_whenever_one_comes(sink, clock):
+    for i in range(50):
+        pose = SE2(0.1 * i, 0.0, 0.0).matrix()
+        sink.tick(result(i, observation=replace(observation(i), T_map_base=pose)))
+        clock.now_s += 0.1
+    for i in range(MAX_EVENTS):
+        sink.tick(result(events=(Event(i, f"a{i}"), Event(i, f"b{i}"))))
+    sink.look()
+    sink.tick(result())
+    moment = sink.moment
+    np.testing.assert_allclose(moment.trail[:, 0], 0.1 * np.arange(50))
+    assert (len(moment.events), moment.n_events) == (MAX_EVENTS, 2 * MAX_EVENTS)
+    assert moment.events[-1].text == f"b{MAX_EVENTS - 1}"
+    assert moment.beat_hz == pytest.approx(10.0, rel=0.2)
+
+
+def test_an_image_is_a_copy_and_a_large_one_is_thinned(sink):
+    sink.look()
+    rgb = np.zeros((2 * MAX_SHOT_PX, 30, 3), np.uint8)
+    sink.tick(result(observation=seen(rgb)))
+    rgb[:] = 255
+    assert sink.shot.rgb.shape == (MAX_SHOT_PX, 15, 3)
+    assert sink.shot.rgb.max() == 0
+    assert sink.shot.boxes == ()
+
+
+def test_boxes_come_with_the_image_that_they_were_found_in(sink):
+    sink.look()
+    found, newest = (seen(np.full((30, 40, 3), v, np.uint8)) for v in (7, 9))
+    around = ContextBoxes(
+        np.array([[0, 0, 40, 30]], np.float32), np.ones(1, np.float32), np.zeros(1, np.int32),
+        ("rug",),
+    )  # fmt: skip
+    detections = Detections(
+        found, np.array([[10, 15, 20, 30]], np.float32), np.array([0.5], np.float32),
+        np.zeros(1, np.int32), ("chair",), context=around,
+    )  # fmt: skip
+    sink.tick(result(observation=newest, detections=detections))
+    assert sink.shot.rgb.max() == 7
+    chair, rug = sink.shot.boxes
+    assert (chair.label, chair.wanted, chair.xyxy) == ("chair", True, (0.25, 0.5, 0.5, 1.0))
+    assert (rug.label, rug.wanted, rug.xyxy) == ("rug", False, (0.0, 0.0, 1.0, 1.0))
+
+
+def test_without_a_camera_there_is_no_image(sink):
+    sink.look()
+    sink.tick(result(observation=observation(1)))
+    assert sink.shot is None
+    assert sink.moment is not None
+
+
+def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
+    """Two metres ahead; what the model was asked about besides is gone, or out of view."""
+    sink.look()
+    there = ScoredCandidates(
+        np.array([FRONTIER, FRONTIER, INSTANCE], np.int8), np.array([5, 6, 7]),
+        np.array([[2, 0], [-2, 0], [2, 0]], np.float32), np.ones(3, np.float32),
+        np.ones(3, np.float32), np.zeros(3, np.bool_),
+    )  # fmt: skip
+    choice = Choice(1, "chair", (9, 5, 6, 7), np.array([0.1, 0.2, 0.3, 0.4], np.float32), 0.0, 1.0)
+    rgb = np.zeros((30, 40, 3), np.uint8)
+    sink.tick(result(observation=seen(rgb), choice=choice, candidates=lambda: there))
+    ((letter, u, v),) = sink.shot.letters
+    assert (letter, u) == ("B", pytest.approx(0.5, abs=0.02))
+    assert 0.5 < v < 1.0
+    assert sink.moment.letters[6] == ("C", pytest.approx(0.3))

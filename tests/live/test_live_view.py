@@ -1,0 +1,180 @@
+"""What the page is told: JSON whatever the service says, pictures when they changed."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from live_house import TOKEN
+from results import observation, result
+from simulated import simulated
+
+from edge.bus.request_queue import RequestQueue
+from edge.bus.verbs import Verb
+from edge.geometry import SE2, Grid
+from edge.host.service_manager import ServiceManager
+from edge.live.view import PUBLIC, LiveView
+from edge.live.words import MAX_LAYERS, MAX_POINTS, points
+from edge.loop.result import Event, ScoredCandidates
+from edge.loop.vitals import Vitals
+from edge.types import Goal, GoalStatus, Instance, MissionStatus
+
+EVIL = "<script>\u202e\ud800'\"&\x1b[31m"
+HEALTH = {
+    "loop": {"state": "ok", "failed": 0, "last_error": EVIL}, "checkpoint": None,
+    "detector": {"model": EVIL, "state": "ok"}, "swap": {}, "scorers": {},
+}  # fmt: skip
+
+
+@pytest.fixture
+def view() -> LiveView:
+    return LiveView(simulated({"mission": {"target": "chair"}}), Vitals(ServiceManager({})))
+
+
+def told(view: LiveView, path: str):
+    page = view.pages()[path]()
+    assert page.kind == "application/json"
+    return json.loads(page.body)
+
+
+def full() -> dict:
+    """A tick in which everything there can be is there, with words of others."""
+    found = Instance(
+        1, EVIL, np.array([1, 2, 3], np.float32), np.ones((1, 3), np.float32), 0.5, 3, 0, 0
+    )
+    scored = ScoredCandidates(
+        np.zeros(2, np.int8), np.arange(2), np.ones((2, 2), np.float32),
+        np.array([0.5, math.nan], np.float32), np.array([1.0, math.inf], np.float32),
+        np.zeros(2, np.bool_),
+    )  # fmt: skip
+    goal = Goal(1, SE2(1, 2, 0.5), "frontier", 0, (1.5, 2.0), math.inf, EVIL)
+    return {
+        "status": MissionStatus("chair", "searching", EVIL, instruction=EVIL),
+        "observation": observation(1), "pose": SE2(1, 2, 3), "goal": goal,
+        "answer": GoalStatus(1, "failed", EVIL), "events": (Event(1, EVIL),),
+        "instances": lambda: [found], "candidates": lambda: scored,
+        "way": lambda: np.ones((5000, 2), np.float32), "health": lambda: HEALTH,
+        "layers": lambda: {"value of chair": lambda: Grid(np.full((2, 3), 9, np.uint8), (0, 0), 1)},
+    }  # fmt: skip
+
+
+def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view):
+    view._vitals.starting("compiling")
+    now = told(view, "/live/now")
+    assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
+    assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
+    for path in ("story", "map", "camera", "layers/0"):
+        assert told(view, f"/live/{path}") is None
+    answer = view.forms()["/mission/request"](b'{"do": "pause"}')
+    assert (int(answer.status), json.loads(answer.body)) == (
+        503, {"error": "the service is starting"},
+    )  # fmt: skip
+
+
+def test_the_page_itself_is_public_and_nothing_else_is(view):
+    html = view.pages()["/"]().body.decode()
+    for path in PUBLIC:
+        assert path == "/" or path.startswith("/live/")
+        assert view.pages()[path]().body
+    assert {path for path in view.pages() if "." in path} == set(PUBLIC) - {"/"}
+    assert "http" not in html.replace("http.token_file", "")
+
+
+def test_whatever_is_said_is_json_without_infinities(view):
+    view.sink.look()
+    view.sink.tick(result(**full()))
+    moment, story = told(view, "/live/now")["moment"], told(view, "/live/story")
+    assert moment["instances"][0]["label"] == EVIL
+    assert moment["goal"]["score"] is None
+    assert [c["score"] for c in moment["candidates"]] == [0.5, None]
+    assert [c["path_m"] for c in moment["candidates"]] == [1.0, None]
+    assert len(moment["way"]) <= MAX_POINTS
+    assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
+    assert story["layers"] == ["value of chair"]
+    assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
+
+
+def test_the_map_is_made_again_when_it_has_changed(view):
+    grids = [np.array([[-1, 0], [50, 100]], np.int8)] * 2 + [np.array([[-1, 0]], np.int8)]
+    taken = iter(grids)
+    view.sink.look()
+    view.sink.tick(result(snapshot=lambda inflated: Grid(next(taken), (-1.0, 2.0), 0.05)))
+    first, second, third = (view.pages()["/live/map"]() for _ in grids)
+    assert first is second
+    assert first.etag == second.etag != third.etag
+    said = json.loads(first.body)
+    assert (said["origin_xy_m"], said["resolution_m"], said["size"]) == ([-1.0, 2.0], 0.05, [2, 2])
+    png = np.frombuffer(base64.b64decode(said["png"]), np.uint8)
+    assert cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).tolist() == [[255, 0], [50, 100]]
+
+
+def test_layers_are_told_by_their_place_and_there_may_be_none(view):
+    view.sink.look()
+    view.sink.tick(result(**full()))
+    layer = told(view, "/live/layers/0")
+    assert (layer["name"], layer["size"]) == ("value of chair", [3, 2])
+    assert told(view, f"/live/layers/{MAX_LAYERS - 1}") is None
+
+
+def test_of_very_many_layers_those_are_named_that_can_be_had(view):
+    view.sink.look()
+    grid = Grid(np.ones((1, 1), np.uint8), (0, 0), 1)
+    layers = {f"value of {i}": lambda: grid for i in range(2 * MAX_LAYERS)}
+    view.sink.tick(result(**{**full(), "layers": lambda: layers}))
+    named = told(view, "/live/story")["layers"]
+    assert [told(view, f"/live/layers/{i}")["name"] for i in range(len(named))] == named
+    assert len(named) == sum(path.startswith("/live/layers/") for path in view.pages())
+
+
+def test_an_empty_map_has_no_picture(view):
+    view.sink.look()
+    empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05)
+    view.sink.tick(result(snapshot=lambda inflated: empty))
+    assert told(view, "/live/map")["png"] == ""
+
+
+@pytest.mark.parametrize("n", [0, 1, MAX_POINTS, MAX_POINTS + 1, 5 * MAX_POINTS + 3])
+def test_of_a_long_way_some_points_are_drawn_the_last_among_them(n):
+    xy_m = np.arange(2.0 * n).reshape(n, 2)
+    drawn = points(xy_m)
+    assert len(drawn) <= MAX_POINTS
+    assert drawn[-1:] == xy_m[-1:].tolist()
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "answer"),
+    [
+        (b"", 409, {"error": "not JSON"}),
+        (b'{"do": "stop"}', 409, {"error": "do: unknown 'stop' (choices: pause)"}),
+        (b'{"do": "pause"}', 200, {"did": "pause"}),
+    ],
+)
+def test_a_request_is_answered_as_over_the_bus(view, body, status, answer):
+    queue = RequestQueue("x", {"pause": Verb()}, lambda request, now_ns: {"did": request.do})
+    view.open({"mission/request": Served(queue)})
+    page = view.forms()["/mission/request"](body)
+    assert (int(page.status), json.loads(page.body)) == (status, answer)
+    queue.close()
+    page = view.forms()["/mission/request"](body)
+    assert json.loads(page.body) == {"error": "the service is stopping"}
+
+
+class Served:
+    """A queue whose loop comes by right after each query."""
+
+    def __init__(self, queue: RequestQueue) -> None:
+        self._queue = queue
+
+    def take(self, payload, reply) -> None:
+        self._queue.take(payload, reply)
+        RequestQueue.serve(self._queue, 0)
+
+
+def test_whether_there_are_controls_is_told(view):
+    assert told(view, "/live/now")["controls"] is False
+    config = simulated({"mission": {"target": "chair"}, "http": {"token_file": TOKEN}})
+    assert told(LiveView(config, Vitals(ServiceManager({}))), "/live/now")["controls"] is True
