@@ -97,7 +97,8 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _run(args: argparse.Namespace) -> int:
-    stop = stop_on_signals()  # first of all: it takes seconds to import what follows
+    # First of all: it takes seconds to import what follows.
+    stop = stop_on_signals(args.with_parent)
     hung_up = reload_on_hang_up()
     from edge.cli.commands import Reload, run_service
 

@@ -1,0 +1,220 @@
+"""`edge soak`: run all, make faults, watch, judge."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import threading
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from edge.config import load
+from edge.errors import FAILED, FileError, Stopped, UserError
+from edge.eval.soak import page
+from edge.eval.soak.faults import Fault, chosen
+from edge.eval.soak.holds import When
+from edge.eval.soak.missions import Missions
+from edge.eval.soak.record import Record, of, verdict
+from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, none_reached
+from edge.eval.soak.stage import Stage, staged
+from edge.eval.soak.watch import Watch
+from edge.host.machine import describe, summary
+from edge.host.signals import stop_on_signals
+
+log = logging.getLogger("edge.eval.soak")
+
+_STEP_S = 0.1
+_LOOK_S = 1.0
+_WARM_UP_S = 10.0
+_CALM_S = (3.0, 9.0)
+_SETTLES_S = 3.0  # after a fault, what is watched is not yet as without one
+
+
+def run(args: argparse.Namespace) -> int:
+    """Handle `edge soak`; the exit code, see `edge.errors`.
+
+    Raises:
+        UserError: it cannot be begun: the configuration, the faults, the folder, the service.
+    """
+    stop = stop_on_signals()
+    config = load(args.config)
+    faults = chosen(config, args.faults.split(",") if args.faults is not None else None)
+    _make_empty(args.out)
+    out = args.out.resolve()
+    record = Record(out / "record.jsonl")
+    with closing(record), closing(Stage(staged(config, out), out, stop)) as stage:
+        soak = Soak(stage, record, faults, args.seed, 60.0 * args.minutes)
+        try:
+            stage.start()
+            soak.run(stop)
+        except Stopped:
+            log.info("stopped before all had started")
+            return os.EX_OK
+        soak.conclude()
+    print(page.write(record.rows, out, summary(describe())))
+    print(verdict(record.rows))
+    return FAILED if of(record.rows, "broken") else os.EX_OK
+
+
+def _make_empty(folder: Path) -> None:
+    """
+    Raises:
+        FileError: it cannot be made, or has something in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise FileError(f"--out {folder}: there is something in it; name another folder")
+    except OSError as error:
+        raise FileError(f"--out {folder}: {error.strerror}") from None
+
+
+class Soak:
+    """One run."""
+
+    def __init__(
+        self, stage: Stage, record: Record, faults: Sequence[Fault], seed: int, lasts_s: float
+    ) -> None:
+        self._stage, self._record, self._faults = stage, record, faults
+        self._drawn, self._worded = map(
+            np.random.default_rng, np.random.SeedSequence(seed).spawn(2)
+        )
+        self._lasts_s = lasts_s
+        self._told: set[str] = set()
+        record.add("begin", seed=seed, minutes=lasts_s / 60.0, faults=[f.name for f in faults],
+                   config=stage.config.model_dump(mode="json"))  # fmt: skip
+
+    def run(self, stop: threading.Event) -> None:
+        """Until its time is over, `stop` is set or there is nothing to go on with."""
+        self._watch = Watch(self._stage)
+        self._missions = Missions(self._stage, self._watch, self._worded)
+        self._record.began_s = time.monotonic()
+        ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
+        with closing(self._all_faults(ends_s)) as faults:
+            while not stop.is_set() and time.monotonic() < ends_s:
+                self._stage.relay.step()
+                self._stage.log.poll()
+                next(faults)
+                if (end := self._missions.step()) is not None:
+                    self._record.add("mission", **end)
+                if time.monotonic() >= look_s:
+                    look_s = max(look_s + _LOOK_S, time.monotonic())
+                    if self._look():
+                        return
+                stop.wait(_STEP_S)
+
+    def _look(self) -> bool:
+        """Take a sample and hold the rules against it; whether there is no going on."""
+        sample = self._watch.look()
+        self._record.add("sample", calm=self._watch.calm, **sample)
+        for rule in RULES:
+            if why := rule.broken(self._stage, self._watch, sample):
+                self._break(rule.name, why)
+                if rule.ends:
+                    return True
+        return False
+
+    def _break(self, rule: str, why: str, once: bool = True) -> None:
+        if once and rule in self._told:
+            return
+        self._told.add(rule)
+        log.error("broken: %s: %s", rule, why)
+        self._record.add("broken", rule=rule, why=why)
+
+    # -- faults ---------------------------------------------------------------------------------
+
+    def _all_faults(self, ends_s: float) -> Generator[None, None, None]:
+        """Round after round of all faults, each round in another order; to be asked for the next
+        step again and again."""
+        yield from self._pause(_WARM_UP_S)
+        while True:
+            for k in self._drawn.permutation(len(self._faults)):
+                fault = self._faults[k]
+                longest_s = fault.lasts_s[1] + fault.within_s
+                if time.monotonic() + longest_s < ends_s:
+                    yield from self._one(fault)
+                yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+
+    def _pause(self, lasts_s: float) -> Iterator[None]:
+        until_s = time.monotonic() + lasts_s
+        while time.monotonic() < until_s:
+            yield
+
+    def _one(self, fault: Fault) -> Iterator[None]:
+        """Make a fault, end it, wait until all is well again."""
+        lasts_s = float(self._drawn.uniform(*fault.lasts_s))
+        watch, began_s = self._watch, time.monotonic()
+        watch.calm, watch.mutes = False, fault.mutes
+        shown = [""] * len(fault.shows)
+        made = fault.make(self._stage, self._drawn)
+        log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
+        unshown = list(fault.shows)
+        why = ""
+        try:
+            while time.monotonic() - began_s < lasts_s:
+                next(made)
+                when = When(began_s, began_s)
+                unshown = [hold for hold in unshown if hold(self._stage, watch, when)]
+                yield
+            shown = [hold(self._stage, watch, When(began_s, began_s)) for hold in unshown]
+            made.close()
+        except UserError as error:
+            why = f"it could not be made: {error}"
+        finally:
+            made.close()
+            watch.mutes = False
+        ended_s = watch.muted_s = time.monotonic()
+        why = why or "; ".join(filter(None, shown))
+        after = ""
+        if not why:
+            when = When(began_s, ended_s)
+            while after := self._unwell(fault, when):
+                if time.monotonic() - ended_s > fault.within_s:
+                    why = f"{fault.within_s:g} s after: {after}"
+                    break
+                yield
+        recovered_s = time.monotonic() - ended_s
+        self._record.add("fault", name=fault.name, began_s=round(began_s - self._record.began_s, 2),
+                         lasted_s=round(ended_s - began_s, 2), recovered_s=round(recovered_s, 2),
+                         broken=why)  # fmt: skip
+        if why:
+            self._break(f"fault {fault.name}", why, once=False)
+        yield from self._pause(_SETTLES_S)
+        watch.calm = True
+
+    def _unwell(self, fault: Fault, when: When) -> str:
+        """What does not hold (yet) after a fault, the first of it."""
+        for hold in fault.after:
+            if why := hold(self._stage, self._watch, when):
+                return why
+        return ""
+
+    # -- the end --------------------------------------------------------------------------------
+
+    def conclude(self) -> None:
+        """Judge the whole run, and have the service end."""
+        ran_s = time.monotonic() - self._record.began_s
+        samples = of(self._record.rows, "sample")
+        for growth in GROWTHS:
+            slope = grown(growth, samples)
+            if slope is not None:
+                self._record.add("growth", name=growth.name, unit=growth.unit,
+                                 most_per_h=growth.most_per_h, **slope._asdict())  # fmt: skip
+            if why := grows(growth, slope):
+                self._break(growth.name, why)
+        if why := none_reached(self._missions.ended, ran_s):
+            self._break("missions", why)
+        self._stage.look_at_family()
+        code = self._stage.stop_service()
+        if code != os.EX_OK:
+            self._break("service ends", "not within its time" if code is None else f"with {code}")
+        if left := self._stage.orphans():
+            names = ", ".join(process.command[:60] for process in left)
+            self._break("no child is left", f"{len(left)} of the service's: {names}")
+        self._record.add("end", faults=len(of(self._record.rows, "fault")),
+                         missions=len(self._missions.ended))  # fmt: skip
