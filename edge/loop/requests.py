@@ -76,8 +76,10 @@ def handle_mission(service: Service, request: Request, now_ns: int) -> dict:
     elif request.do == "cancel":
         mission.fail("cancelled", now_ns)
     elif request.do in ("pause", "resume"):
-        mission.pause(request.do == "pause")
-        service.event(f"mission: {request.do}d", now_ns)
+        paused = request.do == "pause"
+        if paused != mission.paused:  # who asks a hundred times a second is told of once
+            mission.pause(paused)
+            service.event(f"mission: {request.do}d", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {**answer_of(service.status, facts_of(service.mission)), **overtaken}
 
