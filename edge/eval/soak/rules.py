@@ -100,6 +100,7 @@ class Growth:
     Attributes:
         who: `service` or `model`, of a sample; `key`: of that.
         most_per_h: it may surely not grow by more.
+        settles: nor, in a run too short for that, by more than this in all.
     """
 
     name: str
@@ -107,15 +108,16 @@ class Growth:
     key: str
     unit: str
     most_per_h: float
+    settles: float
 
 
 GROWTHS: tuple[Growth, ...] = (
-    Growth("memory of the service", "service", "memory_mb", "MB", 20.0),
-    Growth("memory of the model's process", "model", "memory_mb", "MB", 20.0),
-    Growth("threads of the service", "service", "threads", "threads", 2.0),
-    Growth("threads of the model's process", "model", "threads", "threads", 2.0),
-    Growth("descriptors of the service", "service", "descriptors", "descriptors", 2.0),
-    Growth("descriptors of the model's process", "model", "descriptors", "descriptors", 2.0),
+    Growth("memory of the service", "service", "memory_mb", "MB", 20.0, 100.0),
+    Growth("memory of the model's process", "model", "memory_mb", "MB", 20.0, 100.0),
+    Growth("threads of the service", "service", "threads", "threads", 2.0, 8.0),
+    Growth("threads of the model's process", "model", "threads", "threads", 2.0, 8.0),
+    Growth("descriptors of the service", "service", "descriptors", "descriptors", 2.0, 8.0),
+    Growth("descriptors of the model's process", "model", "descriptors", "descriptors", 2.0, 8.0),
 )
 """The interval's lower bound is held against these: what is not known to grow is no fault; the page
 says how small a growth would have shown."""
@@ -133,13 +135,14 @@ def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
     return slope_of(tuple(np.array(life).T) for life in lives.values())  # type: ignore[misc]
 
 
-def grows(growth: Growth, slope: Slope | None) -> str:
-    """Why it surely grows by more than it may; empty where that is not known."""
-    if slope is None or slope.low <= growth.most_per_h:
+def grows(growth: Growth, slope: Slope | None, ran_s: float) -> str:
+    """Why it surely grows by more than it may in such a run; empty where that is not known."""
+    most_per_h = max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
+    if slope is None or slope.low <= most_per_h:
         return ""
     return (
-        f"{slope.per_h:+.1f} {growth.unit}/h, surely over {slope.low:.1f}; at most "
-        f"{growth.most_per_h:g}"
+        f"{slope.per_h:+.1f} {growth.unit}/h, surely over {slope.low:.1f}; in "
+        f"{ran_s / 60.0:.0f} min at most {most_per_h:.0f}"
     )
 
 

@@ -205,7 +205,7 @@ class Soak:
             if slope is not None:
                 self._record.add("growth", name=growth.name, unit=growth.unit,
                                  most_per_h=growth.most_per_h, **slope._asdict())  # fmt: skip
-            if why := grows(growth, slope):
+            if why := grows(growth, slope, ran_s):
                 self._break(growth.name, why)
         if why := none_reached(self._missions.ended, ran_s):
             self._break("missions", why)

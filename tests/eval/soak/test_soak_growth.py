@@ -62,13 +62,20 @@ def samples(values, pid=1, calm=True):
 
 
 @pytest.mark.parametrize(
-    ("per_h", "noise", "broken"),
-    [(0.0, 0.1, False), (19.0, 0.0, False), (60.0, 0.1, True), (60.0, 400.0, False)],
-    ids=["still", "within", "grows", "nobody can tell"],
+    ("per_h", "noise", "ran_h", "broken"),
+    [
+        (0.0, 0.1, 10.0, False),
+        (19.0, 0.0, 10.0, False),
+        (60.0, 0.1, 10.0, True),
+        (60.0, 400.0, 10.0, False),
+        (60.0, 0.1, 0.5, False),
+        (300.0, 0.1, 0.5, True),
+    ],
+    ids=["still", "within", "grows", "nobody can tell", "settles", "more than settles"],
 )
-def test_what_surely_grows_breaks_the_rule(per_h, noise, broken):
+def test_what_surely_grows_breaks_the_rule(per_h, noise, ran_h, broken):
     _, values = life(1800, per_h, noise)
-    why = grows(MEMORY, grown(MEMORY, samples(values)))
+    why = grows(MEMORY, grown(MEMORY, samples(values)), 3600.0 * ran_h)
     assert bool(why) == broken, why
 
 
