@@ -30,9 +30,9 @@ log = logging.getLogger("edge.eval.soak")
 
 _STEP_S = 0.1
 _LOOK_S = 1.0
-_WARM_UP_S = 10.0
-_CALM_S = (3.0, 9.0)
-_SETTLES_S = 3.0  # after a fault, what is watched is not yet as without one
+_WARM_UP_S, _WARM_UP = 10.0, 0.1  # at most that share of the run
+_CALM_S = (2.0, 6.0)
+_SETTLES_S = 2.0  # after a fault, what is watched is not yet as without one
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     stop = stop_on_signals()
     config = load(args.config)
     faults = chosen(config, args.faults.split(",") if args.faults is not None else None)
-    _make_empty(args.out)
+    make_empty(args.out)
     out = args.out.resolve()
     record = Record(out / "record.jsonl")
     with closing(record), closing(Stage(staged(config, out), out, stop)) as stage:
@@ -61,8 +61,9 @@ def run(args: argparse.Namespace) -> int:
     return FAILED if of(record.rows, "broken") else os.EX_OK
 
 
-def _make_empty(folder: Path) -> None:
-    """
+def make_empty(folder: Path) -> None:
+    """Make a folder, where there is none.
+
     Raises:
         FileError: it cannot be made, or has something in it.
     """
@@ -90,23 +91,24 @@ class Soak:
                    config=stage.config.model_dump(mode="json"))  # fmt: skip
 
     def run(self, stop: threading.Event) -> None:
-        """Until its time is over, `stop` is set or there is nothing to go on with."""
+        """Until its time is over, and the fault that it finds under way, `stop` is set or there is
+        nothing to go on with."""
         self._watch = Watch(self._stage)
         self._missions = Missions(self._stage, self._watch, self._worded)
         self._record.began_s = time.monotonic()
         ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
-            while not stop.is_set() and time.monotonic() < ends_s:
+            for _ in faults:
                 self._stage.relay.step()
                 self._stage.log.poll()
-                next(faults)
                 if (end := self._missions.step()) is not None:
                     self._record.add("mission", **end)
                 if time.monotonic() >= look_s:
                     look_s = max(look_s + _LOOK_S, time.monotonic())
                     if self._look():
                         return
-                stop.wait(_STEP_S)
+                if stop.wait(_STEP_S):
+                    return
 
     def _look(self) -> bool:
         """Take a sample and hold the rules against it; whether there is no going on."""
@@ -129,16 +131,15 @@ class Soak:
     # -- faults ---------------------------------------------------------------------------------
 
     def _all_faults(self, ends_s: float) -> Generator[None, None, None]:
-        """Round after round of all faults, each round in another order; to be asked for the next
-        step again and again."""
-        yield from self._pause(_WARM_UP_S)
+        """Round after round of all faults, each round in another order; a step each time that the
+        next is asked for."""
+        yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
         while True:
             for k in self._drawn.permutation(len(self._faults)):
-                fault = self._faults[k]
-                longest_s = fault.lasts_s[1] + fault.within_s
-                if time.monotonic() + longest_s < ends_s:
-                    yield from self._one(fault)
+                yield from self._one(self._faults[k])
                 yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+                if time.monotonic() >= ends_s:
+                    return
 
     def _pause(self, lasts_s: float) -> Iterator[None]:
         until_s = time.monotonic() + lasts_s
