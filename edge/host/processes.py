@@ -37,11 +37,13 @@ class Usage:
     """What a process has, now.
 
     Attributes:
-        memory_mb: resident and its own: no files, which the kernel may drop, but shared memory.
+        memory_mb: resident and its own: no files, which the kernel may drop, but shared memory,
+            `shared_mb`.
         cpu_s: of all its threads, since its start.
     """
 
     memory_mb: float
+    shared_mb: float
     threads: int
     descriptors: int
     cpu_s: float
@@ -53,13 +55,15 @@ def usage(pid: int) -> Usage | None:
     try:
         lines = (folder / "status").read_text(encoding="utf-8", errors="replace").splitlines()
         told = dict(line.split(":", 1) for line in lines)
-        memory_kb = sum(int(told[key].split()[0]) for key in ("RssAnon", "RssShmem"))
+        own_mb, shared_mb = (
+            int(told[key].split()[0]) * _MB_A_KB for key in ("RssAnon", "RssShmem")
+        )
         fields = _stat(pid)
         cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_A_S
         opened = len(os.listdir(folder / "fd"))
     except (OSError, KeyError):  # KeyError: it has ended, so has no memory
         return None
-    return Usage(memory_kb * _MB_A_KB, int(told["Threads"]), opened, cpu_s)
+    return Usage(own_mb + shared_mb, shared_mb, int(told["Threads"]), opened, cpu_s)
 
 
 def descendants(pid: int) -> list[Process]:

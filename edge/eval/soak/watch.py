@@ -172,6 +172,7 @@ class Watch:
             sample[name] = used and {
                 "pid": pid,
                 "memory_mb": round(used.memory_mb, 2),
+                "shared_mb": round(used.shared_mb, 2),
                 "threads": used.threads,
                 "descriptors": used.descriptors,
                 "cpu_s": round(used.cpu_s, 2),

@@ -37,7 +37,7 @@ def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_p
     with pytest.raises(FileError, match=r"--out .*a: there is something in it"):
         make_empty(tmp_path / "a")
     (tmp_path / "file").touch()
-    with pytest.raises(FileError, match="--out .*file: File exists"):
+    with pytest.raises(FileError, match=r"--out .*file: File exists"):
         make_empty(tmp_path / "file")
 
 
