@@ -223,6 +223,15 @@ def _log_reader_gone(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.service.send_signal(signal.SIGUSR1)
 
 
+def _log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    stage.log.stick()
+    try:
+        while True:
+            yield
+    finally:
+        stage.log.open()
+
+
 def _viewer_stopped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
     stage.start_viewer()
     stops_s = time.monotonic() + 3.0  # once it is there
@@ -319,6 +328,8 @@ FAULTS: tuple[Fault, ...] = (
           shows=(checkpoint_fails,), after=(recovered, checkpoint_written)),
     Fault("log-reader-gone", "who reads the log goes away", _log_reader_gone,
           after=(recovered, says("thread MainThread"))),
+    Fault("log-reader-stuck", "who reads the log reads no more, and its pipe is full",
+          _log_reader_stuck, (12.0, 15.0), after=(recovered, says(r"m2 \| tick"))),
     Fault("viewer-stopped", "SIGSTOP to somebody who hears all that is published", _viewer_stopped,
           (10.0, 20.0)),
     Fault("request-flood", "hundreds of requests a second",

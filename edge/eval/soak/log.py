@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import suppress
 from pathlib import Path
 
 _CHUNK = 1 << 16
@@ -26,7 +27,8 @@ class Log:
         self.open()
 
     def open(self) -> None:
-        """Have a reader, where there is none."""
+        """Have a reader, where there is none, and have it read."""
+        self._stuck = False
         if self._reader is None:
             self._reader = os.open(self._pipe, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
 
@@ -36,13 +38,25 @@ class Log:
             os.close(self._reader)
             self._reader, self._rest = None, b""
 
+    def stick(self) -> None:
+        """Have a reader that does not read, and the pipe full: who writes waits."""
+        self._stuck = True
+        filling = os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            for size in (_CHUNK, 1):  # what is not larger than a page goes in whole or not at all
+                with suppress(BlockingIOError):
+                    while True:
+                        os.write(filling, b"\n" * size)
+        finally:
+            os.close(filling)
+
     def writer(self) -> int:
         """A descriptor for who is to write; the caller closes it."""
         return os.open(self._pipe, os.O_WRONLY | os.O_CLOEXEC)
 
     def poll(self) -> None:
         """Read what was said meanwhile."""
-        if self._reader is None:
+        if self._reader is None or self._stuck:
             return
         now_s = time.monotonic()
         while True:
@@ -65,6 +79,7 @@ class Log:
         return [text for _, text in self.lines[first:]]
 
     def close(self) -> None:
+        self.open()
         self.poll()
         self.leave()
         self._file.close()
