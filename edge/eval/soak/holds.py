@@ -27,7 +27,7 @@ _OF_USUAL = 0.5  # a beat that is back, on a machine that has other work as well
 
 
 def recovered(stage: Stage, watch: Watch, when: When) -> str:
-    """`/readyz` is 200 and ticks come as often as before."""
+    """`/readyz` is 200 and ticks come half as often as before, or more."""
     if watch.seen_s <= when.ended_s or not watch.is_ready:
         return f"not ready: {'; '.join(watch.ready) or 'not asked yet'}"
     ticks_hz, usual_hz = watch.ticks_hz(when.ended_s), watch.usual_hz

@@ -19,7 +19,8 @@ from edge.text import one_line
 
 NAME = "soak.html"
 _STYLE = """
-table { font-size: 14px; } td { vertical-align: top; } td:last-child { white-space: normal; }
+table { font-size: 14px; } td { vertical-align: top; overflow-wrap: anywhere; }
+th, td { text-align: left; } td:last-child { white-space: normal; }
 .plots { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(480px, 1fr)); }
 .plots img { display: block; width: 100%; height: auto; border-radius: 8px; background: #fff; }
 """

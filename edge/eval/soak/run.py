@@ -17,7 +17,7 @@ from edge.config import load
 from edge.errors import FAILED, FileError, Stopped, UserError
 from edge.eval.soak import page
 from edge.eval.soak.faults import Fault, chosen
-from edge.eval.soak.holds import When
+from edge.eval.soak.holds import When, recovered
 from edge.eval.soak.missions import Missions
 from edge.eval.soak.record import Record, of, verdict
 from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, none_reached
@@ -190,7 +190,7 @@ class Soak:
 
     def _unwell(self, fault: Fault, when: When) -> str:
         """What does not hold (yet) after a fault, the first of it."""
-        for hold in fault.after:
+        for hold in (recovered, *fault.after):
             if why := hold(self._stage, self._watch, when):
                 return why
         return ""

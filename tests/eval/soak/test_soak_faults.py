@@ -29,7 +29,6 @@ def test_faults_have_names_of_their_own_and_bounds():
     for fault in FAULTS:
         assert 0 < fault.lasts_s[0] <= fault.lasts_s[1]
         assert fault.within_s > 0
-        assert fault.after
 
 
 def test_without_a_router_or_a_model_there_is_none_to_kill():
