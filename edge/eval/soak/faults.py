@@ -11,7 +11,7 @@ import os
 import resource
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +31,8 @@ from edge.eval.soak.holds import (
 from edge.eval.soak.relay import Alter
 from edge.eval.soak.stage import BROKEN, TWIN, Stage
 
-Make = Callable[[Stage, np.random.Generator], Iterator[None]]
+Made = Generator[None, None, None]
+Make = Callable[[Stage, np.random.Generator], Made]
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION, topics.CAMERA_INFO)
 _BATCH = 40  # messages of a flood at a time, of which there are several a second
@@ -67,7 +68,7 @@ class Fault:
 def _altered(make: Callable[[np.random.Generator], Alter]) -> Make:
     """The relay sends something else."""
 
-    def fault(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
         stage.relay.alter = make(rng)
         try:
             while True:
@@ -81,7 +82,7 @@ def _altered(make: Callable[[np.random.Generator], Alter]) -> Make:
 def _sent(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Make:
     """The soak publishes these again and again, by key, a batch at a time."""
 
-    def fault(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
         while True:
             for make in payloads:
                 for _ in range(_BATCH):
@@ -91,7 +92,7 @@ def _sent(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Make
     return fault
 
 
-def _late(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _late(stage: Stage, rng: np.random.Generator) -> Made:
     stage.relay.delay(_LATE_S)
     try:
         while True:
@@ -100,7 +101,7 @@ def _late(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.relay.delay(0.0)
 
 
-def _simulator_stopped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _simulator_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.send("simulator", signal.SIGSTOP)
     try:
         while True:
@@ -109,13 +110,13 @@ def _simulator_stopped(stage: Stage, rng: np.random.Generator) -> Iterator[None]
         stage.send("simulator", signal.SIGCONT)
 
 
-def _next_house(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _next_house(stage: Stage, rng: np.random.Generator) -> Made:
     stage.move_house()
     while True:
         yield
 
 
-def _cut(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _cut(stage: Stage, rng: np.random.Generator) -> Made:
     stage.relay.cut()
     try:
         while True:
@@ -124,7 +125,7 @@ def _cut(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.relay.connect()
 
 
-def _router_killed(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _router_killed(stage: Stage, rng: np.random.Generator) -> Made:
     stage.kill("router")
     try:
         while True:
@@ -133,7 +134,7 @@ def _router_killed(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.start_router()
 
 
-def _controller_killed(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _controller_killed(stage: Stage, rng: np.random.Generator) -> Made:
     stage.kill("controller")
     try:
         while True:
@@ -143,7 +144,7 @@ def _controller_killed(stage: Stage, rng: np.random.Generator) -> Iterator[None]
 
 
 def _model_signalled(number: int) -> Make:
-    def fault(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
         process = stage.model_process()
         if process is None:
             raise UserError("the service's model has no process")
@@ -154,7 +155,7 @@ def _model_signalled(number: int) -> Make:
     return fault
 
 
-def _disk_full(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _disk_full(stage: Stage, rng: np.random.Generator) -> Made:
     """No file that the service writes may grow, as on a full disk; what is open stays whole."""
     pid = stage.service.pid
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
@@ -169,7 +170,7 @@ def _disk_full(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
 def _reloaded(*choices: dict[str, dict[str, object]]) -> Make:
     """Write one of these changes after the other, and have the service read it."""
 
-    def fault(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
         present = stage.config_file.read_bytes()
         for changes in choices:
             stage.write_config(**changes)
@@ -182,7 +183,7 @@ def _reloaded(*choices: dict[str, dict[str, object]]) -> Make:
     return fault
 
 
-def _badly_reloaded(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _badly_reloaded(stage: Stage, rng: np.random.Generator) -> Made:
     present = stage.config_file.read_bytes()
     bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
     stage.config_file.write_bytes(bad[rng.integers(len(bad))])
@@ -194,7 +195,7 @@ def _badly_reloaded(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.config_file.write_bytes(present)
 
 
-def _swapped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _swapped(stage: Stage, rng: np.random.Generator) -> Made:
     """To the twin, or back."""
     running = stage.models(do="status")
     own = stage.config.perception.detector.model  # type: ignore[union-attr]
@@ -204,13 +205,13 @@ def _swapped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         yield
 
 
-def _badly_swapped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _badly_swapped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.models(do="use", model=BROKEN)
     while True:
         yield
 
 
-def _log_reader_gone(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
     """What it writes then has nowhere to go: at once where every thread is, later its log."""
     stage.log.leave()
     stage.service.send_signal(signal.SIGUSR1)
@@ -222,7 +223,7 @@ def _log_reader_gone(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.service.send_signal(signal.SIGUSR1)
 
 
-def _log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
     stage.log.stick()
     try:
         while True:
@@ -231,7 +232,7 @@ def _log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
         stage.log.open()
 
 
-def _viewer_stopped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+def _viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.start_viewer()
     stops_s = time.monotonic() + 3.0  # once it is there
     try:
@@ -247,7 +248,7 @@ def _viewer_stopped(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
 def _asked(make: Callable[[np.random.Generator], bytes]) -> Make:
     """Requests, whose answers nobody waits for."""
 
-    def fault(stage: Stage, rng: np.random.Generator) -> Iterator[None]:
+    def fault(stage: Stage, rng: np.random.Generator) -> Made:
         keys = [
             stage.config.zenoh.key(name) for name in (topics.MISSION_REQUEST, topics.MODELS_REQUEST)
         ]

@@ -7,7 +7,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -75,6 +75,10 @@ def make_empty(folder: Path) -> None:
         raise FileError(f"--out {folder}: {error.strerror}") from None
 
 
+Steps = Generator[None, None, str]
+"""What is done a step at a time, and what came of it."""
+
+
 class Soak:
     """One run."""
 
@@ -82,8 +86,9 @@ class Soak:
         self, stage: Stage, record: Record, faults: Sequence[Fault], seed: int, lasts_s: float
     ) -> None:
         self._stage, self._record, self._faults = stage, record, faults
-        self._drawn, self._worded = map(
-            np.random.default_rng, np.random.SeedSequence(seed).spawn(2)
+        # Apart, so that the order of faults is that of the seed however long each takes.
+        self._drawn, self._chance, self._worded = map(
+            np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
         self._lasts_s = lasts_s
         self._told: set[str] = set()
@@ -121,16 +126,16 @@ class Soak:
                     return True
         return False
 
-    def _break(self, rule: str, why: str, once: bool = True) -> None:
-        if once and rule in self._told:
-            return
-        self._told.add(rule)
-        log.error("broken: %s: %s", rule, why)
-        self._record.add("broken", rule=rule, why=why)
+    def _break(self, rule: str, why: str) -> None:
+        """Told once a rule: it may not hold for long."""
+        if rule not in self._told:
+            self._told.add(rule)
+            log.error("broken: %s: %s", rule, why)
+            self._record.add("broken", rule=rule, why=why)
 
     # -- faults ---------------------------------------------------------------------------------
 
-    def _all_faults(self, ends_s: float) -> Generator[None, None, None]:
+    def _all_faults(self, ends_s: float) -> Steps:
         """Round after round of all faults, each round in another order; a step each time that the
         next is asked for."""
         yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
@@ -139,61 +144,55 @@ class Soak:
                 yield from self._one(self._faults[k])
                 yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
                 if time.monotonic() >= ends_s:
-                    return
+                    return ""
 
-    def _pause(self, lasts_s: float) -> Iterator[None]:
+    def _pause(self, lasts_s: float) -> Steps:
         until_s = time.monotonic() + lasts_s
         while time.monotonic() < until_s:
             yield
+        return ""
 
-    def _one(self, fault: Fault) -> Iterator[None]:
+    def _one(self, fault: Fault) -> Steps:
         """Make a fault, end it, wait until all is well again."""
-        lasts_s = float(self._drawn.uniform(*fault.lasts_s))
         watch, began_s = self._watch, time.monotonic()
-        watch.calm, watch.mutes = False, fault.mutes
-        shown = [""] * len(fault.shows)
-        made = fault.make(self._stage, self._drawn)
+        lasts_s = float(self._drawn.uniform(*fault.lasts_s))
         log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
-        unshown = list(fault.shows)
-        why = ""
-        try:
-            while time.monotonic() - began_s < lasts_s:
-                next(made)
-                when = When(began_s, began_s)
-                unshown = [hold for hold in unshown if hold(self._stage, watch, when)]
-                yield
-            shown = [hold(self._stage, watch, When(began_s, began_s)) for hold in unshown]
-            made.close()
-        except UserError as error:
-            why = f"it could not be made: {error}"
-        finally:
-            made.close()
-            watch.mutes = False
-        ended_s = watch.muted_s = time.monotonic()
-        why = why or "; ".join(filter(None, shown))
-        after = ""
-        if not why:
-            when = When(began_s, ended_s)
-            while after := self._unwell(fault, when):
-                if time.monotonic() - ended_s > fault.within_s:
-                    why = f"{fault.within_s:g} s after: {after}"
-                    break
-                yield
-        recovered_s = time.monotonic() - ended_s
-        self._record.add("fault", name=fault.name, began_s=round(began_s - self._record.began_s, 2),
-                         lasted_s=round(ended_s - began_s, 2), recovered_s=round(recovered_s, 2),
-                         broken=why)  # fmt: skip
+        watch.calm, watch.mutes = False, fault.mutes
+        why = yield from self._makes(fault, When(began_s, began_s), began_s + lasts_s)
+        watch.mutes, ended_s = False, time.monotonic()
+        why = why or (yield from self._recovers(fault, When(began_s, ended_s)))
+        self._record.add(
+            "fault", name=fault.name, began_s=round(began_s - self._record.began_s, 2),
+            lasted_s=round(ended_s - began_s, 2),
+            recovered_s=round(time.monotonic() - ended_s, 2), broken=why,
+        )  # fmt: skip
         if why:
-            self._break(f"fault {fault.name}", why, once=False)
+            self._break(f"fault {fault.name}", why)
         yield from self._pause(_SETTLES_S)
         watch.calm = True
 
-    def _unwell(self, fault: Fault, when: When) -> str:
-        """What does not hold (yet) after a fault, the first of it."""
-        for hold in (recovered, *fault.after):
-            if why := hold(self._stage, self._watch, when):
-                return why
-        return ""
+    def _makes(self, fault: Fault, when: When, until_s: float) -> Steps:
+        """What it did not show while it lasted, or why it could not be made; empty if neither."""
+        unshown = list(fault.shows)
+        try:
+            with closing(fault.make(self._stage, self._chance)) as making:
+                while time.monotonic() < until_s:
+                    next(making)
+                    unshown = [hold for hold in unshown if hold(self._stage, self._watch, when)]
+                    yield
+                return "; ".join(hold(self._stage, self._watch, when) for hold in unshown)
+        except UserError as error:
+            return f"it could not be made, or ended: {error}"
+
+    def _recovers(self, fault: Fault, when: When) -> Steps:
+        """What does not hold in time after a fault, the first of it; empty once all holds."""
+        while True:
+            every = (hold(self._stage, self._watch, when) for hold in (recovered, *fault.after))
+            if not (why := next(filter(None, every), "")):
+                return ""
+            if time.monotonic() - when.ended_s > fault.within_s:
+                return f"{fault.within_s:g} s after: {why}"
+            yield
 
     # -- the end --------------------------------------------------------------------------------
 
