@@ -135,14 +135,19 @@ def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
     return slope_of(tuple(np.array(life).T) for life in lives.values())  # type: ignore[misc]
 
 
+def most_per_h(growth: Growth, ran_s: float) -> float:
+    """What it may grow by in a run of such a length."""
+    return max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
+
+
 def grows(growth: Growth, slope: Slope | None, ran_s: float) -> str:
-    """Why it surely grows by more than it may in such a run; empty where that is not known."""
-    most_per_h = max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
-    if slope is None or slope.low <= most_per_h:
+    """Why it surely grows by more than it may; empty where that is not known."""
+    most = most_per_h(growth, ran_s)
+    if slope is None or slope.low <= most:
         return ""
     return (
         f"{slope.per_h:+.1f} {growth.unit}/h, surely over {slope.low:.1f}; in "
-        f"{ran_s / 60.0:.0f} min at most {most_per_h:.0f}"
+        f"{ran_s / 60.0:.0f} min at most {most:.0f}"
     )
 
 

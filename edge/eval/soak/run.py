@@ -20,7 +20,7 @@ from edge.eval.soak.faults import Fault, chosen
 from edge.eval.soak.holds import When, recovered
 from edge.eval.soak.missions import Missions
 from edge.eval.soak.record import Record, of, verdict
-from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, none_reached
+from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
 from edge.eval.soak.stage import Stage, staged
 from edge.eval.soak.watch import Watch
 from edge.host.machine import describe, summary
@@ -203,8 +203,10 @@ class Soak:
         for growth in GROWTHS:
             slope = grown(growth, samples)
             if slope is not None:
-                self._record.add("growth", name=growth.name, unit=growth.unit,
-                                 most_per_h=growth.most_per_h, **slope._asdict())  # fmt: skip
+                self._record.add(
+                    "growth", name=growth.name, unit=growth.unit,
+                    most_per_h=round(most_per_h(growth, ran_s), 1), **slope._asdict(),
+                )  # fmt: skip
             if why := grows(growth, slope, ran_s):
                 self._break(growth.name, why)
         if why := none_reached(self._missions.ended, ran_s):
