@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 
 import numpy as np
 import zenoh
 
 from edge.config import Config
+from edge.host.worker import Worker
 from edge.loop.result import TickResult
 
 KEY = "soak/beat"
 PERIOD_S = 1.0
+_CLOSE_S = 1.0
 
 
 class BeatSink:
@@ -22,22 +25,29 @@ class BeatSink:
     `drops` by stage.
     """
 
-    def __init__(self, config: Config, session: zenoh.Session) -> None:
+    def __init__(
+        self,
+        config: Config,
+        session: zenoh.Session,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._clock = clock
         self._publisher = session.declare_publisher(config.zenoh.key(KEY))
-        self._began_s = self._beat_s = self._tick_s = time.perf_counter()
+        self._worker = Worker("beat", self._publisher.put)
+        self._began_s = self._beat_s = self._tick_s = clock()
         self._intervals_s: list[float] = []
         self._gaps_s: list[float] = []
 
     def tick(self, result: TickResult) -> None:
         """See `edge.loop.result.Sink`."""
-        now_s = time.perf_counter()
+        now_s = self._clock()
         self._gaps_s.append(now_s - self._beat_s)
         self._beat_s = now_s
         if result.observation is not None:
             self._intervals_s.append(now_s - self._tick_s)
             self._tick_s = now_s
         if now_s - self._began_s >= PERIOD_S:
-            self._publisher.put(json.dumps(self._told(result, now_s - self._began_s)).encode())
+            self._worker.submit(json.dumps(self._told(result, now_s - self._began_s)).encode())
             self._began_s, self._intervals_s, self._gaps_s = now_s, [], []
 
     def _told(self, result: TickResult, passed_s: float) -> dict[str, object]:
@@ -55,7 +65,8 @@ class BeatSink:
         }
 
     def close(self) -> None:
-        self._publisher.undeclare()
+        if self._worker.close(_CLOSE_S):
+            self._publisher.undeclare()
 
 
 def _three(values_s: list[float]) -> list[float] | None:
