@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from edge_processes import write_config
+from patience import eventually
 
 from edge.errors import FAILED, FileError
 from edge.eval.soak.run import make_empty
@@ -77,3 +78,14 @@ def test_a_service_that_is_killed_is_told_of(edge, tmp_path):
     assert soak.wait() == FAILED
     assert "service lives: it ended with -9" in soak.lines[-1]
     assert (out / "soak.html").exists()
+
+
+@pytest.mark.slow
+def test_a_soak_that_is_killed_leaves_nothing_behind(edge, tmp_path):
+    out = tmp_path / "out"
+    soak = edge("soak", small(tmp_path), "--minutes", "5", "--faults", TWO, "--out", out)
+    soak.until(lambda: (out / "record.jsonl").exists() and of("sample", rows(out)))
+    assert len(soak.children()) >= 3
+    soak.process.kill()
+    soak.wait()
+    eventually(lambda: not soak.orphans(), "its processes go on")
