@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 import zenoh
 
+from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
 from edge.config import Config
@@ -63,6 +64,7 @@ def open_service(
     formula: str | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[str], None] = lambda what: None,
+    amiss: Callable[[], Sequence[str]] = tuple,
 ) -> Iterator[Launched]:
     """Prepare the mission, open Zenoh, load the detector, compile kernels; all closed at exit.
 
@@ -78,6 +80,7 @@ def open_service(
             (`edge.host.interruptible`).
         progress: told what is begun, by any thread: each takes minutes at most, and what takes
             longer is told again and again.
+        amiss: why nobody can count on the service now, for whoever asks on the bus.
 
     Raises:
         Stopped: `stop` was set before the service was ready.
@@ -86,7 +89,7 @@ def open_service(
         CheckpointError: `mission.checkpoint` cannot be read or written.
         ModelError: the detector's or a scorer's model is missing or unusable.
         ChatError: the URL of a scorer's server cannot be used.
-        BusError: the endpoint cannot be listened on.
+        BusError: the endpoint cannot be listened on, or another service has the prefix.
     """
     stop = stop or threading.Event()
     make_source, make_sinks = find_source(config), find_sinks(config)
@@ -98,6 +101,7 @@ def open_service(
             keeper = Keeper(config, resources.expand(mission.checkpoint), named)
             stack.callback(keeper.close)
             brief = keeper.brief()
+        idle = mission.on_request and brief is None and asked is None and formula is None
         if brief is None:
             progress("understanding the mission")
             brief = prepare(mission, formula=formula)
@@ -112,6 +116,8 @@ def open_service(
                 tell=progress,
             )
         )
+        presence = Presence(session, config.zenoh)
+        stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
         progress("loading the detector")
         detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
@@ -139,12 +145,15 @@ def open_service(
             }
 
         service = Service(
-            config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load()
-        )
+            config, brief, worker, policy, every, keeper, scorers, overruns, calibration.load(),
+            idle,
+        )  # fmt: skip
         stack.callback(service.close)
-        for key, (verbs, handle) in requests.served(service, partial(prepare, mission)).items():
+        served = requests.served(service, partial(prepare, mission), amiss)
+        for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
+        presence.announce()
         # What start-up made stays for good; the collector need not walk it again in the loop.
         gc.collect()
         gc.freeze()

@@ -223,12 +223,14 @@ class GoalStatus:
     blocked: tuple[float, float] | None = None
 
 
-MissionPhase = Literal["searching", "approaching", "verifying", "paused", "reached", "failed"]
+MissionPhase = Literal[
+    "idle", "searching", "approaching", "verifying", "paused", "reached", "failed"
+]
 
 
 @dataclass(frozen=True, slots=True)
 class MissionStatus:
-    """How the mission stands; `reached` (fulfilled) and `failed` are final.
+    """How the mission stands; `reached` (fulfilled) and `failed` are final, `idle` is before any.
 
     Attributes:
         target: what is pursued now; at the end, what was pursued last.

@@ -36,6 +36,14 @@ LIVE_LIMIT_S = 900
 HARD_EXTRA_S = 60
 
 
+MOST_WORKERS = 8
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: while a test waits for its processes, others go on."""
+    return min(len(os.sched_getaffinity(0)) + 1, MOST_WORKERS)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     folders = {HERE / name for name in LIVE}
     for item in items:

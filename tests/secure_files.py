@@ -25,17 +25,17 @@ openssl x509 -req -in old.csr -CA ca.crt -CAkey ca.key -CAcreateserial -copy_ext
 """
 
 
-def page_commands(folder: Path, *containing: str) -> None:
+def page_commands(folder: Path, *containing: str, page: str = PAGE) -> None:
     """Run its blocks, with `folder` for `/etc/edge`; the working directory is the project's."""
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     for text in containing:
         (block,) = (block for block in blocks if text in block)
         _bash(block.replace("/etc/edge", str(folder)), ROOT)
 
 
-def page_section(containing: str, folder: Path) -> str:
+def page_section(containing: str, folder: Path, page: str = PAGE) -> str:
     """Its section of a configuration with this text, with `folder` for `/etc/edge`."""
-    blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     (section,) = (block for block in blocks if containing in block)
     return section.replace("/etc/edge", str(folder))
 

@@ -21,7 +21,7 @@ LAYERS = (
     ("mapping", "perception", "trajectory"),
     ("motion", "policies", "mission"),
     ("loop",),
-    ("sources", "sinks", "report", "ros2_adapter"),
+    ("sources", "sinks", "report", "ros2_adapter", "fleet"),
     ("launch",),
     ("sim",),
     ("eval",),

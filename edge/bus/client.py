@@ -33,15 +33,18 @@ class RefusedError(RequestError):
     exit_code = os.EX_DATAERR
 
 
-def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
+def connect(
+    settings: Zenoh, patience_s: float, what: str, whom: str = "service", start: str = "edge run"
+) -> zenoh.Session:
     """A session with the service; the caller closes it.
 
     Args:
         patience_s: how long to look for it, `CONNECT_S` at most.
         what: the command, for the error's line.
+        whom, start: who should be there, and what starts it, for that too.
 
     Raises:
-        RequestError: no service is there, or it does not take us in.
+        RequestError: nobody is there, or it does not take us in.
     """
     from edge.bus.session import NotTakenIn, open_session
 
@@ -55,7 +58,7 @@ def connect(settings: Zenoh, patience_s: float, what: str) -> zenoh.Session:
         where = settings.address
         if error.refused is not None:
             raise RequestError(f"{what}: refused at {where}: {error.refused}") from None
-        raise RequestError(f"{what}: no service at {where}; start one with `edge run`") from None
+        raise RequestError(f"{what}: no {whom} at {where}; start one with `{start}`") from None
     finally:
         timer.cancel()
 

@@ -45,7 +45,7 @@ _PAUSE_S = 0.2
 _NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
 _NOBODY = "Unable to connect to any of"
 
-Role = Literal["listen", "connect"]
+Role = Literal["listen", "connect", "route"]
 
 # With a `BLOCK` message Zenoh waits, for up to 5 s, until its slowest receiver takes it. So does
 # the session that passes it on between its clients, and its two receiving threads serve them all:
@@ -91,7 +91,8 @@ def session_config(
     """The Zenoh configuration of a process that plays `role`: Zenoh's own file, and our settings
     over it (see `edge.bus.zenoh_file`).
 
-    With `mode: client` nobody listens: all connect to a router that runs elsewhere.
+    With `mode: client` nobody listens: all connect to a router that runs elsewhere, or in a process
+    that plays `route`.
 
     Whoever takes nothing for a second, while something waits for it that must not be dropped
     (an answer to a request, or what another's peer publishes so), is let go; a client comes back by
@@ -105,8 +106,8 @@ def session_config(
         BusError: the endpoint is none.
     """
     key, name = zenoh_file_of(settings, role)
-    listens = role == "listen" and settings.mode == "peer"
-    mode = "peer" if listens else "client"
+    listens = role == "route" or (role == "listen" and settings.mode == "peer")
+    mode = "router" if role == "route" else "peer" if listens else "client"
     found = read_zenoh_file(key, name)
     try:
         return lay_over(
@@ -120,7 +121,7 @@ def session_config(
 
 def zenoh_file_of(settings: config.Zenoh, role: Role) -> tuple[str, str | None]:
     """The key that names the Zenoh configuration file of a role, and the file, if there is one."""
-    if role == "listen" or settings.client_file is None:
+    if role != "connect" or settings.client_file is None:
         return "zenoh.file", settings.file
     return "zenoh.client_file", settings.client_file
 
@@ -184,7 +185,7 @@ def open_session(
     key, name = zenoh_file_of(settings, role)
     for address in open_to(found):
         log.warning("zenoh.endpoint: %s", OPEN.format(address))
-    if shuts_all_out(found, settings.prefix):
+    if role != "route" and shuts_all_out(found, settings.prefix):
         log.warning("%s: %s", key, SHUT.format(settings.prefix))
     if get(found, "listen/endpoints") and (fault := judge(found)) is not None:
         log.warning("%s: listen_certificate: %s", key, fault)

@@ -59,6 +59,9 @@ GOAL_STATUS = Topic("goal_status", "json", "urgent", 0, "controller")
 MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 
+# Nor is this one: below it lies the liveliness token of the service (see `edge.bus.presence`).
+ALIVE = "alive"
+
 ALL: tuple[Topic, ...] = (
     RGB, DEPTH, CAMERA_INFO, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH, SEGMENTATION, LABELS,
     GOAL, MAP, STATUS, LATENCY, MISSION, TICK, CMD_VEL, GOAL_STATUS,

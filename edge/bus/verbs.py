@@ -14,6 +14,8 @@ log = logging.getLogger(__name__)
 
 MAX_CHARS = 10_000
 MAX_ERROR_CHARS = 1000
+CANCELLED = "cancelled"
+"""Why a mission failed that somebody cancelled and said no more."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,18 @@ def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
     if any("\ud800" <= c <= "\udfff" for c in text):
         raise ValueError(f"{name}: not Unicode text")
     return text
+
+
+def check_flag(name: str, fields: Mapping[str, object]) -> bool:
+    """A request's flag; false where there is none.
+
+    Raises:
+        ValueError: it is neither true nor false.
+    """
+    flag = fields.get(name, False)
+    if not isinstance(flag, bool):
+        raise ValueError(f"{name}: expected true or false")
+    return flag
 
 
 def shown(value: object) -> str:

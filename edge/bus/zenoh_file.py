@@ -112,7 +112,7 @@ def lay_over(
     """The same, changed in place: with our settings as the module's docstring says.
 
     Args:
-        mode: `peer` or `client`.
+        mode: `peer`, `client` or `router`.
         listens: at the endpoint, or else connects to it.
         exact: see `edge.bus.session.session_config`.
         most_bytes: no longer message is put together from its fragments; None leaves Zenoh's 1 GiB.

@@ -18,6 +18,7 @@ from edge.host.credentials import read_token
 from edge.host.pages import Pages, serve
 from edge.host.service_manager import ServiceManager
 from edge.launch import children, on_a_free_port, open_service
+from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
 from edge.loop.vitals import PROBES, Vitals
@@ -80,15 +81,18 @@ def _serve(
     reload: Reload | None = None,
 ) -> RunRecord:
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
+    metrics = Metrics(vitals)
     sinks = [ConsoleSink(), recorder]
     with (
-        _served(vitals.pages(), config.http),
-        open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
+        _served({**vitals.pages(), **metrics.pages()}, config.http),
+        open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
     ):
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
-        instruction = running.service.mission.brief.translation.instruction
-        log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
+        metrics.watch(running, running.sinks)
+        mission = running.service.mission
+        doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
+        log.info("ready: %s, on %s", doing, config.zenoh.address)
         vitals.ready()
         loop(running, stop, once, partial(vitals.beat, running))
         vitals.stopping()

@@ -87,6 +87,8 @@ def _ahead(result: TickResult) -> str:
     Why it was chosen is in the log: each step of a mission is an event.
     """
     status, steps = result.status, result.mission().plan.steps
+    if status.phase == "idle":
+        return f"({status.reason})"
     then = ", ".join(letter or "nothing" for letter in steps[1:])
     if then and not status.done:
         return f"{status.target} (then {shorten(then, _THEN_CHARS)})"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import model_parsers, requests
+from edge.cli import fleet_parsers, model_parsers, requests
 from edge.cli.options import CONFIG, Handler, cores, count, lazy, positive, seed, shares, unit_name
 from edge.errors import EXIT_CODES
 from edge.logs import add_arguments
@@ -38,6 +38,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         add(commands).set_defaults(handler=handlers.get(name))
     for add in (
         _mission,
+        fleet_parsers.add,
         model_parsers.add,
         _record,
         _ros2_adapter,

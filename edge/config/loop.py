@@ -107,7 +107,7 @@ class Report(Section):
 
 
 class Http(Section):
-    """Pages about the service, such as `/readyz` (docs/service.md), on `port`; null: none.
+    """Pages about the service, as `/readyz` and `/metrics` (docs/service.md), on `port`; or none.
 
     `token_file` holds what whoever reads them must know. Where others than this machine can reach
     `host`, there must be one."""

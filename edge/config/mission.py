@@ -93,7 +93,9 @@ class Mission(Section):
     pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
     `max_states` and `compile_limit_steps` bound the work of compiling it, in counts that are the
     same on every machine: the default takes a few seconds at most.
-    `checkpoint` is the file that a mission goes on from after a restart."""
+    `checkpoint` is the file that a mission goes on from after a restart.
+    `on_request`: none is begun at the start, unless the command line names one; the robot stands
+    until it is asked for one."""
 
     target: Name = "chair"
     instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
@@ -114,6 +116,7 @@ class Mission(Section):
     max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
+    on_request: bool = False
     search_limit_s: Positive | None = None
     time_limit_s: Positive = 300.0
     path_limit_m: Positive = 100.0

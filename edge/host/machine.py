@@ -53,7 +53,7 @@ def describe(root: Path = _ROOT) -> Description:
     Args:
         root: where `proc`, `sys`, `etc` and `var` are looked for.
     """
-    cpuinfo = _text(root / "proc/cpuinfo")
+    cpuinfo = text_of(root / "proc/cpuinfo")
     found: Description = {
         "cpu": this_cpu(root),
         "architecture": platform.machine(),
@@ -108,7 +108,7 @@ def identity(root: Path = _ROOT) -> str:
 
 def this_cpu(root: Path = _ROOT) -> str:
     """This machine's processor: its name, or at least its architecture."""
-    return cpu_name(_text(root / "proc/cpuinfo")) or platform.machine()
+    return cpu_name(text_of(root / "proc/cpuinfo")) or platform.machine()
 
 
 def cpu_name(cpuinfo: str) -> str | None:
@@ -125,7 +125,7 @@ def cpu_name(cpuinfo: str) -> str | None:
 
 def tegra_release(path: Path) -> str | None:
     """Release and revision from /etc/nv_tegra_release; None on what is no Jetson."""
-    parts = _text(path).split(",")[:2]
+    parts = text_of(path).split(",")[:2]
     return ", ".join(part.strip("# \n") for part in parts) or None
 
 
@@ -140,6 +140,12 @@ def power_mode(status: str, conf: str) -> str | None:
     number = int(match[1])
     name = re.search(rf"<\s*POWER_MODEL\s+ID=0*{number}\s+NAME=(\S+)", conf)
     return name[1] if name else str(number)
+
+
+def power_mode_of(root: Path = _ROOT) -> str | None:
+    """The Jetson's present power mode; None on what is no Jetson."""
+    conf = text_of(root / "etc/nvpmodel.conf")
+    return power_mode(text_of(root / "var/lib/nvpmodel/status"), conf)
 
 
 def nvidia_smi(fields: dict[str, str] = _SMI_FIELDS) -> list[dict[str, str]]:
@@ -159,7 +165,7 @@ def nvidia_smi(fields: dict[str, str] = _SMI_FIELDS) -> list[dict[str, str]]:
 def busy_s(root: Path = _ROOT) -> float | None:
     """Processor time that all processes have used since the start, or that a host has taken from
     this virtual machine; None where it is not told."""
-    match = re.match(r"cpu +(.+)", _text(root / "proc/stat"))
+    match = re.match(r"cpu +(.+)", text_of(root / "proc/stat"))
     if match is None:
         return None
     user, nice, system, _, _, irq, softirq, *more = map(int, match[1].split())
@@ -179,11 +185,10 @@ def _jetson(root: Path) -> Description:
     release = tegra_release(root / "etc/nv_tegra_release")
     if release is None:
         return {}
-    mode = power_mode(_text(root / "var/lib/nvpmodel/status"), _text(root / "etc/nvpmodel.conf"))
     found = {
         "release": release,
-        "model": _text(root / "proc/device-tree/model").strip("\0 \n"),
-        "power_mode": mode,
+        "model": text_of(root / "proc/device-tree/model").strip("\0 \n"),
+        "power_mode": power_mode_of(root),
         "gpu_clock": _gpu_clock(root / "sys/class/devfreq"),
     }
     return {key: value for key, value in found.items() if value}
@@ -193,9 +198,9 @@ def _gpu_clock(devfreq: Path) -> Description:
     """MHz of the first GPU, and who sets them."""
     folders = sorted(devfreq.iterdir()) if devfreq.is_dir() else []
     for folder in (f for f in folders if _GPU_CLOCKS.match(f.name)):
-        hertz = {name: _text(folder / f"{name}_freq") for name in ("cur", "min", "max")}
+        hertz = {name: text_of(folder / f"{name}_freq") for name in ("cur", "min", "max")}
         mhz = {f"{k}_mhz": int(v) / 1e6 for k, v in hertz.items() if v.strip().isdigit()}
-        return {**mhz, "governor": _text(folder / "governor").strip()}
+        return {**mhz, "governor": text_of(folder / "governor").strip()}
     return {}
 
 
@@ -205,9 +210,9 @@ def _cpu_clock(root: Path, cpuinfo: str) -> Description:
     for core in sorted(os.sched_getaffinity(0)):
         folder = root / f"sys/devices/system/cpu/cpu{core}/cpufreq"
         for key in ("cur", "max"):
-            if (khz := _text(folder / f"scaling_{key}_freq").strip()).isdigit():
+            if (khz := text_of(folder / f"scaling_{key}_freq").strip()).isdigit():
                 found[f"{key}_mhz"].append(int(khz) / 1e3)
-        if governor := _text(folder / "scaling_governor").strip():
+        if governor := text_of(folder / "scaling_governor").strip():
             found["governor"] = governor
     if not found["cur_mhz"]:  # a virtual machine
         found["cur_mhz"] = [float(mhz) for mhz in re.findall(r"cpu MHz\s*:\s*([\d.]+)", cpuinfo)]
@@ -215,7 +220,7 @@ def _cpu_clock(root: Path, cpuinfo: str) -> Description:
 
 
 def _memory_gb(root: Path) -> float | None:
-    match = re.search(r"^MemTotal:\s*(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)
+    match = re.search(r"^MemTotal:\s*(\d+) kB", text_of(root / "proc/meminfo"), re.MULTILINE)
     return round(int(match[1]) * 1024 / 1e9, 1) if match else None
 
 
@@ -228,7 +233,7 @@ def _version(distributions: tuple[str, ...]) -> str | None:
     return None
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
     """A file's text, empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")

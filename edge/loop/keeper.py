@@ -70,6 +70,7 @@ class Keeper:
     def resume(self, mission: MissionRun) -> None:
         """Set the mission to where it was; what was seen comes back with the first observation."""
         if (saved := self.saved) is not None:
+            mission.id = saved.id
             mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
             )
@@ -122,7 +123,7 @@ class Keeper:
         instances = [copy(i) for i in seen]
         brief, pending = mission.brief, self._places
         word, reached, failed = mission.word, mission.reached, mission.failed
-        detected, paused = mission.detected, mission.paused
+        detected, paused, name = mission.detected, mission.paused, mission.id
 
         def made() -> Saved:
             saved = Saved(
@@ -144,6 +145,7 @@ class Keeper:
                 stamp_ns=stamp_ns,
                 odometry_epoch=epoch,
                 instances=save_instances(instances),
+                id=name,
             )
             if pending is None:
                 return saved
@@ -162,7 +164,10 @@ class Keeper:
         """For the status message."""
         writer = self._writer
         problem = writer.problem or self.problem
-        return {"path": str(writer.path), "written": writer.written, "problem": problem}
+        return {
+            "path": str(writer.path), "written": writer.written, "failed": writer.failed,
+            "problem": problem,
+        }  # fmt: skip
 
     def close(self) -> None:
         """Write what waits."""
@@ -170,7 +175,7 @@ class Keeper:
 
 
 def _to_go_on_with(saved: Saved | None, asked: str | None) -> Saved | None:
-    if saved is None or saved.phase in ("reached", "failed"):
+    if saved is None or saved.phase in ("idle", "reached", "failed"):
         return None
     if asked is not None and asked != saved.instruction:
         log.info("the checkpoint's mission (%s) gives way to the new one",

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from edge.host.calibration import HINT, Calibration
+from edge.loop.histogram import INTERVALS_S, SPANS_S, Histogram, Histograms
 from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
 
 TICK = "tick"
@@ -152,10 +153,23 @@ def _bar(row: StageLatency, width: int = 10) -> str:
     return bar[:-1] + ">" if row.verdict == "over" else bar
 
 
+@dataclass(frozen=True, slots=True)
+class LatencyHistograms:
+    """How long everything took since the start; stages by name.
+
+    Attributes:
+        interval: from the beginning of a tick to that of the next.
+    """
+
+    stages: dict[str, Histogram]
+    tick: Histogram
+    interval: Histogram
+
+
 class LatencyRing:
     """The spans of the last `capacity` ticks, and as many of each stage beside the tick.
 
-    One thread ticks; others may call `span` for stages beside the tick, and `report`.
+    One thread ticks; others may call `span` for stages beside the tick, `report` and `histograms`.
     A tick enters the ring as a whole in `end_tick`, so a report never sees half of one.
 
     Args:
@@ -196,13 +210,16 @@ class LatencyRing:
         self._drops = [0] * n
         self._abandoned = [0] * n
         self._ticks = 0
-        self._began_ns = self._marked_ns = 0
+        self._began_ns = self._marked_ns = self._looked_ns = 0
+        self._before_ns: int | None = None  # when the tick before began
+        self._lasted = Histograms(n + 1, SPANS_S)
+        self._apart = Histograms(1, INTERVALS_S)
         self._lock = threading.Lock()
 
     def begin_tick(self, t_ns: int) -> None:
         """Start a tick; one that was begun and never ended is forgotten."""
         self._now_ns[:] = self._blank
-        self._began_ns = self._marked_ns = t_ns
+        self._began_ns = self._marked_ns = self._looked_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
         """Stage `stage` has just ended: it took the time since the last mark or the beginning.
@@ -225,6 +242,7 @@ class LatencyRing:
             self._spans_ns[self._count[stage] % self._capacity, stage] = duration_ns
             self._count[stage] += 1
             self._overruns[stage] += duration_ns > self._limit_ns[stage]
+            self._lasted.add_one(stage, duration_ns)
 
     def resume(self, t_ns: int) -> None:
         """What happened since the last mark was no part of the tick."""
@@ -238,12 +256,16 @@ class LatencyRing:
         now[:] = self._now_ns
         np.greater(now, self._limit_ns, out=self._over)
         np.greater_equal(now, 0, out=self._ran)
+        before_ns, self._before_ns = self._before_ns, self._looked_ns
         with self._lock:
             row = self._spans_ns[self._ticks % self._capacity]
             np.copyto(row, now, where=self._in_tick_columns)
             self._overruns += self._over
             self._count += self._ran
             self._ticks += 1
+            self._lasted.add(self._now_ns)
+            if before_ns is not None:
+                self._apart.add_one(0, self._looked_ns - before_ns)
 
     def abandon_tick(self, stage: int) -> None:
         """The tick ended in an error of this stage, which so dropped its input.
@@ -274,6 +296,14 @@ class LatencyRing:
         whole = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
         tick = StageLatency(TICK, self._tick_budget_ms, *whole)
         return LatencyReport(rows, tick, calibration=self._calibration)
+
+    def histograms(self) -> LatencyHistograms:
+        """Every tick since the start, and every span beside one."""
+        with self._lock:
+            *stages, tick = self._lasted.read()
+            (interval,) = self._apart.read()
+        names = (stage.name for stage in self._stages)
+        return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
 
     def _newest(self, written: int, last: int | None) -> np.ndarray:
         """Rows of the newest `last` spans, where `written` were written so far."""

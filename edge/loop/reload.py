@@ -55,6 +55,7 @@ _INSTEAD = {
     "mission.instruction": "give the running service another mission by `edge mission new`",
 }
 _MOST_CHARS = 600
+OUTCOMES = ("switched", "unchanged", "refused")
 
 
 class ReloadError(UserError):
@@ -91,12 +92,14 @@ class Reloader:
 
     Attributes:
         outcome: of the newest reload, in one line; empty before the first.
+        outcomes: how many ended how (`OUTCOMES`).
     """
 
     def __init__(
         self, service: Service, reread: Callable[[], Config], asked: threading.Event
     ) -> None:
         self.outcome = ""
+        self.outcomes = dict.fromkeys(OUTCOMES, 0)
         self._service, self._reread, self._asked = service, reread, asked
         self._preparing: Future[_Ready] | None = None
         self._swapping: _Ready | None = None
@@ -120,7 +123,7 @@ class Reloader:
             known = isinstance(error, UserError)
             why = str(error) if known else f"{type(error).__name__}: {error}"
             log.debug("reload", exc_info=True)
-            self._end(f"refused, nothing has changed: {_lines(why)}", now_ns)
+            self._end("refused", f"refused, nothing has changed: {_lines(why)}", now_ns)
 
     def _begin(self) -> None:
         self._asked.clear()
@@ -147,7 +150,7 @@ class Reloader:
         if any(_below(key, _DETECTOR) for key in ready.changed):
             _check_at_rest(swapper, ready.running)
         if not ready.changed:
-            self._end("nothing has changed", now_ns)
+            self._end("unchanged", "nothing has changed", now_ns)
         elif ready.model is None:
             self._switch(ready, now_ns)
         else:
@@ -167,9 +170,10 @@ class Reloader:
         service = self._service
         policy = service.policy if ready.policy is None else ready.policy
         service.reconfigure(ready.config, policy)
-        self._end(f"switched: {', '.join(ready.changed)}", now_ns)
+        self._end("switched", f"switched: {', '.join(ready.changed)}", now_ns)
 
-    def _end(self, outcome: str, now_ns: int) -> None:
+    def _end(self, how: str, outcome: str, now_ns: int) -> None:
+        self.outcomes[how] += 1
         self.outcome = one_line(outcome, _MOST_CHARS)
         self._service.event(f"reload: {self.outcome}", now_ns)
 

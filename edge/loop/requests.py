@@ -2,35 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import Request, Verb, check_text
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text
 from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
 from edge.perception.cards import load_detector_card
 from edge.perception.swap.swapper import Swapper
+from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.loop.service import Service
 
 MAX_NAME_CHARS = 200
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._~-]{0,63}")
 
 
 def served(
-    service: Service, prepare: Callable[..., Brief]
+    service: Service,
+    prepare: Callable[..., Brief],
+    amiss: Callable[[], Sequence[str]] = tuple,
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
     """What can be asked for and what does it, by key below the prefix; see `RequestServer`.
 
     Args:
         prepare: makes a mission of an `instruction` or a `formula`; see `edge.mission.brief`.
+        amiss: why nobody can count on the service now; see `edge.loop.vitals`.
     """
     return {
-        topics.MISSION_REQUEST: (mission_verbs(prepare), partial(handle_mission, service)),
+        topics.MISSION_REQUEST: (
+            mission_verbs(prepare),
+            partial(handle_mission, service, amiss=amiss),
+        ),
         topics.MODELS_REQUEST: (MODEL_VERBS, partial(handle_model, service.swapper)),
     }
 
@@ -40,24 +49,55 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
     Turning an instruction into a mission takes seconds where a language model is asked, so that
     is prepared.
+
+    A new mission may have an `id`, by which whoever gave it knows it again; given once more, it
+    is not begun anew. With `if_free: true` it takes no other's place. `cancel` with an `id` ends
+    that mission and no other; its `why` becomes the reason.
     """
     return {
-        "new": Verb(("instruction", "formula"), _one_text, lambda fields: prepare(**fields)),
+        "new": Verb(
+            (*_TEXTS, "id", "if_free"),
+            _new,
+            lambda fields: prepare(**{name: fields[name] for name in _TEXTS if name in fields}),
+        ),
         "pause": Verb(stops=True),
         "resume": Verb(),
-        "cancel": Verb(stops=True),
+        "cancel": Verb(("id", "why"), _cancel, stops=True),
         "status": Verb(reads=True),
     }
 
 
-def _one_text(fields: dict) -> dict:
-    if len(fields) != 1:
+_TEXTS = ("instruction", "formula")
+
+
+def _new(fields: dict) -> dict:
+    texts = {name: check_text(name, fields[name]) for name in _TEXTS if name in fields}
+    if len(texts) != 1:
         raise ValueError("do: new needs either an instruction or a formula")
-    return {name: check_text(name, text) for name, text in fields.items()}
+    free = {"if_free": True} if check_flag("if_free", fields) else {}
+    return {**texts, **_named(fields), **free}
 
 
-def handle_mission(service: Service, request: Request, now_ns: int) -> dict:
-    """Do what is asked and answer how the mission stands, or refuse and change nothing.
+def _cancel(fields: dict) -> dict:
+    why = {"why": check_text("why", fields["why"], MAX_NAME_CHARS)} if "why" in fields else {}
+    return {**_named(fields), **why}
+
+
+def _named(fields: dict) -> dict:
+    """The `id`, where there is one."""
+    if "id" not in fields:
+        return {}
+    if not _ID.fullmatch(check_text("id", fields["id"])):
+        raise ValueError(
+            f"id: expected letters, digits and . _ ~ -, 64 at most: {fields['id']!r:.80}"
+        )
+    return {"id": fields["id"]}
+
+
+def handle_mission(
+    service: Service, request: Request, now_ns: int, amiss: Callable[[], Sequence[str]] = tuple
+) -> dict:
+    """Do what is asked and answer how mission and robot stand, or refuse and change nothing.
 
     How many new missions a stop kept from beginning is in its answer, as `overtaken`; if there are
     any, it is no mistake to ask for it when no mission is under way.
@@ -65,30 +105,69 @@ def handle_mission(service: Service, request: Request, now_ns: int) -> dict:
     Raises:
         UserError: there is nothing to pause, resume or cancel, or the mission cannot be begun.
     """
-    mission = service.mission
+    mission, name = service.mission, request.fields.get("id", "")
     if request.do == "new":
-        assert isinstance(request.prepared, Brief)
-        service.begin(request.prepared, now_ns)
-    elif request.do != "status" and mission.done:
+        _begin(service, request, now_ns)
+    elif request.do != "status" and (mission.done or name not in ("", mission.id)):
         if not request.overtaken:
-            phase = service.status.phase
-            raise UserError(f"no mission is under way: the last one {phase}")
+            raise UserError(f"no {'such ' * bool(name)}mission is under way: {_last(service)}")
     elif request.do == "cancel":
-        mission.fail("cancelled", now_ns)
+        mission.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         paused = request.do == "pause"
         if paused != mission.paused:  # who asks a hundred times a second is told of once
             mission.pause(paused)
             service.event(f"mission: {request.do}d", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
-    return {**answer_of(service.status, facts_of(service.mission)), **overtaken}
+    return {
+        **answer_of(service.status, facts_of(service.mission)),
+        **overtaken,
+        "past": list(service.past),
+        "robot": _robot(service, amiss()),
+    }
+
+
+def _begin(service: Service, request: Request, now_ns: int) -> None:
+    """Begin what was asked for, unless that was done before, or the robot is to be free for it."""
+    assert isinstance(request.prepared, Brief)
+    name, mission = request.fields.get("id", ""), service.mission
+    if name and name == mission.id:
+        return
+    if name and any(name == outcome["id"] for outcome in service.past):
+        raise UserError(f"mission {name} is over here")
+    if request.fields.get("if_free") and not mission.done:
+        raise UserError(f"not free: {_last(service)}")
+    service.begin(request.prepared, now_ns, name)
+
+
+def _last(service: Service) -> str:
+    if service.mission.idle:
+        return "none was given yet"
+    return f"the last one {service.status.phase}: {service.status.instruction}"
+
+
+def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
+    """Whether the robot can take a mission on, and what it knows of the world.
+
+    `known`: metres, as the crow flies, to the nearest thing of each label in the map.
+    """
+    pose, goals = service.pose, service.goals
+    known: dict[str, float] = {}
+    for found in service.tracker.all if pose is not None else ():
+        if found.state != "refuted" and found.hits >= service.config.perception.min_hits:
+            away_m = round(pose.distance_to(*map(float, found.center_m[:2])), 2)
+            known[found.label] = min(away_m, known.get(found.label, away_m))
+    return {
+        "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
+        "controller": "answers" if goals.heard else "silent",
+        "amiss": [one_line(why) for why in amiss],
+        "known": known,
+    }
 
 
 def _model(fields: dict) -> dict:
-    force = fields.get("force", False)
-    if not isinstance(force, bool):
-        raise ValueError("force: expected true or false")
-    return {"model": check_text("model", fields.get("model"), MAX_NAME_CHARS), "force": force}
+    name = check_text("model", fields.get("model"), MAX_NAME_CHARS)
+    return {"model": name, "force": check_flag("force", fields)}
 
 
 MODEL_VERBS = {

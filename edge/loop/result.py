@@ -32,6 +32,7 @@ class MissionFacts:
         knowledge: the sets D, R and B (ViTL IV-A2); `reached`: R in order of reaching.
         forbidden: targets from which, reached next, success would be impossible.
         steps: what happened, oldest first.
+        id: what whoever asked for it calls it; "" where it has no name.
     """
 
     brief: Brief
@@ -43,13 +44,14 @@ class MissionFacts:
     forbidden: tuple[str, ...]
     paused: bool
     steps: tuple[Step, ...]
+    id: str
 
 
 def facts_of(mission: MissionRun) -> MissionFacts:
     """A mission as it stands."""
     return MissionFacts(
         mission.brief, mission.state, mission.word, mission.plan, mission.knowledge,
-        mission.reached, mission.forbidden, mission.paused, mission.steps,
+        mission.reached, mission.forbidden, mission.paused, mission.steps, mission.id,
     )  # fmt: skip
 
 
@@ -104,7 +106,10 @@ class TickResult:
 
 
 class Sink(Protocol):
-    """Takes results. Its methods never block; what they raise is counted and costs no one else."""
+    """Takes results. Its methods never block; what they raise is counted and costs no one else.
+
+    One with a thread of its own may have `stats` (`edge.host.worker.Stats`), for `/metrics`.
+    """
 
     def tick(self, result: TickResult) -> None:
         """A tick ended, or there was nothing to see for a moment."""

@@ -38,6 +38,7 @@ class Running:
 
     Attributes:
         config: of the start.
+        now_ns: the loop's time at its newest beat; 0 before there was one.
         epoch: of the source, as the service knows it.
         reloader: changes the service's configuration when it is asked to; None: nobody asks.
     """
@@ -47,6 +48,7 @@ class Running:
     worker: DetectorWorker
     source: Source
     servers: Mapping[str, Server]
+    now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
     reloader: Reloader | None = field(default=None, init=False)
 
@@ -97,7 +99,7 @@ def _real_time(running: Running, stop: threading.Event) -> Iterator[None]:
     deadline_ns = perf_counter_ns()
     while not stop.is_set():
         observation = _hear(running, wall_ns + time.monotonic_ns())
-        now_ns = wall_ns + time.monotonic_ns()
+        now_ns = running.now_ns = wall_ns + time.monotonic_ns()
         _obey(running, now_ns)
         if observation is None:
             _idle(running, now_ns)
@@ -126,6 +128,7 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
             seen_s = time.monotonic()
             now_ns = _later(now_ns, observation.stamp_ns - stamp_ns)
             stamp_ns = observation.stamp_ns
+        running.now_ns = now_ns
         _obey(running, now_ns)
         if observation is not None:
             _tick(running, observation, now_ns)

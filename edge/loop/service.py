@@ -7,6 +7,7 @@ clock but to time itself: the same observations give the same goals.
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from time import perf_counter_ns
@@ -44,6 +45,7 @@ log = logging.getLogger("edge.loop.service")
 
 INGEST, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(stages.STAGES))
 NOTHING_CHANGED = (0, 0, 0, 0)
+_PAST = 32
 BLIND_S = 1.0  # no one drives on for longer, or three frames where they come less often
 
 
@@ -59,14 +61,17 @@ class Service:
         scorers: models that are asked beside the loop, where any are configured.
         overruns: by what is listened to, how often more came than could be taken.
         calibration: of this computer, for the budgets; None: they are the reference computer's.
+        idle: the mission is not begun: the robot stands until one is asked for.
 
     Attributes:
         mission: the one under way, or the last one.
+        past: what became of those before it that had a name, JSON-ready, oldest first.
         goals: what the robot is sent to, and what becomes of it.
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
         blind_s: so long without an observation no one drives on.
+        overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
         epoch: counts the frames that the map was in.
@@ -83,9 +88,10 @@ class Service:
         scorers: Scorers | None = None,
         overruns: Callable[[], dict[str, int]] = dict,
         calibration: Calibration | None = None,
+        idle: bool = False,
     ) -> None:
         self.config = config
-        self.keeper = keeper
+        self.keeper, self.overruns = keeper, overruns
         self.grid = RollingMap(config.mapping)
         self._seen_map = MapView(self.grid)
         self.sightings = SightingTracker(config.perception)
@@ -120,8 +126,12 @@ class Service:
         self._looked_ns = 0  # when the last observation was dealt with
         self.blind_s = max(BLIND_S, 3.0 / config.observed_hz)
         self._newest_seq = self._void_seq = -1
+        self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
         if keeper is not None:
             keeper.resume(self.mission)
+        if idle:
+            self.mission.wait()
+            self.goals.driving = True  # a controller may have a goal of a service before this one
         self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
@@ -332,8 +342,11 @@ class Service:
 
     # -- what comes from outside --------------------------------------------------------------
 
-    def begin(self, brief: Brief, now_ns: int) -> None:
+    def begin(self, brief: Brief, now_ns: int, id: str = "") -> None:
         """Put another mission in the place of the present one; map and instances stay.
+
+        Args:
+            id: see `MissionRun.id`.
 
         Raises:
             PlannerError: its automaton is too large for the configured planner.
@@ -341,8 +354,9 @@ class Service:
 
         Nothing has changed when it raises.
         """
-        mission = MissionRun(brief, self.config.mission, self._step_taken)
+        mission = MissionRun(brief, self.config.mission, self._step_taken, id)
         self._worker.set_prompts(brief.targets)
+        self._remember(self.mission)
         self.mission = mission
         self._keep_values()
         self.tracker.forget_verdicts()
@@ -356,6 +370,12 @@ class Service:
             self._scorers.forget()
         self.goals.forget_mission()
         self.mission.start(now_ns)
+
+    def _remember(self, mission: MissionRun) -> None:
+        if mission.id:
+            status = mission.status(self.goals.phase)
+            over = (status.phase, status.reason) if mission.done else ("failed", "replaced")
+            self.past.append({"id": mission.id, "phase": over[0], "reason": over[1]})
 
     def reconfigure(self, config: Config, policy: Policy) -> None:
         """Go by another configuration from the next tick on.
@@ -462,6 +482,10 @@ class Service:
     def goal(self) -> Goal | None:
         """Where the robot is sent; None: nowhere."""
         return self.goals.goal
+
+    @property
+    def scorers(self) -> Scorers | None:
+        return self._scorers
 
     @property
     def status(self) -> MissionStatus:

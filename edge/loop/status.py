@@ -124,6 +124,7 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
     """Formula, automaton state, plan and sets of a mission (ViTL IV-A2), and why this target."""
     translation, plan, knowledge = mission.brief.translation, mission.plan, mission.knowledge
     return {
+        "id": mission.id,
         "formula": one_line(mission.brief.automaton.formula),
         "english": translation.understood,
         "translated_by": one_line(translation.backend),

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
-from typing import Literal
+from typing import Literal, get_args
 
 from edge.host.pages import Page, Pages, json_page
 from edge.host.service_manager import ServiceManager
@@ -28,6 +28,7 @@ _LOOK_S = 1.0
 _UNSEEN = "nothing to be seen"  # not for how long: that would be another line each second
 
 State = Literal["starting", "running", "reloading", "stopping"]
+STATES: tuple[State, ...] = get_args(State)
 
 
 class Vitals:
@@ -94,7 +95,8 @@ class Vitals:
             self._images, self._detected_s = images, now_s
         self._amiss = tuple(_amiss(running, now_s - self._seen_s, now_s - self._detected_s))
         status = running.service.status
-        said = f"{status.phase}: {one_line(status.instruction, 100)}"
+        doing = status.reason if status.phase == "idle" else status.instruction
+        said = f"{status.phase}: {one_line(doing, 100)}"
         if self._amiss:
             said = f"not ready: {'; '.join(self._amiss)} ({said})"
         if running.reloader is not None and running.reloader.outcome:
@@ -105,9 +107,19 @@ class Vitals:
 
     # -- for any thread ------------------------------------------------------------------------
 
+    @property
+    def silent_s(self) -> float:
+        """How long ago the loop's newest beat was, or the start."""
+        return self._clock() - self._beat_s
+
+    @property
+    def unseen_s(self) -> float:
+        """How long ago something new was seen; infinite before anything was."""
+        return self._clock() - self._seen_s
+
     def hangs(self) -> tuple[str, ...]:
         """Why it should be started again; nothing while it lives."""
-        silent_s = self._clock() - self._beat_s
+        silent_s = self.silent_s
         if self.state in ("running", "reloading") and silent_s > HANGS_S:
             return (f"the loop has hung for {silent_s:.0f} s",)
         return ()

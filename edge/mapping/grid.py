@@ -157,8 +157,11 @@ class RollingMap:
 
     @property
     def known_m2(self) -> float:
-        """Area that was seen; costs with the map's size, so not for every tick."""
-        return float(np.count_nonzero(self._layers.raw)) * self.resolution_m**2
+        """Area that was seen; costs with the map's size, so not for every tick.
+
+        Another thread may ask while the map is updated: cells are then from before or after.
+        """
+        return float(unknown.count(self._layers.known)) * self.resolution_m**2
 
     def snapshot(self, inflated: int = OCCUPIED) -> Grid:
         """Copy the explored part; costs with the map's size, so never in the steady tick.
@@ -427,6 +430,7 @@ def warmup(mapping: config.Mapping) -> None:
     points_m = ly.read_only(grid.frontiers.xy_m)
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
+    _ = grid.known_m2
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))

@@ -19,6 +19,16 @@ def _popcount(x):
     return (x * np.uint64(0x0101010101010101)) >> np.uint64(56)
 
 
+@njit(nogil=True, cache=True)
+def count(plane):
+    """How many bits of a bit plane, (N, N / 64) uint64, are set."""
+    n = 0
+    for row in plane:
+        for word in row:
+            n += np.int64(_popcount(word))
+    return n
+
+
 @njit(nogil=True, cache=True, inline="always")
 def _fill(x, p):
     """Flood the bits x along the row within p."""

@@ -40,16 +40,22 @@ class MissionRun:
         turns: counts how often a target was set out for.
         changes: counts everything that a checkpoint should hold.
         config: its limits; may be set to one with others.
+        id: what whoever asked for it calls it; "" where it has no name.
     """
 
     def __init__(
-        self, brief: Brief, config: Mission, tell: Callable[[Step], None] = lambda step: None
+        self,
+        brief: Brief,
+        config: Mission,
+        tell: Callable[[Step], None] = lambda step: None,
+        id: str = "",
     ) -> None:
         """
         Args:
             tell: hears of every step when it is taken.
         """
         self.brief = brief
+        self.id = id
         self.state = 0
         self.target = brief.targets[0]
         self.word: tuple[str, ...] = ()
@@ -70,7 +76,7 @@ class MissionRun:
         translation = brief.translation
         self._planner = make_planner(config.planner, brief.automaton, translation.instruction)
         self._distance_m: np.ndarray | None = None
-        self._ended: Literal["reached", "failed"] | None = None
+        self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
         self._newest: dict[str, int] = {}
         self._stale: dict[str, int] = {}
@@ -83,7 +89,13 @@ class MissionRun:
 
     @property
     def done(self) -> bool:
+        """Nothing is, or is any more, to be done."""
         return self._ended is not None
+
+    @property
+    def idle(self) -> bool:
+        """It only stands for the first one, which was not given yet."""
+        return self._ended == "idle"
 
     @property
     def knowledge(self) -> Knowledge:
@@ -225,6 +237,10 @@ class MissionRun:
         """Stop or resume; the clock stands meanwhile."""
         self.paused = paused
         self.changes += 1
+
+    def wait(self) -> None:
+        """Do nothing: the first mission is yet to be given."""
+        self._ended, self.reason = "idle", "waiting for a mission"
 
     def fail(self, reason: str, now_ns: int) -> None:
         """Give up the whole mission; what is already over stays as it ended."""

@@ -69,6 +69,7 @@ class Saved:
         target: the proposition that was pursued, or None.
         pose: x and y in metres, yaw in radians in `map`, at `stamp_ns` of the sensors' clock.
         odometry_epoch: of the source in the process that wrote this.
+        id: see `edge.mission.run.MissionRun`.
     """
 
     __pydantic_config__ = _STRICT
@@ -91,6 +92,7 @@ class Saved:
     stamp_ns: Stamp
     odometry_epoch: Count
     instances: Annotated[tuple[SavedInstance, ...], Field(max_length=MAX_INSTANCES)]
+    id: Word = ""
 
 
 _MISSION = TypeAdapter(Saved)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
+
+
+HealthState = Literal["ok", "building engine", "restarting", "degraded"]
+HEALTH_STATES: tuple[HealthState, ...] = get_args(HealthState)
 
 
 class Health(NamedTuple):
@@ -22,7 +26,7 @@ class Health(NamedTuple):
         detail: one line for a person, empty when there is nothing to say.
     """
 
-    state: Literal["ok", "building engine", "restarting", "degraded"] = "ok"
+    state: HealthState = "ok"
     detail: str = ""
 
 

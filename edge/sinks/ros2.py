@@ -22,7 +22,7 @@ from edge.bus.wire import markers, messages, transforms
 from edge.bus.wire.markers import Marker
 from edge.config import Config
 from edge.geometry import SE2, Grid
-from edge.host.worker import Worker
+from edge.host.worker import Stats, Worker
 from edge.loop.result import TickResult
 from edge.sinks.navigate import Navigator
 from edge.sinks.pace import Pace
@@ -84,6 +84,11 @@ class Ros2Sink:
                 now_ns, self._way.poses(), result.frontiers(), result.instances(), result.goal
             )  # fmt: skip
             self._worker.submit(("drawings", drawn), key="drawings")
+
+    @property
+    def stats(self) -> Stats:
+        """Of what is encoded and sent."""
+        return self._worker.stats
 
     def close(self) -> None:
         """Take the goal back, and send what is left."""

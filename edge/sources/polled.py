@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 
 import zenoh
 
@@ -19,7 +20,7 @@ from edge.types import Observation
 PAUSE_S = 0.0003
 
 
-class PolledSource:
+class PolledSource(ABC):
     """An `edge.loop.source.Source`, but for `_drain`, which brings the messages.
 
     Args:
@@ -70,10 +71,10 @@ class PolledSource:
     def close(self) -> None:
         self.inbox.close()
 
+    @abstractmethod
     def _drain(self) -> int:
         """Hand what came to the synchronizer, a ring's worth of each topic at most; how many
         messages it was."""
-        raise NotImplementedError
 
     def _is_too_large(self, name: str, payload: zenoh.ZBytes) -> bool:
         """Counts it too, under this name."""

@@ -15,6 +15,10 @@ LIDAR = {
     },
     "mapping": {"input": "cloud"},
 }
+ONE_RING = {  # of config/turtlebot4.yaml
+    "sensors": {"lidar": {"rings": 1, "columns": 640, "x_m": -0.04, "z_m": 0.1929, "yaw_deg": 90}},
+    "mapping": {"input": "cloud"},
+}
 OPENAI = {"kind": "openai", "url": "http://127.0.0.1:1/v1", "model": "m"}
 
 
@@ -32,7 +36,7 @@ def test_no_time_is_no_step(tmp_path):
     assert loop.drive.motion.path_m == 0.0
 
 
-@pytest.mark.parametrize("sections", [{}, LIDAR], ids=["depth", "lidar"])
+@pytest.mark.parametrize("sections", [{}, LIDAR, ONE_RING], ids=["depth", "lidar", "one ring"])
 def test_it_replays_the_same_and_gets_there(tmp_path, sections):
     config = small_house(tmp_path, mission={"target": "bed"}, **sections)
     loops = [ClosedLoop(config, colour=colour) for colour in (True, False)]

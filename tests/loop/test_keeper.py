@@ -65,12 +65,14 @@ def test_with_no_checkpoint_there_is_nothing_to_go_on_with(path):
 def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     loop = ClosedLoop(config("F (sofa & F television)"))
     first = restart(loop, path)
+    loop.service.mission.id = "1f.2"
     while not loop.service.mission.reached:
         loop.step()
     first.close()
     old = loop.service
     second = restart(loop, path)
     assert loop.service.mission.word == old.mission.word == ("sofa",)
+    assert loop.service.mission.id == "1f.2"
     assert loop.service.mission.brief.automaton.formula == old.mission.brief.automaton.formula
     loop.step()
     assert {i.id for i in old.tracker.all} <= {i.id for i in loop.service.tracker.all}

@@ -213,3 +213,38 @@ def test_a_tick_allocates_nothing_that_stays():
         tracemalloc.stop()
     assert after - before < 500  # less than a byte a tick
     assert peak - before < 2000  # the integers of one tick
+
+
+def test_histograms_of_nothing_are_empty():
+    found = LatencyRing().histograms()
+    assert list(found.stages) == [stage.name for stage in STAGES]
+    assert all(sum(h.counts) == 0 for h in (*found.stages.values(), found.tick, found.interval))
+
+
+@given(
+    durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60),
+    capacity=st.integers(1, 40),
+)
+def test_histograms_hold_all_since_the_start_whatever_the_ring_keeps(durations, capacity):
+    ring = LatencyRing(capacity)
+    for i, duration in enumerate(durations):
+        tick(ring, {MAP: duration}, duration, start_ns=i * 10**8)
+        ring.span(DETECT, duration)
+    found = ring.histograms()
+    for h in (found.stages["map"], found.stages["detect"], found.tick):
+        assert sum(h.counts) == len(durations)
+        assert h.sum_s == pytest.approx(sum(durations) * 1e-9)
+    assert sum(found.stages["score"].counts) == 0
+    assert sum(found.interval.counts) == len(durations) - 1
+    assert found.interval.sum_s == pytest.approx((len(durations) - 1) * 0.1)
+
+
+def test_an_abandoned_tick_makes_the_interval_longer_and_is_in_no_histogram():
+    ring = LatencyRing()
+    tick(ring, {}, MS, start_ns=0)
+    ring.begin_tick(30 * MS)
+    ring.abandon_tick(MAP)
+    tick(ring, {}, MS, start_ns=60 * MS)
+    found = ring.histograms()
+    assert sum(found.tick.counts) == 2
+    assert (sum(found.interval.counts), found.interval.sum_s) == (1, pytest.approx(0.06))

@@ -26,6 +26,8 @@ VERB = st.sampled_from([*MISSION])
         (MISSION, {"do": "new", "instruction": "find the chair"}, {}),
         (MISSION, {"do": "new", "formula": "F chair"}, {}),
         (MISSION, {"do": "new", "instruction": "é" * MAX_CHARS}, {}),
+        (MISSION, {"do": "new", "formula": "F a", "id": "1f.2-3_4~5", "if_free": True}, {}),
+        (MISSION, {"do": "cancel", "id": "a", "why": "another robot is at it"}, {}),
         *[(MISSION, {"do": verb}, {}) for verb in MISSION if verb != "new"],
         (MODEL_VERBS, {"do": "status"}, {}),
         (MODEL_VERBS, {"do": "use", "model": "a"}, {"force": False}),
@@ -57,6 +59,13 @@ def test_a_request(verbs, data, more):
         (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not taken with do: new"),
         (b'{"do": "new"}', "either an instruction or a formula"),
         (b'{"do": "new", "formula": "a", "instruction": "b"}', "either an instruction or a"),
+        (b'{"do": "new", "id": "a"}', "either an instruction or a formula"),
+        (b'{"do": "new", "formula": "a", "id": 3}', "id: expected text, got 3"),
+        (b'{"do": "new", "formula": "a", "id": "-a"}', "id: expected letters, digits and"),
+        (b'{"do": "cancel", "id": "a b"}', "id: expected letters, digits and"),
+        (b'{"do": "cancel", "id": "%s"}' % (b"a" * 65), "64 at most"),
+        (b'{"do": "cancel", "why": ""}', "why: expected text, got ''"),
+        (b'{"do": "new", "formula": "a", "if_free": 1}', "if_free: expected true or false"),
         (b'{"do": "new", "formula": 3}', "formula: expected text, got 3"),
         (b'{"do": "new", "formula": null}', "formula: expected text, got None"),
         (b'{"do": "new", "formula": ["a"]}', "formula: expected text, got a list"),
@@ -108,12 +117,13 @@ def test_any_bytes_are_a_request_or_a_value_error(payload):
 
 @given(st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text() | VERB,
-    lambda x: st.lists(x) | st.dictionaries(st.sampled_from(["do", "instruction", "formula"]), x),
+    lambda x: st.lists(x)
+    | st.dictionaries(st.sampled_from(["do", "instruction", "formula", "id"]), x),
 ))  # fmt: skip
 def test_any_json_is_a_request_or_a_value_error(data):
     request = parsed(json.dumps(data).encode())
     if isinstance(request, tuple):
-        assert len(request[1]) == (request[0] == "new")
+        assert len(request[1].keys() & {"instruction", "formula"}) == (request[0] == "new")
     else:
         assert "\n" not in request
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from simulated import simulated
 
@@ -65,15 +67,57 @@ def test_driving_distances_can_be_the_weights():
     loop.service.close()
 
 
-def ask(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0) -> dict:
-    request = Request(do, prepared=brief, overtaken=overtaken)
+def ask(loop: ClosedLoop, do: str, brief=None, overtaken: int = 0, **fields: object) -> dict:
+    request = Request(do, fields, prepared=brief, overtaken=overtaken)
     return handle_mission(loop.service, request, loop.drive.motion.stamp_ns)
 
 
-def refusal(loop: ClosedLoop, do: str, brief=None) -> str:
+def refusal(loop: ClosedLoop, do: str, brief=None, **fields: object) -> str:
     with pytest.raises(UserError) as caught:
-        ask(loop, do, brief)
+        ask(loop, do, brief, **fields)
     return str(caught.value)
+
+
+def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
+    loop = ClosedLoop(config("F bed"))
+    service = loop.service
+    service.mission.wait()
+    service.goals.driving = True  # to something that a service before this one sent
+    loop.run(8)
+    answer = ask(loop, "status")
+    assert (answer["phase"], answer["reason"]) == ("idle", "waiting for a mission")
+    assert (answer["id"], answer["past"], service.status.done) == ("", [], False)
+    assert answer["robot"]["controller"] == "answers"
+    assert loop.drive.motion.path_m < 0.05
+    assert refusal(loop, "pause") == "no mission is under way: none was given yet"
+    ask(loop, "new", prepare(loop.config.mission, formula="F bed"), if_free=True)
+    assert service.status.phase == "searching"
+
+
+def test_a_mission_with_a_name_is_known_by_it_now_and_later():
+    loop = ClosedLoop(config("F television")).run(3)
+    bed, sofa = (prepare(loop.config.mission, formula=f"F {x}") for x in ("bed", "sofa"))
+    assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last one ")
+    assert ask(loop, "new", bed, id="1")["id"] == "1"
+    begun = loop.service.mission
+    assert ask(loop, "new", bed, id="1", if_free=True)["id"] == "1"
+    assert loop.service.mission is begun, "given twice, begun once"
+    assert refusal(loop, "cancel", id="2").startswith("no such mission is under way: ")
+    assert ask(loop, "cancel", id="1", why="another is\nat it")["reason"] == "another is at it"
+    ask(loop, "new", sofa, id="2")
+    answer = ask(loop, "new", bed)
+    assert answer["past"] == [
+        {"id": "1", "phase": "failed", "reason": "another is at it"},
+        {"id": "2", "phase": "failed", "reason": "replaced"},
+    ]
+    assert refusal(loop, "new", sofa, id="2") == "mission 2 is over here"
+    assert json.dumps(answer)
+
+
+def test_what_the_robot_knows_is_told_with_how_far_it_is():
+    loop = ClosedLoop(config("F television")).run(40)
+    known = ask(loop, "status")["robot"]["known"]
+    assert known["television"] == pytest.approx(loop.distance_m("television"), abs=1.0)
 
 
 def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():

@@ -88,6 +88,7 @@ def test_it_is_ready_once_it_sees(watched):
     assert watched.beat(1.0)[-1] == "STATUS=searching: bed"
     assert watched.page("/readyz") == (200, {"ok": True, "state": "running", "why": []})
     watched.beat(2.0)
+    assert watched.vitals.unseen_s == 2.0
     assert watched.page("/readyz")[0] == 503, "the camera is gone"
 
 
@@ -99,6 +100,7 @@ def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched
     watched.now_s += HANGS_S - 0.1
     assert watched.page("/healthz")[0] == 200
     watched.now_s += 0.2
+    assert watched.vitals.silent_s == pytest.approx(HANGS_S + 0.1)
     for path in ("/healthz", "/readyz"):
         status, said = watched.page(path)
         assert (status, said["why"]) == (503, ["the loop has hung for 10 s"])

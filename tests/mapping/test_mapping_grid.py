@@ -231,6 +231,8 @@ def test_degenerate_depth_never_breaks_the_layers(seed):
             twins.window(grid, "known") > 0, twins.window(grid, "raw") > 0
         )
         assert not grid._scan.seen.any()
+        seen = np.count_nonzero(grid.layers.raw)
+        assert grid.known_m2 == pytest.approx(seen * SMALL.resolution_m**2)
 
 
 def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():

@@ -59,6 +59,7 @@ BEGUN = Saved(
     stamp_ns=10**18,
     odometry_epoch=1,
     instances=(CHAIR,),
+    id="1f.2",
 )
 EMPTY = Saved(
     "", "F a", "ltl", "", (), (), (), (), None, "starting", "", False, 0.0, 0.0, None, 0, 0, ()
@@ -81,7 +82,7 @@ states = st.builds(
     detected=st.lists(words).map(tuple), target=st.none() | words, phase=st.text(max_size=20),
     reason=st.text(), paused=st.booleans(), elapsed_s=st.floats(0, 1e9), path_m=st.floats(0, 1e9),
     pose=st.none() | points, stamp_ns=st.integers(-(2**63), 2**63 - 1), odometry_epoch=counts,
-    instances=st.lists(instances, max_size=3).map(tuple),
+    instances=st.lists(instances, max_size=3).map(tuple), id=st.text(max_size=64),
 )  # fmt: skip
 
 

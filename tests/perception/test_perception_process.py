@@ -168,6 +168,7 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
     told = [r.getMessage() for r in caplog.records if r.name.startswith("edge.perception.process")]
     assert len([t for t in told if "started again in" in t]) == len(ends)
     assert len([t for t in told if t.endswith("its process runs")]) == len(ends)
+    assert detector.restarts == len(ends)
     assert not any("\n" in t for t in told)
     assert descriptors[-1] <= descriptors[0]
 

@@ -144,6 +144,7 @@ def test_without_a_request_nothing_happens(bench, inline):
     assert b.swapper.status() == {
         "state": "idle", "model": "old", "previous": "", "detail": "", "progress": "", "number": 0,
     }  # fmt: skip
+    assert b.swapper.outcomes == {"kept": 0, "rolled back": 0, "refused": 0}
 
 
 @pytest.mark.parametrize("inline", [True, False])
@@ -163,6 +164,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
     ]
     status = b.swapper.status()
     assert (status["model"], status["previous"], status["number"]) == ("new", "old", 1)
+    assert b.swapper.outcomes == {"kept": 1, "rolled back": 0, "refused": 0}
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,9 @@ class ProcessDetector:
 
     A thread of its own starts the process, waits for its end, and starts it again. While there is
     no process `detect` raises at once.
+
+    Attributes:
+        restarts: how often it was begun to be started again.
     """
 
     def __init__(
@@ -90,7 +93,7 @@ class ProcessDetector:
                 `cancelled` was set.
         """
         self.name = perception.detector.model
-        self.invalid_boxes = 0
+        self.invalid_boxes = self.restarts = 0
         self._config = perception.process
         self._perception = perception.model_copy(update={"isolation": "thread"})
         self._prompts = self._looked_for = tuple(prompts)
@@ -187,7 +190,8 @@ class ProcessDetector:
             state = "degraded" if pause.limit else state
             if not self._closing.is_set():
                 self._say(Health(state, f"{why}; {self._outlook(pause)}"))
-            self._closing.wait(None if math.isinf(pause.seconds) else pause.seconds)
+            if not self._closing.wait(None if math.isinf(pause.seconds) else pause.seconds):
+                self.restarts += 1
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """One process, from its start to its end: seconds that it was ready, and how it ended.

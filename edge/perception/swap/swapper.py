@@ -51,6 +51,7 @@ class Swapper:
 
     Attributes:
         perception: what models are made and judged by, but for their name; may be set.
+        outcomes: how many swaps ended how (`OVER`), since the start.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Swapper:
         self._ended: list[_Attempt] = []
         self._until_s = 0.0
         self._number = 0
+        self.outcomes = dict.fromkeys(OVER, 0)
         self._over = {"state": "idle", "model": worker.detector.name, "previous": "", "detail": ""}
 
     def request(
@@ -161,6 +163,7 @@ class Swapper:
         return f"{what} after {limit_s:g} s (perception.swap.load_timeout_s)"
 
     def _end(self, attempt: _Attempt, state: str, detail: str, now_ns: int) -> None:
+        self.outcomes[state] += 1
         self._over = {
             "state": state, "model": attempt.model, "previous": attempt.previous.name,
             "detail": detail,

@@ -1,0 +1,231 @@
+"""`edge fleet`: several robots over one router, asked and told from one place."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from edge.bus.client import RequestError
+from edge.bus.session import zenoh_session
+from edge.bus.zenoh_file import protocol
+from edge.cli.requests import ANSWER_S, as_text
+from edge.config import Mission, Zenoh, load
+from edge.errors import FAILED, UserError
+from edge.fleet.dispatch import LOOK_S, Dispatcher, Plan, plan
+from edge.fleet.orders import Outcome
+from edge.fleet.roster import Robot, open_roster
+from edge.host.signals import stop_on_signals
+from edge.mission.brief import prepare
+from edge.text import aligned, one_line
+
+log = logging.getLogger("edge")
+
+ANY = "any"
+_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
+_CELL = 40
+
+
+def where(name: str) -> tuple[Zenoh, Mission]:
+    """The sections that count of what a command names; beside an endpoint, those of a fleet.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    if protocol(name) in _PROTOCOLS and not os.path.exists(name):
+        return Zenoh(endpoint=name, mode="client", prefix="robots/any"), Mission()
+    config = load(name)
+    return config.zenoh, config.mission
+
+
+# -- who is there ------------------------------------------------------------------------------
+
+
+def show(args: argparse.Namespace) -> int:
+    """Handle `edge fleet list`."""
+    with open_roster(where(args.where)[0]) as roster:
+        robots = roster.look()
+    if args.json:
+        print(json.dumps([_data(robot) for robot in robots.values()], indent=2))
+    else:
+        print(table(robots.values()) if robots else f"no robot is there ({roster.pattern})")
+    return 0
+
+
+def table(robots: Iterable[Robot]) -> str:
+    """A line a robot."""
+    rows = [["robot", "phase", "mission", "target", "pose", "health"]]
+    rows += [list(_cells(robot).values()) for robot in robots]
+    return aligned(
+        [[*(one_line(cell, _CELL) for cell in row[:-1]), one_line(row[-1])] for row in rows]
+    )
+
+
+def _cells(robot: Robot) -> dict[str, str]:
+    account = robot.account
+    if account is None:
+        return {"robot": robot.name, **dict.fromkeys(("phase", "mission", "target", "pose"), "?"),
+                "health": robot.problem}  # fmt: skip
+    body, idle = account.robot, account.phase == "idle"
+    amiss = [*body.amiss, *(["controller silent"] if body.controller == "silent" else [])]
+    pose = "?" if body.pose is None else "{:.1f} {:.1f} m {:.0f}°".format(
+        *body.pose[:2], body.pose[2] * 57.29578
+    )  # fmt: skip
+    return {
+        "robot": robot.name,
+        "phase": account.phase,
+        "mission": "-" if idle else account.instruction,
+        "target": "-" if idle else account.target or "-",
+        "pose": pose,
+        "health": "; ".join(amiss) or "ok",
+    }
+
+
+def _data(robot: Robot) -> dict[str, Any]:
+    return {"robot": robot.name, "problem": robot.problem, "answer": robot.answer}
+
+
+def watch(args: argparse.Namespace) -> int:
+    """Handle `edge fleet watch`, until a signal."""
+    stop = stop_on_signals()
+    with open_roster(where(args.where)[0]) as roster:
+        before: dict[str, dict[str, str]] = {}
+        online = True
+        while not stop.is_set():
+            robots = roster.seen()
+            if (robots is not None) != online:
+                online = robots is not None
+                _say("the router is back" if online else "the router is gone")
+            if robots is not None:
+                before = _changes(before, robots, args.json)
+            roster.wait(LOOK_S)
+    return 0
+
+
+def _changes(
+    before: Mapping[str, dict[str, str]], robots: Mapping[str, Robot], as_json: bool
+) -> dict[str, dict[str, str]]:
+    """Print what differs; how they stand now."""
+    now = {name: _cells(robot) for name, robot in robots.items()}
+    told = {name: {k: v for k, v in cells.items() if k != "pose"} for name, cells in now.items()}
+    for name in sorted(before.keys() | told.keys()):
+        if before.get(name) == told.get(name):
+            continue
+        if as_json:
+            gone = {"robot": name, "problem": "gone", "answer": None}
+            print(json.dumps(_data(robots[name]) if name in robots else gone), flush=True)
+        else:
+            cells = told.get(name, {"robot": name, "phase": "gone"})
+            _say("  ".join(one_line(cell, _CELL) for cell in cells.values()))
+    return told
+
+
+# -- what they are told ------------------------------------------------------------------------
+
+
+def ask(args: argparse.Namespace) -> int:
+    """Handle `edge fleet status | pause | resume | cancel`: the same to each at once.
+
+    Of robots that were not named, one without a mission has nothing to stop, which is no fault.
+    """
+    with open_roster(where(args.where)[0]) as roster:
+        there = roster.names()
+        chosen = args.robots or there
+        _check_names(chosen, there)
+        answers = roster.ask(chosen, {"do": args.do}, ANSWER_S)
+    if args.json:
+        print(json.dumps([_data(robot) for robot in answers.values()], indent=2))
+    else:
+        for robot in answers.values():
+            answer = robot.problem if robot.answer is None else as_text(dict(robot.answer))
+            print(f"{one_line(robot.name)}:", answer.replace("\n", "\n  "), sep="\n  ")
+    silent = [robot for robot in answers.values() if robot.account is None]
+    if not args.robots:
+        silent = [robot for robot in silent if not robot.problem.startswith("refused: ")]
+    return os.EX_UNAVAILABLE if silent or not there else 0
+
+
+def _check_names(names: Iterable[str], there: Iterable[str]) -> None:
+    if unknown := sorted(set(names) - set(there)):
+        raise RequestError(
+            f"fleet: no robot {one_line(unknown[0])!r} (there are: "
+            f"{one_line(', '.join(there)) or 'none'})"
+        )
+
+
+def new(args: argparse.Namespace) -> int:
+    """Handle `edge fleet new`: 0 where all of it was reached, 1 where a part failed.
+
+    Raises:
+        UserError: the mission is not understood, or a robot that was named is not there.
+    """
+    zenoh, limits = where(args.where)
+    text = {"formula" if args.formula else "instruction": args.text}
+    brief = prepare(limits, **text)
+    named = [] if args.to in (None, [ANY]) else list(dict.fromkeys(args.to))
+    if ANY in named:
+        raise UserError(f"fleet: --to: either {ANY}, or names")
+    with open_roster(zenoh) as roster:
+        _check_names(named, roster.names())
+        mission = plan(brief, limits, roster.look(), named, args.share, args.anew)
+        _say(f"mission {mission.id}: {brief.translation.understood}")
+        if mission.why_whole:
+            _say(f"not split: {mission.why_whole}; one robot gets all of it")
+        dispatcher = Dispatcher(roster, mission, _say, args.patience)
+        try:
+            outcomes = dispatcher.run()
+        except KeyboardInterrupt:
+            _say("robots go on with what they have; the same command takes it up again")
+            raise
+    print(_told_back(mission, outcomes, dispatcher.ended_ns, args.json))
+    reached = all(o.phase == "reached" for o in outcomes.values())
+    return 0 if reached and len(outcomes) == len(mission.parts) else FAILED
+
+
+def _told_back(
+    mission: Plan, outcomes: Mapping[str, Outcome], ended_ns: Mapping[str, int], as_json: bool
+) -> str:
+    """What became of the whole, and of its parts: by whom, and when."""
+    none = Outcome("failed", "", "not begun")
+    rows = [(part, outcomes.get(part.id, none), ended_ns.get(part.id)) for part in mission.parts]
+    phase = "failed" if any(o.phase == "failed" for _, o, _ in rows) else "reached"
+    if as_json:
+        parts = [
+            {"id": part.id, "formula": part.formula, "english": part.english, "phase": o.phase,
+             "by": o.by, "reason": o.reason, "ended_ns": ns}
+            for part, o, ns in rows
+        ]  # fmt: skip
+        return json.dumps({"id": mission.id, "phase": phase, "parts": parts}, indent=2)
+    lines = [["part", "outcome", "by", "at", "reason"]]
+    lines += [
+        [part.english, o.phase, o.by or "-", _clock(ns) if ns else "-", o.reason]
+        for part, o, ns in rows
+    ]
+    cells = [[one_line(cell, 2 * _CELL) for cell in line] for line in lines]
+    return f"{phase}: mission {mission.id}\n{aligned(cells)}"
+
+
+def _say(text: str) -> None:
+    print(f"{_clock(time.time_ns())} {text}", file=sys.stderr, flush=True)
+
+
+def _clock(ns: int) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(ns * 1e-9))
+
+
+# -- what they meet at ---------------------------------------------------------------------------
+
+
+def route(args: argparse.Namespace) -> int:
+    """Handle `edge fleet router`: passes on what the robots and others say, until a signal."""
+    stop = stop_on_signals()
+    settings = Zenoh(endpoint=args.endpoint, file=args.file)
+    with zenoh_session(settings, "route", stop):
+        log.info("router: ready on %s", settings.address)
+        stop.wait()
+    return 0

@@ -1,0 +1,147 @@
+"""What the board says of itself: temperatures, throttling, power and memory, from Linux's files.
+
+Any Linux has some of them, and a Jetson with JetPack 6 or 7 all. A file that vanishes, cannot be
+read (as the sensor of a part that is switched off) or holds nonsense costs its own figure only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.host.machine import power_mode_of, text_of
+from edge.text import one_line
+
+_COLDEST_C, _HOTTEST_C = -100.0, 300.0  # a Jetson's sensors without power say -256
+_TRIPS = ("passive", "hot", "critical")
+_OVER_CURRENT = "soctherm_oc"
+_LONGEST_NAME = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """All that could be read; what could not is not there.
+
+    Attributes:
+        temperature_c: by thermal zone.
+        trip_c: by (zone, what happens there: `passive` (slowed down), `hot`, `critical` (switched
+            off)).
+        throttled: by what the kernel slows down to cool it, from 0 (not at all) to 1; no fans.
+        over_current: by alarm (`oc1` …), how often a Jetson has slowed itself down since it was
+            started, since it drew too much.
+        power_w: by rail.
+        memory_bytes: of the computer, by `total` and `available`.
+        power_mode: of a Jetson, by name.
+    """
+
+    temperature_c: Mapping[str, float]
+    trip_c: Mapping[tuple[str, str], float]
+    throttled: Mapping[str, float]
+    over_current: Mapping[str, int]
+    power_w: Mapping[str, float]
+    memory_bytes: Mapping[str, int]
+    power_mode: str | None
+
+
+def read_board(root: Path = Path("/")) -> Board:
+    """How the board is now.
+
+    Args:
+        root: where `proc`, `sys`, `etc` and `var` are looked for.
+    """
+    thermal, hwmon = root / "sys/class/thermal", root / "sys/class/hwmon"
+    return Board(
+        _most(_temperatures(thermal)),
+        _trips(thermal),
+        _most(_throttled(thermal)),
+        dict(_over_current(hwmon)),
+        _most(_power(hwmon)),
+        dict(_memory(text_of(root / "proc/meminfo"))),
+        power_mode_of(root),
+    )
+
+
+def _temperatures(thermal: Path) -> Iterator[tuple[str, float]]:
+    for zone in thermal.glob("thermal_zone*"):
+        celsius = _celsius(zone / "temp")
+        if celsius is not None:
+            yield _name(zone / "type"), celsius
+
+
+def _trips(thermal: Path) -> dict[tuple[str, str], float]:
+    """The lowest of each kind."""
+    found: dict[tuple[str, str], float] = {}
+    for trip in thermal.glob("thermal_zone*/trip_point_*_type"):
+        kind = text_of(trip).strip()
+        celsius = _celsius(trip.with_name(trip.name.replace("_type", "_temp")))
+        if kind in _TRIPS and celsius is not None and celsius > 0.0:
+            key = _name(trip.with_name("type")), kind
+            found[key] = min(celsius, found.get(key, celsius))
+    return found
+
+
+def _throttled(thermal: Path) -> Iterator[tuple[str, float]]:
+    for device in thermal.glob("cooling_device*"):
+        state, most = _number(device / "cur_state"), _number(device / "max_state")
+        name = _name(device / "type")
+        if state is not None and most and "fan" not in name.lower():
+            # What limits nothing now may say -1.
+            yield name, min(max(state / most, 0.0), 1.0)
+
+
+def _over_current(hwmon: Path) -> Iterator[tuple[str, int]]:
+    for chip in _chips(hwmon, _OVER_CURRENT):
+        for file in chip.glob("oc*_event_cnt"):
+            events = _number(file)
+            if events is not None:
+                yield file.name.partition("_")[0], events
+
+
+def _power(hwmon: Path) -> Iterator[tuple[str, float]]:
+    """A Jetson's rails, and its whole input on a Thor (INA238)."""
+    for chip in _chips(hwmon, "ina3221"):
+        for label in chip.glob("in*_label"):
+            rail, number = _name(label), label.name[2 : -len("_label")]
+            milli = _number(chip / f"in{number}_input"), _number(chip / f"curr{number}_input")
+            if None not in milli and "shunt" not in rail:
+                yield rail, milli[0] * milli[1] * 1e-6
+    for chip in _chips(hwmon, "ina238"):
+        if (micro_w := _number(chip / "power1_input")) is not None:
+            yield "VIN", micro_w * 1e-6
+
+
+def _memory(meminfo: str) -> Iterator[tuple[str, int]]:
+    for key, name in (("total", "MemTotal"), ("available", "MemAvailable")):
+        if match := re.search(rf"^{name}:\s*(\d+) kB", meminfo, re.MULTILINE):
+            yield key, int(match[1]) * 1024
+
+
+def _chips(hwmon: Path, name: str) -> list[Path]:
+    return [chip for chip in hwmon.glob("hwmon*") if text_of(chip / "name").strip() == name]
+
+
+def _most(found: Iterator[tuple[str, float]]) -> dict[str, float]:
+    """The highest of each name: a processor's cores are all called alike."""
+    most: dict[str, float] = {}
+    for name, value in found:
+        most[name] = max(value, most.get(name, value))
+    return most
+
+
+def _celsius(file: Path) -> float | None:
+    milli = _number(file)
+    if milli is None or not _COLDEST_C < milli * 1e-3 < _HOTTEST_C:
+        return None
+    return milli * 1e-3
+
+
+def _number(file: Path) -> int | None:
+    """A whole number of at most 18 digits; None where the file holds anything else."""
+    match = re.fullmatch(r"-?[0-9]{1,18}", text_of(file).strip())
+    return int(match[0]) if match else None
+
+
+def _name(file: Path) -> str:
+    return one_line(text_of(file), _LONGEST_NAME) or "unknown"

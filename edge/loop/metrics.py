@@ -1,0 +1,259 @@
+"""The service as metrics, for Prometheus: `/metrics` (docs/metrics.md).
+
+Nothing is gathered for it in the loop: a scrape reads, on a thread of its own, what the service
+counts anyway. What it reads are numbers, strings and frozen objects that the loop's thread replaces
+as a whole, dicts of counts (copied in one step of the interpreter), and what says itself that
+any thread may call it (`LatencyRing`, `RollingMap.known_m2`, `Detector.health`). Two figures may so
+be from two ticks. Nothing waits for the loop, but for the ring's lock, which it holds for
+microseconds: a loop that hangs is told of, too.
+
+Texts of others (instructions, targets, errors) are no labels: each would be a series for ever.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, get_args
+
+from prometheus_client.core import Metric as Family
+
+from edge import __version__
+from edge.host.board import Board, read_board
+from edge.host.pages import Pages
+from edge.loop.exposition import Exposition, Metric, families
+from edge.loop.reload import OUTCOMES
+from edge.loop.result import Sink
+from edge.loop.runner import Running
+from edge.loop.source import NO_DROPS
+from edge.loop.status import detector_health
+from edge.loop.vitals import STATES, Vitals
+from edge.perception.detector import HEALTH_STATES
+from edge.perception.process.detector import ProcessDetector
+from edge.types import MissionPhase
+
+_GOALS = ("none", "frontier", "instance", "look")
+_MS = 1e-3
+
+
+class Look:
+    """What one scrape sees of a running service."""
+
+    def __init__(self, running: Running, sinks: Sequence[Sink]) -> None:
+        service = running.service
+        self.running, self.service, self.sinks = running, service, sinks
+        self.mission, self.goal = service.mission, service.goal
+        self.source = dict(running.source.counters)
+        self.rows = service.latency.report(last=1)
+        self.histograms = service.latency.histograms()
+        self.detector, self.images = running.worker.detector, running.worker.stats
+        self.scorers = {} if service.scorers is None else service.scorers.status()
+        self.checkpoint = None if service.keeper is None else service.keeper.status()
+
+    def stages(self, value: Callable[[Any], float]) -> dict[str, float]:
+        """By stage, of its row in the latency report."""
+        return {row.name: value(row) for row in self.rows.stages}
+
+    def sink_stats(self, name: str) -> Counter[str]:
+        """By sink, of those that have a thread of their own."""
+        found: Counter[str] = Counter()
+        for sink in self.sinks:
+            if (stats := getattr(sink, "stats", None)) is not None:
+                found[type(sink).__name__] += getattr(stats, name)
+        return found
+
+    def models(self) -> Iterator[tuple[str, str]]:
+        """(what it is for, its name) of every model at work."""
+        yield "detector", self.detector.name
+        yield from ((part, str(said["model"])) for part, said in self.scorers.items())
+
+
+def _seconds(ms: float) -> float:
+    return round(ms * _MS, 9)
+
+
+def _faults(look: Look) -> dict[tuple[str, str], int]:
+    """By (step, type of error)."""
+    kinds = dict(look.service.faults.failures)
+    return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
+
+
+def _answers(look: Look) -> dict[tuple[str, str], int]:
+    """By (scorer, how a question ended)."""
+    return {
+        (part, how): said[how]
+        for part, said in look.scorers.items()
+        for how in ("answered", "failed")
+        if how in said
+    }
+
+
+LIFE: tuple[Metric[Vitals], ...] = (
+    Metric("edge_build_info", "gauge", "The version of edge; always 1.",
+           lambda v: {__version__: 1}, ("version",)),
+    Metric("edge_service_state", "state", "What the service is at.",
+           lambda v: v.state, states=STATES),
+    Metric("edge_service_ready", "gauge", "Whether nothing is amiss, as /readyz says.",
+           lambda v: not v.amiss()),
+    Metric("edge_loop_beat_age_seconds", "gauge", "Time since the loop's newest beat.",
+           lambda v: v.silent_s),
+    Metric("edge_observation_age_seconds", "gauge",
+           "Time since something new was seen; infinite before anything was.",
+           lambda v: v.unseen_s),
+)  # fmt: skip
+"""Of the service's life, from its start on."""
+
+SERVICE: tuple[Metric[Look], ...] = (
+    # The tick.
+    Metric("edge_tick_duration_seconds", "histogram", "Time that a tick took.",
+           lambda s: s.histograms.tick),
+    Metric("edge_tick_budget_seconds", "gauge", "What the 95th percentile should stay under.",
+           lambda s: _seconds(s.rows.tick.budget_ms)),
+    Metric("edge_tick_deadline_seconds", "gauge", "What no tick should take longer than.",
+           lambda s: _seconds(s.rows.deadline_ms)),
+    Metric("edge_tick_deadline_missed_total", "counter", "Ticks over the deadline.",
+           lambda s: s.rows.tick.overruns),
+    Metric("edge_tick_interval_seconds", "histogram",
+           "Time from the beginning of a tick to that of the next: the beat.",
+           lambda s: s.histograms.interval),
+    Metric("edge_tick_period_seconds", "gauge", "The beat that is configured (loop.hz).",
+           lambda s: 1.0 / s.running.config.loop.hz),
+    Metric("edge_stage_duration_seconds", "histogram",
+           "Time that a stage took; detect runs beside the tick.",
+           lambda s: s.histograms.stages, ("stage",)),
+    Metric("edge_stage_budget_seconds", "gauge", "What the 95th percentile should stay under.",
+           lambda s: s.stages(lambda row: _seconds(row.budget_ms)), ("stage",)),
+    Metric("edge_stage_over_budget_total", "counter", "Runs of a stage over its budget.",
+           lambda s: s.stages(lambda row: row.overruns), ("stage",)),
+    Metric("edge_stage_dropped_total", "counter",
+           "What a stage let go: messages (ingest), images (detect), ticks that it failed in.",
+           lambda s: s.stages(lambda row: row.drops), ("stage",)),
+    # What comes in.
+    Metric("edge_source_received_total", "counter", "Messages that came from sensors.",
+           lambda s: s.source.get("received", 0)),
+    Metric("edge_source_observations_total", "counter", "Observations put together from them.",
+           lambda s: s.source.get("observations", 0)),
+    Metric("edge_source_dropped_total", "counter",
+           "Messages that became part of no observation, by reason.",
+           lambda s: {why: n for why, n in s.source.items() if why not in NO_DROPS}, ("reason",)),
+    Metric("edge_overruns_total", "counter",
+           "Looks that found more than there was room for, by what is listened to.",
+           lambda s: s.service.overruns(), ("ring",)),
+    Metric("edge_pose_jumps_total", "counter", "Times that odometry began anew: the map was lost.",
+           lambda s: s.service.epoch),
+    # What fails.
+    Metric("edge_faults_total", "counter", "Errors that the loop outlived.",
+           lambda s: s.service.faults.failed),
+    Metric("edge_faults_by_step_total", "counter",
+           "The same, by step of the loop and type of error, once there was one.",
+           _faults, ("step", "error")),
+    Metric("edge_loop_degraded", "gauge", "Whether a step of the loop fails again and again.",
+           lambda s: s.service.faults.state != "ok"),
+    Metric("edge_sink_failures_total", "counter", "Results that a sink could not send.",
+           lambda s: s.sink_stats("failed"), ("sink",)),
+    Metric("edge_sink_replaced_total", "counter",
+           "Results that a newer one displaced before a sink sent them.",
+           lambda s: s.sink_stats("replaced"), ("sink",)),
+    Metric("edge_checkpoint_written_total", "counter", "Checkpoints that reached the disk.",
+           lambda s: s.checkpoint and s.checkpoint["written"]),
+    Metric("edge_checkpoint_failed_total", "counter", "Checkpoints that could not be written.",
+           lambda s: s.checkpoint and s.checkpoint["failed"]),
+    # Models.
+    Metric("edge_model_info", "gauge", "Every model at work; always 1.",
+           lambda s: dict.fromkeys(s.models(), 1), ("part", "model")),
+    Metric("edge_detector_state", "state", "How the detector is.",
+           lambda s: detector_health(s.running.worker).state, states=HEALTH_STATES),
+    Metric("edge_detector_images_total", "counter",
+           "Images by what became of them: detected in, failed, replaced by a newer one.",
+           lambda s: {"detected": s.images.done, "failed": s.images.failed,
+                      "replaced": s.images.replaced}, ("outcome",)),
+    Metric("edge_detector_invalid_boxes_total", "counter", "Boxes that were not finite.",
+           lambda s: {s.detector.name: s.detector.invalid_boxes}, ("model",)),
+    Metric("edge_model_process_restarts_total", "counter",
+           "Starts of the detector's process after its end; 0 where it has none.",
+           lambda s: {s.detector.name: s.detector.restarts
+                      if isinstance(s.detector, ProcessDetector) else 0}, ("model",)),
+    Metric("edge_model_swaps_total", "counter", "Changes to another model, by how they ended.",
+           lambda s: dict(s.service.swapper.outcomes), ("outcome",)),
+    Metric("edge_scorer_answers_total", "counter", "Questions to scorers, by how they ended.",
+           _answers, ("scorer", "outcome")),
+    Metric("edge_reloads_total", "counter", "Reloads of the configuration, by how they ended.",
+           lambda s: dict.fromkeys(OUTCOMES, 0) if s.running.reloader is None
+           else dict(s.running.reloader.outcomes), ("outcome",)),
+    Metric("edge_policy_info", "gauge", "The policy at work; always 1.",
+           lambda s: {s.service.config.policy.kind: 1}, ("policy",)),
+    # The mission and its goal.
+    Metric("edge_mission_state", "state", "How the mission stands.",
+           lambda s: s.mission.status(s.service.goals.phase).phase, states=get_args(MissionPhase)),
+    Metric("edge_mission_targets", "gauge", "Targets of the mission.",
+           lambda s: len(s.mission.brief.targets)),
+    Metric("edge_mission_targets_reached", "gauge", "Of those, how many were reached.",
+           lambda s: len(s.mission.reached)),
+    Metric("edge_mission_plan_steps", "gauge", "Steps that are left of the plan.",
+           lambda s: 0 if s.mission.done else len(s.mission.plan.steps)),
+    Metric("edge_mission_elapsed_seconds", "gauge", "Time that the mission has taken.",
+           lambda s: s.mission.elapsed_s),
+    Metric("edge_mission_path_meters", "gauge", "Way that the robot has driven for it.",
+           lambda s: s.mission.path_m),
+    Metric("edge_goal_state", "state", "What the present goal is for: a frontier, an instance of "
+           "the target, to look round.",
+           lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
+    Metric("edge_goal_age_seconds", "gauge", "Time since the present goal was chosen.",
+           lambda s: None if s.goal is None
+           else max(s.running.now_ns - s.goal.stamp_ns, 0) * 1e-9),
+    Metric("edge_controller_answers", "gauge", "Whether a motion controller answers.",
+           lambda s: s.service.goals.heard),
+    # The map.
+    Metric("edge_map_known_square_meters", "gauge", "Area that was seen.",
+           lambda s: s.service.grid.known_m2),
+    Metric("edge_map_frontiers", "gauge", "Frontiers of the map.",
+           lambda s: s.service.grid.frontiers.n),
+)  # fmt: skip
+"""Of the service, once it is ready."""
+
+BOARD: tuple[Metric[Board], ...] = (
+    Metric("edge_board_temperature_celsius", "gauge", "By thermal zone.",
+           lambda b: b.temperature_c, ("zone",)),
+    Metric("edge_board_trip_celsius", "gauge",
+           "Where a zone is slowed down (passive), near its end (hot), switched off (critical).",
+           lambda b: b.trip_c, ("zone", "trip")),
+    Metric("edge_board_throttled_ratio", "gauge",
+           "How far the kernel slows a part down to cool it: 0 not at all, 1 as far as it can.",
+           lambda b: b.throttled, ("device",)),
+    Metric("edge_board_over_current_total", "counter",
+           "Times that a Jetson slowed itself down since it drew too much, or had too little.",
+           lambda b: b.over_current, ("alarm",)),
+    Metric("edge_board_power_watts", "gauge", "By rail of the board.",
+           lambda b: b.power_w, ("rail",)),
+    Metric("edge_board_power_mode_info", "gauge", "A Jetson's power mode; always 1.",
+           lambda b: {} if b.power_mode is None else {b.power_mode: 1}, ("mode",)),
+    Metric("edge_board_memory_bytes", "gauge", "The computer's memory, by total and available.",
+           lambda b: b.memory_bytes, ("kind",)),
+)  # fmt: skip
+"""Of the computer; what it does not tell has no series."""
+
+
+class Metrics:
+    """`/metrics`: of the start what there is, all once `watch` was called.
+
+    Args:
+        board: reads the computer's sensors.
+    """
+
+    def __init__(self, vitals: Vitals, board: Callable[[], Board] = read_board) -> None:
+        self._vitals, self._board = vitals, board
+        self._watched: tuple[Running, Sequence[Sink]] | None = None
+        self._exposition = Exposition(self._families)
+
+    def watch(self, running: Running, sinks: Sequence[Sink]) -> None:
+        """The service is ready; it may be read even after its end."""
+        self._watched = running, sinks
+
+    def pages(self) -> Pages:
+        return {"/metrics": self._exposition.page}
+
+    def _families(self) -> Iterator[Family]:
+        yield from families(LIFE, self._vitals)
+        if self._watched is not None:
+            yield from families(SERVICE, Look(*self._watched))
+        yield from families(BOARD, self._board())

@@ -1,0 +1,26 @@
+"""What a scrape of `/metrics` costs; what the tick costs more is in `latency_ring_tick`."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.host.service_manager import ServiceManager
+from edge.loop.metrics import Metrics
+from edge.loop.runner import Running
+from edge.loop.vitals import Vitals
+
+
+def test_metrics_scrape(benchmark):
+    benchmark.extra_info["budget"] = "metrics_scrape"
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+    closed = ClosedLoop(parse({**lockstep, "perception": {"detector": {"kind": "sim"}}}))
+    for _ in range(10):
+        closed.step()
+    worker = closed.service._worker
+    source = SimpleNamespace(counters={})
+    metrics = Metrics(Vitals(ServiceManager({})))
+    metrics.watch(Running(closed.config, closed.service, worker, source, {}), closed.sinks)
+    page = benchmark(metrics.pages()["/metrics"])
+    assert b"edge_map_known_square_meters" in page.body

@@ -1,0 +1,149 @@
+"""Robots of which only the body is made up: they reach what they are told to reach, at once.
+
+Session, presence, requests and missions are the service's own; so a fleet cannot tell them apart.
+`python fake_robots.py ENDPOINT NAME SECONDS` is one in a process, which takes so long for a target.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
+from types import SimpleNamespace
+
+from edge.bus.presence import Presence
+from edge.bus.requests import RequestServer
+from edge.bus.session import zenoh_session
+from edge.config import Mission, Zenoh
+from edge.errors import UserError
+from edge.geometry import SE2
+from edge.loop import requests
+from edge.loop.service import Service
+from edge.mission.brief import Brief, prepare
+from edge.mission.run import MissionRun
+
+LIMITS = Mission(time_limit_s=1e6)
+
+
+def settings_of(port: int, name: str, **more: object) -> Zenoh:
+    return Zenoh(endpoint=f"tcp/127.0.0.1:{port}", mode="client", prefix=f"robots/{name}",
+                 shared_memory=False, **more)  # fmt: skip
+
+
+class FakeService:
+    """What `edge.loop.requests.handle_mission` has to do with of a service."""
+
+    def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
+        self.mission = MissionRun(prepare(LIMITS, formula="F nothing"), LIMITS)
+        self.mission.wait()
+        self.past: deque[dict[str, str]] = deque(maxlen=32)
+        self.blind_to = blind_to
+        self.pose = SE2(0.0, 0.0, 0.0)
+        self.goals = SimpleNamespace(heard=True, phase="searching")
+        self.config = SimpleNamespace(perception=SimpleNamespace(min_hits=1))
+        self.tracker = SimpleNamespace(
+            all=[SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")
+                 for label, away_m in known.items()]
+        )  # fmt: skip
+        self.swapper = None
+        self.events: list[str] = []
+        self.begun = 0
+
+    @property
+    def status(self):  # type: ignore[no-untyped-def]
+        return self.mission.status(self.goals.phase)
+
+    def begin(self, brief: Brief, now_ns: int, id: str = "") -> None:
+        if blind := self.blind_to & set(brief.targets):
+            raise UserError(f"the detector knows no {min(blind)}")
+        Service._remember(self, self.mission)
+        self.mission = MissionRun(brief, LIMITS, id=id)
+        self.mission.start(now_ns)
+        self.begun += 1
+
+    def event(self, text: str, now_ns: int) -> None:
+        self.events.append(text)
+
+
+class FakeRobot:
+    """On the bus from its making until it is closed.
+
+    Attributes:
+        reaches_in_s: how long it takes for a target; None: until `reach`.
+        amiss: why nobody can count on it.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        name: str,
+        known: Mapping[str, float] | None = None,
+        blind_to: frozenset[str] = frozenset(),
+        reaches_in_s: float | None = None,
+        announced: bool = True,
+    ) -> None:
+        self.name, self.reaches_in_s, self.amiss = name, reaches_in_s, ()
+        self.service = FakeService(known or {}, blind_to)
+        self._stop = threading.Event()
+        self._open = ExitStack()
+        settings = settings_of(port, name)
+        session = self._open.enter_context(zenoh_session(settings, "listen"))
+        self.presence = Presence(session, settings)
+        self._open.callback(self.presence.close)
+        served = requests.served(self.service, partial(prepare, LIMITS), lambda: self.amiss)
+        verbs, handle = served["mission/request"]
+        key = settings.key("mission/request")
+        self._server = RequestServer(session, key, verbs, handle)
+        self._open.callback(self._server.close)
+        if announced:
+            self.presence.announce()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    @property
+    def mission(self) -> MissionRun:
+        return self.service.mission
+
+    def reach(self) -> None:
+        with self._lock:
+            self.mission.arrive("made up", time.monotonic_ns())
+
+    def fail(self, reason: str) -> None:
+        with self._lock:
+            self.mission.fail(reason, time.monotonic_ns())
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._open.close()
+
+    def _loop(self) -> None:
+        target, since_s = None, time.monotonic()
+        while not self._stop.wait(0.01):
+            now_ns = time.monotonic_ns()
+            with self._lock:
+                self._server.serve(now_ns)
+                self.mission.observe(None, now_ns)
+                if (at := (self.mission, self.mission.turns)) != target:
+                    target, since_s = at, time.monotonic()
+                if self.reaches_in_s is None or self.mission.done or self.mission.paused:
+                    continue
+                if time.monotonic() - since_s >= self.reaches_in_s:
+                    self.mission.arrive("made up", now_ns)
+
+
+def main(endpoint: str, name: str, seconds: str) -> None:
+    logging.basicConfig(level=logging.INFO)
+    robot = FakeRobot(int(endpoint.rpartition(":")[2]), name, reaches_in_s=float(seconds))
+    print("ready", flush=True)
+    robot._thread.join()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

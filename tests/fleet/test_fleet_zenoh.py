@@ -1,0 +1,462 @@
+"""Robots with made-up bodies on a real router: missions shared, robots lost, answers that lie."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import zenoh
+from edge_processes import Edge
+from fake_robots import LIMITS, FakeRobot, settings_of
+from patience import PATIENCE_S, eventually
+from ros_router import router
+
+from edge.bus import presence
+from edge.bus.session import BusError, open_session
+from edge.cli.fleet import table
+from edge.cli.main import main
+from edge.errors import UserError
+from edge.fleet import dispatch, roster
+from edge.fleet.dispatch import Dispatcher, plan
+from edge.fleet.roster import Robot, open_roster
+from edge.mission.brief import prepare
+
+THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet"
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    monkeypatch.setattr(dispatch, "LOOK_S", 0.05)
+    # Commands run in this process, whose signal handlers they must leave alone.
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with router() as port:
+        yield port
+
+
+@pytest.fixture
+def robots(port) -> Iterator[Callable[..., FakeRobot]]:
+    with ExitStack() as stack:
+
+        def make(name: str, **options: object) -> FakeRobot:
+            robot = FakeRobot(port, name, **options)
+            stack.callback(robot.close)
+            return robot
+
+        yield make
+
+
+class Sharing:
+    """A dispatcher on a thread of its own."""
+
+    def __init__(self, port: int, words: str = THREE, patience_s: float = 0.5, **how: object):
+        self.told: list[str] = []
+        self.outcomes: dict | None = None
+        self.mission = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(
+            target=self._run, args=(port, words, patience_s, how), daemon=True
+        )
+        self._thread.start()
+
+    def _run(self, port, words, patience_s, how):
+        brief = prepare(LIMITS, instruction=words)
+        with open_roster(settings_of(port, "any")) as seen:
+            how = {"share": True, **how}
+            self.mission = plan(brief, LIMITS, seen.look(), **how)
+            dispatcher = Dispatcher(seen, self.mission, self.told.append, patience_s)
+            while not self._stop.is_set():
+                orders = dispatcher.step()
+                if orders is not None and dispatcher._is_over(orders):
+                    self.outcomes = dict(orders.outcomes)
+                    return
+                seen.wait(0.05)
+
+    def kill(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def ended(self) -> dict[str, tuple[str, str]]:
+        """(phase, by whom), by target."""
+        self._thread.join(PATIENCE_S)
+        assert self.outcomes is not None, self.told
+        words = {part.id: part.words[0] for part in self.mission.parts}
+        return {words[id]: (o.phase, o.by) for id, o in self.outcomes.items()}
+
+
+def targets(*robots: FakeRobot) -> set[str]:
+    return {robot.mission.target for robot in robots if not robot.mission.done}
+
+
+def test_nobody_is_there(port, capsys):
+    assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
+    assert capsys.readouterr().out == "no robot is there (robots/*)\n"
+    assert main(["fleet", "pause", f"tcp/127.0.0.1:{port}"]) == 69
+
+
+def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
+    anna, bob = robots("anna"), robots("bob")
+    where = f"tcp/127.0.0.1:{port}"
+
+    def fleet(*words: str) -> tuple[int, str]:
+        code = main(["fleet", words[0], where, *words[1:]])
+        said = capsys.readouterr()
+        return code, said.out + said.err
+
+    with open_roster(settings_of(port, "any")) as seen:
+        seen.tell("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
+    code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
+    assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
+    assert "anna:\n  instruction: F bed" in said
+    assert "bob:\n  refused: no mission is under way: none was given yet" in said
+    assert fleet("pause", "bob")[0] == 69
+    assert fleet("resume", "anna")[0] == 0
+    assert not anna.mission.paused
+    code, said = fleet("cancel", "carl", "anna")
+    assert (code, anna.mission.done) == (69, False)
+    assert "fleet: no robot 'carl' (there are: anna, bob)" in said
+    assert fleet("cancel", "anna")[0] == 0
+    assert anna.mission.reason == "cancelled"
+    told = {robot["robot"]: robot for robot in json.loads(fleet("list", "--json")[1])}
+    assert told["anna"]["answer"]["phase"] == "failed"
+    assert told["bob"]["answer"]["robot"]["pose"] == [0.0, 0.0, 0.0]
+    code, said = fleet("new", "go to the bed", "--to", "carl")
+    assert (code, "no robot 'carl'" in said) == (69, True)
+    assert fleet("new", "frobnicate the bed")[0] == 65
+
+
+def test_a_mission_for_each_of_several(port, robots):
+    both = [robots(name, reaches_in_s=0.0) for name in ("anna", "bob")]
+    robots("carl")
+    sharing = Sharing(port, "go to the bed", share=False, to=("anna", "bob"))
+    sharing.ended()
+    assert [o.by for o in sharing.outcomes.values()] == ["anna", "bob"]
+    assert [robot.service.begun for robot in both] == [1, 1]
+
+
+def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
+    anna = robots("anna")
+    watching = Edge("fleet", "watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+    try:
+        watching.says("anna  idle  -  -  ok")
+        anna.amiss = ("nothing to be seen",)
+        watching.says("anna  idle  -  -  nothing to be seen")
+        anna.close()
+        watching.says("anna  gone")
+        assert watching.stop(signal.SIGTERM) == 0
+        assert len([line for line in watching.lines if " anna " in line]) in (3, 4)
+    finally:
+        watching.kill()
+
+
+def test_a_mission_in_three_parts_is_done_by_three(port, robots):
+    three = [robots(name, reaches_in_s=0.1) for name in ("anna", "bob", "carl")]
+    ended = Sharing(port).ended()
+    assert {phase for phase, _ in ended.values()} == {"reached"}
+    assert {by for _, by in ended.values()} == {"anna", "bob", "carl"}
+    assert all(robot.mission.brief.automaton.letters[-1] == "toilet" for robot in three)
+
+
+def test_the_next_part_goes_to_whoever_is_done_first(port, robots):
+    anna, bob = robots("anna", known={"bed": 1.0}), robots("bob")
+    sharing = Sharing(port)
+    eventually(lambda: targets(anna, bob) == {"bed", "sofa"})
+    bob.reach()
+    eventually(lambda: targets(anna, bob) == {"bed", "television"})
+    bob.reach()
+    anna.reach()
+    assert sharing.ended() == {
+        "bed": ("reached", "anna"), "sofa": ("reached", "bob"), "television": ("reached", "bob"),
+    }  # fmt: skip
+
+
+def test_what_cannot_be_split_goes_to_one(port, robots):
+    anna, bob = robots("anna"), robots("bob", known={"tv": 2.0})
+    sharing = Sharing(port, "go to the bed, then to the tv")
+    eventually(lambda: not bob.mission.done)
+    assert anna.mission.idle
+    assert sharing.mission.why_whole == "it is of one part"
+    eventually(lambda: sharing.told)
+    assert sharing.told[0].startswith("bob gets: ")
+    assert sharing.told[0].endswith("it is free and knows television 2.0 m away")
+    sharing.kill()
+
+
+def test_a_robot_that_fails_or_is_lost_gives_its_part_to_another(port, robots):
+    anna, bob = robots("anna", known={"bed": 1.0}), robots("bob", known={"sofa": 1.0})
+    sharing = Sharing(port, "go to the bed and the sofa", patience_s=3.0)
+    eventually(lambda: targets(anna) == {"bed"} and targets(bob) == {"sofa"})
+    bob.fail("there is no sofa")
+    anna.reach()
+    eventually(lambda: targets(anna) == {"sofa"})
+    carl = robots("carl")
+    anna.close()
+    eventually(lambda: targets(carl) == {"sofa"}, str(sharing.told))
+    assert any("anna is gone; another gets it" in line for line in sharing.told)
+    carl.reach()
+    # Anna's account of the bed is gone with her, and what she did is done.
+    assert sharing.ended() == {"bed": ("reached", "anna"), "sofa": ("reached", "carl")}
+
+
+def test_what_everybody_fails_at_is_told_with_their_reasons(port, robots):
+    anna, bob = robots("anna"), robots("bob", blind_to=frozenset({"bed"}))
+    sharing = Sharing(port, "go to the bed", share=False)
+    eventually(lambda: not anna.mission.done)
+    anna.fail("no bed within 100 s")
+    assert sharing.ended() == {"bed": ("failed", "anna, bob")}
+    (outcome,) = sharing.outcomes.values()
+    assert outcome.reason == "anna: no bed within 100 s; bob: it refused"
+    assert any("the detector knows no bed" in line for line in sharing.told)
+    assert bob.mission.idle
+
+
+def test_a_stop_stays_a_stop(port, robots, capsys):
+    anna, bob = robots("anna"), robots("bob")
+    sharing = Sharing(port, "go to the bed, the sofa and the tv")
+    eventually(lambda: not (anna.mission.done or bob.mission.done))
+    assert main(["fleet", "cancel", f"tcp/127.0.0.1:{port}"]) == 0
+    assert [phase for phase, _ in sharing.ended().values()] == ["failed", "failed"]
+    assert (anna.service.begun, bob.service.begun) == (1, 1)
+
+
+def test_a_dispatcher_that_was_killed_goes_on_when_it_is_run_again(port, robots):
+    anna, bob = robots("anna", known={"bed": 1.0}), robots("bob", known={"sofa": 1.0})
+    first = Sharing(port)
+    eventually(lambda: targets(anna, bob) == {"bed", "sofa"})
+    first.kill()
+    anna.reach()
+    second = Sharing(port)
+    eventually(lambda: targets(anna, bob) == {"television", "sofa"})
+    assert second.mission == first.mission
+    bob.reach()
+    anna.reach()
+    assert second.ended() == {
+        "bed": ("reached", "anna"), "sofa": ("reached", "bob"), "television": ("reached", "anna"),
+    }  # fmt: skip
+    assert (anna.service.begun, bob.service.begun) == (2, 1)
+    third = Sharing(port)
+    eventually(lambda: not anna.mission.done)
+    assert third.mission.id != first.mission.id, "it was over: this is another one"
+    third.kill()
+
+
+def test_two_dispatchers_of_one_mission_do_nothing_twice(port, robots):
+    both = [robots(name, reaches_in_s=0.3) for name in ("anna", "bob")]
+    first = Sharing(port)
+    eventually(lambda: any(robot.service.begun for robot in both))
+    second = Sharing(port)
+    assert first.ended() == second.ended()
+    assert first.mission == second.mission
+    assert sum(robot.service.begun for robot in both) == 3
+
+
+def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(port, robots):
+    both = [robots(name, reaches_in_s=0.1) for name in ("anna", "bob")]
+    one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
+    assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
+    assert [phase for phase, _ in other.ended().values()] == ["reached"] * 3
+    past = [entry["phase"] for robot in both for entry in robot.service.past]
+    assert past == ["reached"] * 4  # and two that are their last: none was replaced
+    assert sum(robot.service.begun for robot in both) == 6
+
+
+def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monkeypatch):
+    anna = robots("anna")
+    sharing = Sharing(port, "go to the bed")
+    eventually(lambda: not anna.mission.done)
+    bob = robots("bob")
+    anna.presence._token.undeclare()  # cut off, and driving on
+    eventually(lambda: not bob.mission.done)
+    anna.presence.announce()
+    eventually(lambda: bob.mission.done)
+    assert bob.mission.reason == "another robot is at it"
+    anna.reach()
+    assert sharing.ended() == {"bed": ("reached", "anna")}
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [b"", b"garbage", b"[]", b"{}", b'{"phase": "searching"}', b"\xff" * 1000, b'{"robot": NaN}'],
+)
+def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, answer):
+    robots("bob", reaches_in_s=0.0)
+    with liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
+        eventually(lambda: len(seen.names()) == 2)
+        shown = table(seen.look().values())
+        assert "mallory [2J" in shown
+        assert shown.replace("\n", "").isprintable()
+        assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
+
+
+def test_a_robot_that_never_answers_holds_nobody_up(port, robots, monkeypatch):
+    monkeypatch.setattr(roster, "ANSWER_S", 0.2)
+    robots("bob", reaches_in_s=0.0)
+    with liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:
+        eventually(lambda: len(seen.names()) == 2)
+        assert "no answer within 0.2 s" in table(seen.look().values())
+        assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
+
+
+class liar:
+    """A robot that is there and answers this to whatever it is asked, twice; None: nothing."""
+
+    def __init__(self, port: int, name: str, answer: bytes | None) -> None:
+        self._answer, self._held, self._over = answer, [], threading.Event()
+        self._session = open_session(settings_of(port, "liar"), "listen")
+        self._token = self._session.liveliness().declare_token(f"robots/{name}/alive/1")
+        self._key = f"robots/{name}/mission/request"
+        self._asked = self._session.declare_queryable(self._key, zenoh.handlers.RingChannel(64))
+        self._thread = threading.Thread(target=self._lie, daemon=True)
+        self._thread.start()
+
+    def _lie(self) -> None:
+        while not self._over.wait(0.01):
+            while (query := self._asked.try_recv()) is not None:
+                if self._answer is None:
+                    self._held.append(query)
+                    continue
+                with query:
+                    for _ in range(2):
+                        query.reply(self._key, self._answer)
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *exception: object) -> None:
+        self._over.set()
+        self._thread.join()
+        for query in self._held:
+            query.drop()
+        self._session.close()
+
+
+def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
+    anna = robots("anna")
+    with open_roster(settings_of(port, "any")) as seen:
+        request = {"do": "new", "formula": "F bed", "id": "x.1", "if_free": True}
+        for _ in range(2):
+            assert seen.tell("anna", request, PATIENCE_S)["id"] == "x.1"
+        assert anna.service.begun == 1
+        with pytest.raises(UserError, match="refused: not free: the last one searching: F bed"):
+            seen.tell("anna", {**request, "id": "x.2"}, PATIENCE_S)
+        seen.tell("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
+        with pytest.raises(UserError, match=r"mission x\.1 is over here"):
+            seen.tell("anna", request, PATIENCE_S)
+        with pytest.raises(UserError, match="no such mission is under way"):
+            seen.tell("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
+        assert anna.mission.target == "sofa"
+        assert not anna.mission.done
+
+
+def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
+    port, robots, caplog
+):
+    robots("anna")
+    with pytest.raises(BusError, match=r"^zenoh.prefix: another service is robots/anna at tcp/.*"):
+        robots("anna")
+    told = "zenoh.prefix: another service wants to be robots/anna: it was refused"
+    eventually(lambda: told in caplog.messages)
+    robots("bob")
+
+
+@pytest.mark.parametrize("order", ["together", "lower first", "lower last"])
+def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatch, order):
+    monkeypatch.setattr(presence, "_YIELD_S", PATIENCE_S if order == "together" else 0.2)
+    two = [robots("anna", announced=False) for _ in range(2)]
+    two.sort(key=lambda robot: robot.presence._own, reverse=order == "lower last")
+
+    def stays(robot: FakeRobot) -> bool:
+        try:
+            robot.presence.announce()
+        except BusError:
+            return False
+        return True
+
+    if order == "together":
+        with ThreadPoolExecutor(2) as pool:
+            assert sorted(pool.map(stays, two)) == [False, True]
+    else:
+        assert [stays(robot) for robot in two] == [True, False]
+    with open_roster(settings_of(port, "any")) as seen:
+        eventually(lambda: seen.look().get("anna", Robot("anna")).account)
+
+
+def test_two_services_that_came_together_later_are_shown(port, robots):
+    robots("anna")
+    with open_session(settings_of(port, "anna"), "listen") as other:
+        token = other.liveliness().declare_token("robots/anna/alive/other")
+        with open_roster(settings_of(port, "any")) as seen:
+            eventually(lambda: "2 services have this name" in seen.look()["anna"].problem)
+            token.undeclare()
+            eventually(lambda: seen.look()["anna"].account)
+
+
+@pytest.fixture
+def processes(tmp_path) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Robots with made-up bodies in processes of their own."""
+    started = []
+    fake = Path(__file__).parents[1] / "fake_robots.py"
+
+    def start(port: int, name: str, seconds: float) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, str(fake), f"tcp/127.0.0.1:{port}", name, str(seconds)],
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_one_of_three_is_killed_in_the_middle(port, processes, capsys, tmp_path):
+    names = ("anna", "bob", "carl")
+    running = dict(zip(names, [processes(port, name, 3.0) for name in names], strict=True))
+    assert [p.stdout.readline() for p in running.values()] == ["ready\n"] * 3
+    command = Edge("fleet", "new", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
+                   "--patience", "0.5", cwd=tmp_path)  # fmt: skip
+    command.says("carl gets: ")
+    running["carl"].send_signal(signal.SIGKILL)
+    command.says("carl is gone; another gets it unless it is back in 0.5 s")
+    assert command.wait() == 0, command.output
+    told = json.loads("\n".join(command.lines[command.lines.index("{") :]))
+    assert told["phase"] == "reached"
+    assert {part["by"] for part in told["parts"]} == {"anna", "bob"}
+
+
+def test_a_router_that_is_killed_and_comes_back_costs_nothing(tmp_path, monkeypatch):
+    from edge.host.ports import free_port
+
+    port = free_port()
+    with ExitStack() as stack:
+
+        def start() -> Edge:
+            process = Edge("fleet", "router", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+            stack.callback(process.kill)
+            return process.says("router: ready")
+
+        before = start()
+        anna = FakeRobot(port, "anna")
+        stack.callback(anna.close)
+        sharing = Sharing(port, "go to the bed", patience_s=60.0)
+        eventually(lambda: not anna.mission.done)
+        before.kill()
+        eventually(lambda: any("the router is gone" in line for line in sharing.told))
+        start()
+        eventually(lambda: "the router is back" in sharing.told)
+        anna.reach()
+        assert sharing.ended() == {"bed": ("reached", "anna")}
+        assert anna.service.begun == 1

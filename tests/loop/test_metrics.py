@@ -1,0 +1,245 @@
+"""The service as Prometheus sees it: at every moment of its life, and from another thread."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from simulated import simulated
+from test_loops import running_of
+
+from edge.eval.closed_loop import ClosedLoop
+from edge.host.board import Board
+from edge.host.service_manager import ServiceManager
+from edge.host.worker import Stats
+from edge.loop.keeper import Keeper
+from edge.loop.metrics import BOARD, LIFE, SERVICE, Metrics
+from edge.loop.reload import Reloader
+from edge.loop.runner import Running
+from edge.loop.vitals import Vitals
+
+MISSION = 'go to the bed"} 1\n' + "x" * 10_000
+HOT = Board(
+    {"cpu": 51.5}, {("cpu", "passive"): 95.0}, {"gpu": 0.5}, {"oc1": 2}, {"VDD_IN": 8.0},
+    {"total": 1000, "available": 400}, "25W",
+)  # fmt: skip
+
+
+class Watched:
+    """A closed loop and its metrics; `scrape` as Prometheus' own parser reads them."""
+
+    def __init__(self, board: Board = HOT, **sections: dict) -> None:
+        self.vitals = Vitals(ServiceManager({}))
+        self.metrics = Metrics(self.vitals, lambda: board)
+        lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+        self.closed = ClosedLoop(simulated({**lockstep, "mission": {"target": "bed"}, **sections}))
+        self.running: Running = running_of(self.closed, [])
+
+    def watch(self, *sinks: object) -> Watched:
+        self.metrics.watch(self.running, sinks)
+        return self
+
+    def page(self) -> str:
+        return self.metrics.pages()["/metrics"]().body.decode()
+
+    def scrape(self) -> dict[str, dict[str | tuple[str, ...], float]]:
+        """Sample → its label's value, or several (by their names' order) → value; without `le`."""
+        found: dict[str, dict[str | tuple[str, ...], float]] = {}
+        for family in text_string_to_metric_families(self.page()):
+            for sample in family.samples:
+                values = tuple(v for k, v in sorted(sample.labels.items()) if k != "le")
+                key = values[0] if len(values) == 1 else values
+                found.setdefault(sample.name, {})[key] = sample.value
+        return found
+
+
+@pytest.fixture(scope="module")
+def watched() -> Watched:
+    """After ten ticks."""
+    watched = Watched().watch()
+    for _ in range(10):
+        watched.closed.step()
+    return watched
+
+
+def test_of_a_start_there_is_what_it_is_at_and_the_board():
+    watched = Watched()
+    found = watched.scrape()
+    assert found["edge_service_state"]["starting"] == 1
+    assert found["edge_service_ready"] == {(): 0}
+    assert found["edge_board_temperature_celsius"] == {"cpu": 51.5}
+    assert found["edge_board_trip_celsius"] == {("passive", "cpu"): 95.0}
+    assert found["edge_board_over_current_total"] == {"oc1": 2}
+    assert found["edge_board_power_mode_info"] == {"25W": 1}
+    assert "edge_tick_duration_seconds_count" not in found
+
+
+def test_of_a_board_that_tells_nothing_there_is_nothing():
+    found = Watched(Board({}, {}, {}, {}, {}, {}, None)).scrape()
+    assert not [name for name in found if name.startswith("edge_board")]
+
+
+def test_before_the_first_tick_all_is_there_and_zero():
+    found = Watched().watch().scrape()
+    assert found["edge_tick_duration_seconds_count"] == {(): 0}
+    assert found["edge_faults_total"] == {(): 0}
+    assert found["edge_goal_state"]["none"] == 1
+    assert "edge_goal_age_seconds" not in found
+
+
+def test_after_some_ticks(watched):
+    found, loop = watched.scrape(), watched.closed
+    assert found["edge_tick_duration_seconds_count"] == {(): 10}
+    assert found["edge_tick_interval_seconds_count"] == {(): 9}
+    assert found["edge_stage_duration_seconds_count"]["detect"] == 10
+    assert found["edge_detector_images_total"]["detected"] == 10
+    assert found["edge_detector_state"]["ok"] == 1
+    assert found["edge_model_info"] == {(loop.service._worker.detector.name, "detector"): 1}
+    assert found["edge_mission_state"][loop.service.status.phase] == 1
+    assert sum(found["edge_mission_state"].values()) == 1
+    assert found["edge_mission_targets"] == {(): 1}
+    assert found["edge_mission_plan_steps"] == {(): 1}
+    assert found["edge_map_known_square_meters"][()] == loop.service.grid.known_m2 > 0
+    assert found["edge_map_frontiers"][()] == loop.service.grid.frontiers.n > 0
+    assert found["edge_goal_state"][loop.service.goal.kind] == 1
+    assert found["edge_policy_info"] == {loop.config.policy.kind: 1}
+
+
+def test_every_metric_of_the_tables_has_its_name_help_and_kind(watched):
+    page = watched.page()
+    for metric in (*LIFE, *SERVICE, *BOARD):
+        kind = "gauge" if metric.kind == "state" else metric.kind
+        assert f"# HELP {metric.name} " in page
+        assert f"# TYPE {metric.name} {kind}\n" in page
+
+
+def test_names_follow_prometheus_rules():
+    metrics = [*LIFE, *SERVICE, *BOARD]
+    assert len({metric.name for metric in metrics}) == len(metrics)
+    for metric in metrics:
+        assert metric.name.startswith("edge_")
+        assert metric.name.endswith("_total") == (metric.kind == "counter")
+        assert not metric.name.endswith(("_ms", "_mb", "_ns", "_percent"))
+        assert metric.help.endswith(".")
+
+
+def test_no_text_of_others_is_a_label():
+    watched = Watched().watch()
+    watched.running.service.mission._instruction = MISSION
+    watched.running.service.mission.target = MISSION
+    watched.running.service.faults.caught("source", ValueError(MISSION), 0)
+    page = watched.page()
+    assert "xxxx" not in page
+    assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "expected"),
+    [
+        (lambda s: s.source.counters.update(stale=3, received=9), "edge_source_dropped_total",
+         {"stale": 3}),
+        (lambda s: s.source.counters.update(received=9), "edge_source_received_total", {(): 9}),
+        (lambda s: setattr(s.service, "epoch", 2), "edge_pose_jumps_total", {(): 2}),
+        (lambda s: setattr(s.service, "overruns", lambda: {"sensors": 4}), "edge_overruns_total",
+         {"sensors": 4}),
+        (lambda s: s.service.swapper.outcomes.update(kept=1), "edge_model_swaps_total",
+         {"kept": 1, "refused": 0, "rolled back": 0}),
+        (lambda s: setattr(s.service.goals, "heard", True), "edge_controller_answers", {(): 1}),
+        (lambda s: setattr(s.worker.stats, "replaced", 5), "edge_detector_images_total",
+         {"detected": 0, "failed": 0, "replaced": 5}),
+    ],
+)  # fmt: skip
+def test_what_the_service_counts_is_told(change, name, expected):
+    watched = Watched().watch()
+    watched.running.source.counters.clear()
+    change(watched.running)
+    assert watched.scrape()[name] == expected
+
+
+def test_the_age_of_a_goal_is_by_the_loops_time():
+    watched = Watched().watch()
+    while watched.closed.service.goal is None:
+        watched.closed.step()
+    goal = watched.closed.service.goal
+    watched.running.now_ns = goal.stamp_ns + 2_500_000_000
+    assert watched.scrape()["edge_goal_age_seconds"] == {(): 2.5}
+
+
+def test_sinks_with_a_thread_of_their_own_tell_what_they_could_not_send():
+    class Slow:
+        stats = Stats(failed=2, replaced=3)
+
+    found = Watched().watch(Slow(), Slow(), SimpleNamespace()).scrape()
+    assert found["edge_sink_failures_total"] == {"Slow": 4}
+    assert found["edge_sink_replaced_total"] == {"Slow": 6}
+
+
+def test_a_checkpoint_tells_what_was_written(tmp_path):
+    watched = Watched().watch()
+    assert "edge_checkpoint_written_total" not in watched.scrape()
+    keeper = Keeper(watched.closed.config, tmp_path / "mission.json", None)
+    watched.running.service.keeper = keeper
+    watched.closed.step()
+    keeper.close()
+    found = watched.scrape()
+    assert found["edge_checkpoint_written_total"] == {(): 1}
+    assert found["edge_checkpoint_failed_total"] == {(): 0}
+
+
+def test_in_the_middle_of_a_reload_and_after_it():
+    watched = Watched().watch()
+    running, asked, read = watched.running, threading.Event(), threading.Event()
+
+    def reread():
+        read.wait()
+        return running.config
+
+    running.reloader = Reloader(running.service, reread, asked)
+    watched.vitals.ready()
+    asked.set()
+    running.reloader.step(0)
+    watched.vitals.beat(running)
+    found = watched.scrape()
+    assert found["edge_service_state"]["reloading"] == 1
+    assert sum(found["edge_reloads_total"].values()) == 0
+    read.set()
+    while running.reloader.busy:
+        running.reloader.step(0)
+    assert watched.scrape()["edge_reloads_total"] == {"switched": 0, "unchanged": 1, "refused": 0}
+
+
+def test_while_it_stops_and_when_its_parts_are_closed():
+    watched = Watched().watch()
+    watched.closed.step()
+    watched.vitals.stopping()
+    watched.running.service.close()
+    watched.running.worker.close()
+    found = watched.scrape()
+    assert found["edge_service_state"]["stopping"] == 1
+    assert found["edge_detector_images_total"]["detected"] == 1
+
+
+def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():
+    watched, stop, failed = Watched().watch(), threading.Event(), []
+
+    def scrape() -> None:
+        while not stop.is_set():
+            try:
+                watched.scrape()
+            except Exception as error:
+                failed.append(error)
+
+    thread = threading.Thread(target=scrape)
+    thread.start()
+    for i in range(30):
+        watched.closed.step()
+        watched.running.source.counters[f"reason {i}"] = i
+        watched.running.service.faults.caught(f"step {i}", ValueError(), 0)
+        if i % 10 == 9:
+            watched.running.service.forget_places(0)
+    stop.set()
+    thread.join()
+    assert failed == []
+    assert watched.scrape()["edge_pose_jumps_total"] == {(): 3}

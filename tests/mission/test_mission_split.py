@@ -1,0 +1,144 @@
+"""A mission cut into parts: any interleaving of words that fulfil them fulfils the whole."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ltl_semantics import holds
+
+from edge.mission import ltl
+from edge.mission.automaton import compile_formula
+from edge.mission.language.grammar import parse_english
+from edge.mission.split import split
+
+
+def texts(formula: str) -> list[str]:
+    return [str(part) for part in split(ltl.parse(formula)).parts]
+
+
+@pytest.mark.parametrize(
+    ("formula", "parts"),
+    [
+        ("true", ["true"]),
+        ("F bed", ["F bed"]),
+        ("F bed & F sofa", ["F bed", "F sofa"]),
+        ("F bed & F (sofa & F lamp)", ["F bed", "F (sofa & F lamp)"]),
+        # Avoidances, however they are said, are everybody's.
+        ("F bed & F sofa & G !toilet", ["F bed & G !toilet", "F sofa & G !toilet"]),
+        ("F bed & F sofa & !F sink", ["F bed & !F sink", "F sofa & !F sink"]),
+        ("F bed & F sofa & G !(a | b)", ["F bed & G !(a | b)", "F sofa & G !(a | b)"]),
+        ("F bed & G !toilet", ["F bed & G !toilet"]),
+        # One that concerns what one part reaches does not bind the others to it.
+        ("F (bed | a) & G !a & F tv", ["F (bed | a) & G !a", "F tv & G !a"]),
+        # Order binds.
+        ("F bed & F sofa & !sofa W bed", ["F bed & F sofa & !sofa W bed"]),
+        ("F a & F b & F c & !c W a", ["F a & F c & !c W a", "F b"]),
+        ("F a & F b & F c & F d & (!b W d)", ["F a", "F b & F d & !b W d", "F c"]),
+        # What asks for nothing stays with the first.
+        ("F bed & F sofa & !tv W lamp", ["F bed & !tv W lamp", "F sofa"]),
+        ("F bed & !tv W lamp", ["F bed & !tv W lamp"]),
+        # Steps that are counted are everybody's steps.
+        ("F bed & X sofa", ["F bed & X sofa"]),
+        ("F bed & sofa", ["F bed & sofa"]),
+        ("F bed & F (sofa & X lamp)", ["F bed & F (sofa & X lamp)"]),
+        ("F bed & F sofa & WX false", ["F bed & F sofa & WX false"]),
+    ],
+)
+def test_parts(formula, parts):
+    assert texts(formula) == parts
+
+
+@pytest.mark.parametrize(
+    ("formula", "why"),
+    [
+        ("F bed & F sofa", ""),
+        ("F bed", "it is of one part"),
+        ("F bed & F sofa & !sofa W bed", "its parts depend on each other"),
+        ("F bed & X sofa", "X sofa counts every step"),
+    ],
+)
+def test_it_is_said_why_a_mission_stays_whole(formula, why):
+    assert split(ltl.parse(formula)).why_whole == why
+
+
+def test_the_sentence_of_the_page_has_three_parts():
+    words = "go to the bed, the sofa and the lamp in any order; never go to the toilet"
+    assert [str(part) for part in split(parse_english(words)).parts] == [
+        "F bed & G !toilet",
+        "F sofa & G !toilet",
+        'F "table lamp" & G !toilet',
+    ]
+
+
+LETTERS = "abcdef"
+SMALL = st.recursive(
+    st.sampled_from([ltl.ap(x) for x in LETTERS]),
+    lambda f: st.one_of(
+        st.builds(ltl.neg, f),
+        st.builds(ltl.eventually, f),
+        st.builds(ltl.eventually, f),
+        st.builds(ltl.always, f),
+        st.builds(ltl.next_, f),
+        st.builds(ltl.until, f, f),
+        st.builds(lambda a, b: ltl.weak_until(ltl.neg(a), b), f, f),
+        st.builds(ltl.disj, f, f),
+    ),
+    max_leaves=3,
+)
+REACH = st.builds(lambda x: ltl.eventually(ltl.ap(x)), st.sampled_from(LETTERS))
+AVOID = st.builds(lambda x: ltl.always(ltl.neg(ltl.ap(x))), st.sampled_from(LETTERS))
+MISSIONS = st.builds(
+    lambda parts: ltl.conj(*parts),
+    st.lists(st.one_of(REACH, REACH, AVOID, SMALL), min_size=2, max_size=5),
+)
+
+
+@settings(max_examples=100)
+@given(MISSIONS, st.data())
+def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, data):
+    found = split(formula)
+    words = [data.draw(fulfilling(part)) for part in found.parts]
+    if any(word is None for word in words):
+        return  # a part that nothing fulfils: so is the whole
+    word = []
+    while any(words):
+        chosen = data.draw(st.sampled_from([w for w in words if w]))
+        word.append(chosen.pop(0))
+    assert holds(formula, word)
+    assert compile_formula(formula).accepts(word)
+
+
+@st.composite
+def fulfilling(draw, formula):
+    """A word of a formula's own letters that fulfils it: some steps as they come, then the way to
+    acceptance; None where there is none."""
+    automaton = compile_formula(formula)
+    state, word = 0, []
+    if automaton.dead(0):
+        return None
+    for _ in range(draw(st.integers(0, 3))):
+        hopeful = [(x, to) for x, to in automaton.edges(state) if not automaton.dead(to)]
+        if not hopeful:
+            break
+        letter, state = draw(st.sampled_from(hopeful))
+        word.append(letter or None)
+    seen = {state: []}
+    todo = [state]
+    for at in todo:  # grows
+        if automaton.accepting[at]:
+            return word + seen[at]
+        for letter, to in automaton.edges(at):
+            if to not in seen:
+                seen[to] = [*seen[at], letter or None]
+                todo.append(to)
+    return None
+
+
+@given(MISSIONS)
+def test_no_part_lacks_an_avoidance_and_no_conjunct_is_lost(formula):
+    found = split(formula).parts
+    conjuncts = formula.args if formula.op == "&" else (formula,)
+    kept = {c for part in found for c in (part.args if part.op == "&" else (part,))}
+    assert set(conjuncts) <= kept
+    assert kept <= set(conjuncts)
