@@ -21,8 +21,7 @@ _CLOSE_S = 1.0
 class BeatSink:
     """Publishes JSON at `KEY`, below the prefix: of the last second `ticks`, `beats` (with those
     that found nothing to see) and p50, p99 and the longest of what lies between two ticks
-    (`interval_ms`) or beats (`gap_ms`), and of what a tick takes (`tick_ms`); since the start
-    `drops` by stage.
+    (`interval_ms`) or beats (`gap_ms`), and of what a tick takes (`tick_ms`).
     """
 
     def __init__(
@@ -52,8 +51,7 @@ class BeatSink:
 
     def _told(self, result: TickResult, passed_s: float) -> dict[str, object]:
         ticks = len(self._intervals_s)
-        latency = result.latency(last=ticks)
-        tick = latency.tick
+        tick = result.latency(last=ticks).tick
         return {
             "seconds": round(passed_s, 3),
             "ticks": ticks,
@@ -61,7 +59,6 @@ class BeatSink:
             "interval_ms": _three(self._intervals_s),
             "gap_ms": _three(self._gaps_s),
             "tick_ms": [round(v, 3) for v in (tick.p50_ms, tick.p99_ms, tick.max_ms)],
-            "drops": {stage.name: stage.drops for stage in latency.stages if stage.drops},
         }
 
     def close(self) -> None:

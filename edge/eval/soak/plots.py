@@ -55,10 +55,11 @@ def _ticks(axes: Axes, samples: Sequence[Row], minutes: np.ndarray) -> None:
 
 
 def _drops(axes: Axes, samples: Sequence[Row], minutes: np.ndarray) -> None:
-    stages = sorted({name for s in samples for name in s.get("drops") or {}})
-    for k, name in enumerate(stages):
-        values = [_number((s.get("drops") or {}).get(name, 0)) for s in samples]
-        _line(axes, minutes, values, k, name)
+    last = next((s["dropped"] for s in reversed(samples) if s.get("dropped")), {})
+    most = sorted(last, key=last.__getitem__, reverse=True)[: len(_LINES)]
+    for k, reason in enumerate(most):
+        values = [_number((s.get("dropped") or {}).get(reason, 0)) for s in samples]
+        _line(axes, minutes, values, k, reason)
     axes.set_ylim(bottom=0.0)
 
 
@@ -77,7 +78,7 @@ PLOTS: dict[str, Draw] = {
     "Threads and descriptors": _counts,
     "The beat, by the second": _beat,
     "Ticks": _ticks,
-    "Inputs dropped since the start, by stage": _drops,
+    "Messages dropped since the start, by reason": _drops,
     "Goals since the start, and the log": _work,
 }
 """By title."""

@@ -261,6 +261,13 @@ class Stage:
         except (httpx.HTTPError, ValueError):
             return 0, {}
 
+    def text(self, path: str) -> str:
+        """The content of one of the service's pages; empty where there was no answer in time."""
+        try:
+            return self._http.get(path).raise_for_status().text
+        except httpx.HTTPError:
+            return ""
+
     def mission(self, **request: str) -> dict[str, Any]:
         """What the service answers to a request about its mission; see `edge.bus.client.ask`."""
         key = self.config.zenoh.key(topics.MISSION_REQUEST)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import zenoh
+from prometheus_client.parser import text_string_to_metric_families
 
 from edge.bus import topics
 from edge.eval.soak import beat
@@ -27,6 +28,7 @@ log = logging.getLogger("edge.eval.soak")
 
 _KEPT_BEATS = 4096
 _MINUTE_S = 60.0
+_DROPPED = "edge_source_dropped_total"
 _LOGGED = re.compile(r"\d\d:\d\d:\d\d")
 
 
@@ -155,6 +157,7 @@ class Watch:
             "why": list(self.ready) if not self.is_ready else [],
             "beat_age_s": round(now_s - newest[0], 2),
             **{key: value for key, value in newest[1].items() if key != "seconds"},
+            "dropped": dropped(stage.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
             "checkpoint": status.get("checkpoint"),
@@ -178,6 +181,12 @@ class Watch:
                 "cpu_s": round(used.cpu_s, 2),
             }
         return sample
+
+
+def dropped(page: str) -> dict[str, int]:
+    """Messages that became part of no observation since the start, by reason, of `/metrics`."""
+    samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
+    return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
 
 
 def _is_logged(line: str) -> bool:

@@ -49,7 +49,7 @@ def test_the_page_shows_what_was_watched_and_quotes_what_was_said(record, tmp_pa
     said = "<script>alert(1)</script>"
     watch(record)  # before the first beat was heard, and with no model's process
     tick = {"ticks": 10, "interval_ms": [1, 2, 3], "gap_ms": [1, 2, 3], "tick_ms": [0, 0, 0]}
-    watch(record, **tick, drops={"ingest": 3}, goals=4, goals_reached=1, goals_failed=0)
+    watch(record, **tick, dropped={"stale": 3}, goals=4, goals_reached=1, goals_failed=0)
     watch(record, service=None)
     for name, why in (("camera-gone", ""), ("reload", said)):
         times = {"began_s": 1.0, "lasted_s": 2.0, "recovered_s": 3.0}
