@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SILENT_S = 10.0
 LOG_A_MINUTE = 120
 _SPARE_S = 30.0  # of a mission's limit
-_WARM_UP_S = 60.0
+_WARM_UP_S = 120.0  # a model fills its arenas in some thousand images
 _SETTLES = 0.1  # of the run: caches are filled by then
 _SOME_REACHED_S = 1200.0
 
@@ -124,14 +124,19 @@ says how small a growth would have shown."""
 
 
 def grown(growth: Growth, samples: Sequence[Sample]) -> Slope | None:
-    """How it grows, by samples without a fault, after those in which it settles; None: too few."""
+    """How it grows, by samples without a fault, after those in which it settles: of the run, and of
+    each process; None: too few."""
     if not samples:
         return None
-    settled_s = max(_WARM_UP_S, _SETTLES * samples[-1]["t_s"])
+    settled_s = _SETTLES * samples[-1]["t_s"]
+    begun_s: dict[int, float] = {}
     lives: dict[int, list[tuple[float, float]]] = {}
     for sample in samples:
-        if (used := sample[growth.who]) and sample["calm"] and sample["t_s"] >= settled_s:
-            lives.setdefault(used["pid"], []).append((sample["t_s"], used[growth.key]))
+        if used := sample[growth.who]:
+            t_s, pid = sample["t_s"], used["pid"]
+            settles_s = max(settled_s, begun_s.setdefault(pid, t_s) + _WARM_UP_S)
+            if sample["calm"] and t_s >= settles_s:
+                lives.setdefault(pid, []).append((t_s, used[growth.key]))
     return slope_of(tuple(np.array(life).T) for life in lives.values())  # type: ignore[misc]
 
 
