@@ -17,6 +17,7 @@ from edge.cli.parsers import make_parser
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_unjoined
 from edge.host.kernel_cache import kernel_cache
+from edge.host.outlet import unwaited_stderr
 from edge.host.signals import (
     break_off_on_signals,
     reload_on_hang_up,
@@ -97,13 +98,16 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _run(args: argparse.Namespace) -> int:
-    stop = stop_on_signals()  # first of all: it takes seconds to import what follows
+    # First of all: it takes seconds to import what follows.
+    stop = stop_on_signals(args.with_parent)
     hung_up = reload_on_hang_up()
     from edge.cli.commands import Reload, run_service
 
-    config, asked = load_config(args), args.target or args.mission
-    reload = Reload(partial(load_config, args), hung_up)
-    return run_service(config, stop, args.once, args.report, asked, args.formula, reload)
+    with unwaited_stderr():  # the loop writes there, too
+        setup(args.log_level, args.log_json)
+        config, asked = load_config(args), args.target or args.mission
+        reload = Reload(partial(load_config, args), hung_up)
+        return run_service(config, stop, args.once, args.report, asked, args.formula, reload)
 
 
 def _demo(args: argparse.Namespace) -> int:

@@ -55,6 +55,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         _ros2_adapter,
         _bench,
         _eval,
+        _soak,
         _install_service,
         _doctor,
     ):
@@ -81,6 +82,7 @@ def _run(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     run.add_argument("--once", action="store_true", help="exit when the mission is over")
     run.add_argument("--report", metavar="DIR", help="write a picture and a page there at the end")
     _trust(run)
+    _with_parent(run)
     return run
 
 
@@ -350,6 +352,27 @@ def _eval_results(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
     results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
+
+
+def _soak(commands) -> None:  # type: ignore[no-untyped-def]
+    soak = commands.add_parser(
+        "soak", help="run service and simulated robot for hours, through faults; what must hold"
+    )
+    soak.add_argument("config", nargs="?", default="soak", help=f"{CONFIG} (default: %(default)s)")
+    option = soak.add_argument
+    option(
+        "--minutes", type=positive, default=120.0, metavar="N", help="how long (default: 120)"
+    )  # fmt: skip
+    option("--seed", type=seed, default=0, help="of faults and missions (default: %(default)s)")
+    option(
+        "--faults", metavar="NAME,NAME,…", help="only these (default: all of docs/soak.md that the "
+        "configuration has a place for)"
+    )  # fmt: skip
+    option(
+        "--out", type=Path, default=Path("soak"), metavar="FOLDER",
+        help="for the record, the logs and the page (default: ./%(default)s)",
+    )  # fmt: skip
+    soak.set_defaults(handler=lazy("edge.eval.soak.run", "run"))
 
 
 def _install_service(commands) -> None:  # type: ignore[no-untyped-def]

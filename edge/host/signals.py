@@ -10,6 +10,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 
 log = logging.getLogger("edge")
 
@@ -115,8 +116,9 @@ def _show_stacks(_signum: int) -> None:
     for ident, frame in sys._current_frames().items():
         parts.append(f"thread {names.get(ident, ident)} (most recent call last):\n")
         parts += traceback.format_stack(frame)
-    sys.stderr.write("".join(parts))
-    sys.stderr.flush()
+    with suppress(OSError):  # nobody reads: the thread that calls this is still needed
+        sys.stderr.write("".join(parts))
+        sys.stderr.flush()
 
 
 def _has_terminal() -> bool:

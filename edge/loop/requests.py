@@ -114,8 +114,10 @@ def handle_mission(
     elif request.do == "cancel":
         mission.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
-        mission.pause(request.do == "pause")
-        service.event(f"mission: {request.do}d", now_ns)
+        paused = request.do == "pause"
+        if paused != mission.paused:  # who asks a hundred times a second is told of once
+            mission.pause(paused)
+            service.event(f"mission: {request.do}d", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {
         **answer_of(service.status, facts_of(service.mission)),

@@ -439,6 +439,7 @@ class Service:
         self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
         self._seen_map = MapView(self.grid)
+        self._context = None
         self._keep_values()
         self.tracker.clear()
         self.sightings.clear()

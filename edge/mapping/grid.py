@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from weakref import proxy
 
 import numpy as np
 
@@ -86,7 +88,9 @@ class RollingMap:
         self.coverage = Coverage(self._layers, self.window)
         self.gain = Gain(self._layers, self.window, c.range_m)
         self.values = ValueMap(self._layers, self.window, c.values.cell_m, c.range_m, c.values.beta)
-        self.bumps = Bumps(self._layers, self.window, c, self._write)
+        # Weakly: a map that is given up is let go at once, not when the collector comes to it.
+        write = partial(RollingMap._write, proxy(self))
+        self.bumps = Bumps(self._layers, self.window, c, write)
 
     def update_depth(
         self, depth_m: np.ndarray, camera: CameraModel, T_map_camera: np.ndarray, pose: SE2

@@ -7,6 +7,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -85,6 +86,17 @@ def test_a_look_at_the_threads_changes_nothing(number, start):
     assert "thread MainThread (most recent call last):\n" in iter(process.stderr.readline, "")
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "stopped\n"
+
+
+def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
+    process = start("stop")
+    process.stderr.close()
+    process.send_signal(signal.SIGUSR1)
+    time.sleep(0.3)  # two signals that are sent at once may come in either order
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == "stopped\n"
+    process.send_signal(signal.SIGTERM)
+    assert process.stdout.readline() == f"broken off by {int(signal.SIGTERM)}\n"
 
 
 def test_a_hang_up_that_nohup_has_ignored_stays_so(start):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import tracemalloc
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -253,6 +255,19 @@ def test_a_pose_jump_forgets_the_map():
     assert loop.service.grid.known_m2 == 0.0
     loop.step()
     assert loop.service.grid.known_m2 > 1.0
+
+
+def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
+    """It is large: were it garbage until the collector comes, memory would grow by many of them."""
+    loop = ClosedLoop(config()).run(2)
+    old = weakref.ref(loop.service.grid)
+    gc.disable()
+    try:
+        loop.service.forget_places(loop.drive.motion.stamp_ns)
+        loop.step()
+        assert old() is None
+    finally:
+        gc.enable()
 
 
 class Late(DetectorWorker):

@@ -210,6 +210,16 @@ def test_what_failed_before_a_pose_jump_may_be_seen_anew_after_it():
     assert service.status.phase == "reached"
 
 
+def test_a_flood_of_equal_requests_is_told_of_once():
+    loop = ClosedLoop(config("F television")).run(2)
+    for do in ("resume", *["pause"] * 5, *["resume"] * 5):
+        ask(loop, do)
+    loop.step()
+    assert [e for e in loop.notes.events if "mission: p" in e or "mission: resumed" in e] == [
+        "mission: paused", "mission: resumed",
+    ]  # fmt: skip
+
+
 def test_a_goal_from_before_a_pause_is_not_sent_again():
     """The one to stand is newer, so a controller would take the old one for replaced."""
     loop = ClosedLoop(config("F bed")).run(1)

@@ -1,0 +1,53 @@
+"""What happened in a soak, as JSON lines."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+class Record:
+    """Each row has `t_s` since the soak's begin, and its `kind`: `begin`, `sample` (one a second),
+    `fault`, `mission`, `broken`, `growth`, `end`. The file has all of it at any time.
+
+    Attributes:
+        began_s: `time.monotonic` of the begin; may be set.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.rows: list[Row] = []
+        self.began_s = time.monotonic()
+        self._file = path.open("w", encoding="utf-8")
+
+    def add(self, kind: str, **fields: Any) -> None:
+        row = {"t_s": round(time.monotonic() - self.began_s, 2), "kind": kind, **fields}
+        self.rows.append(row)
+        self._file.write(json.dumps(row, ensure_ascii=False) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def of(rows: Sequence[Row], kind: str) -> list[Row]:
+    """The rows of a kind."""
+    return [row for row in rows if row["kind"] == kind]
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """How it went, in one line: the first rule that did not hold."""
+    broken, minutes = of(rows, "broken"), rows[-1]["t_s"] / 60.0
+    if broken:
+        more = f" ({len(broken) - 1} more)" if len(broken) > 1 else ""
+        return f"broken at {broken[0]['t_s']:.0f} s: {broken[0]['rule']}: {broken[0]['why']}{more}"
+    faults, missions = len(of(rows, "fault")), of(rows, "mission")
+    reached = sum(row["phase"] == "reached" for row in missions)
+    return (
+        f"all held for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "
+        f"{reached} of them reached"
+    )

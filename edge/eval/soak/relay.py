@@ -1,0 +1,197 @@
+"""What stands between robot and service: passes on what the sensors send, or something else.
+
+The robot's simulator knows this process only. An `Alter` makes of each message what goes on in its
+place; there is one at a time, and every one leaves well what it does not mean.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+
+import numpy as np
+import zenoh
+
+from edge.bus import topics
+from edge.bus.session import declare_publisher, zenoh_session
+from edge.bus.topics import Topic
+from edge.bus.wire import messages
+from edge.bus.wire.cdr import HEADER, STAMP
+from edge.config import Zenoh
+
+Alter = Callable[[Topic, bytes], Sequence[bytes]]
+"""What is sent in the place of a message of a topic; called on Zenoh's threads."""
+
+_IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION)
+_STAMPED = tuple(topic for topic in topics.PLAYED if topic.type != "json")
+_FRAMES = tuple(topic for topic in _STAMPED if topic is not topics.ODOMETRY)
+
+
+class Relay:
+    """Passes on until it is closed.
+
+    Args:
+        robot: where the simulator connects to; the relay listens.
+        service: where the service, or its router, is.
+
+    Attributes:
+        alter: what is made of the sensors' messages; None: nothing.
+        offset_m: what is added to the x of the odometry, whoever else alters it.
+        passed: messages of the sensors.
+
+    Raises:
+        Stopped: `stop` was set before somebody was at the service's endpoint.
+    """
+
+    def __init__(self, robot: Zenoh, service: Zenoh, stop: threading.Event) -> None:
+        self.alter: Alter | None = None
+        self.offset_m = 0.0
+        self.passed = 0
+        self._late_s = 0.0
+        self._late: deque[tuple[float, Topic, bytes]] = deque()
+        self._robot, self._service, self._stop = robot, service, stop
+        self._stack = ExitStack()
+        heard = self._stack.enter_context(zenoh_session(robot, "listen", stop))
+        command = declare_publisher(heard, topics.CMD_VEL, robot)
+        self._commanded = partial(_put, command)
+        for topic in topics.PLAYED:
+            heard.declare_subscriber(robot.key(topic.key), partial(self._hear, topic))
+        self._publishers: dict[Topic, zenoh.Publisher] = {}
+        self._side = ExitStack()
+        self.connect()
+
+    def connect(self) -> None:
+        """Open the session with the service, where there is none."""
+        if self._publishers:
+            return
+        session = self._side.enter_context(zenoh_session(self._service, "connect", self._stop))
+        key = self._service.key(topics.CMD_VEL.key)
+        session.declare_subscriber(key, lambda sample: self._commanded(sample.payload.to_bytes()))
+        self._publishers = {
+            topic: declare_publisher(session, topic, self._service) for topic in topics.PLAYED
+        }
+
+    def cut(self) -> None:
+        """Close the session with the service: what comes until `connect` is lost."""
+        self._publishers = {}
+        self._side.close()
+
+    def close(self) -> None:
+        self.cut()
+        self._stack.close()
+
+    def delay(self, late_s: float) -> None:
+        """From now on let every message wait so long; 0: none any more."""
+        self._late_s = late_s
+
+    def step(self) -> None:
+        """Send what has waited long enough."""
+        now_s = time.monotonic()
+        while self._late and self._late[0][0] <= now_s:
+            _, topic, payload = self._late.popleft()
+            self._send(topic, payload)
+
+    def _hear(self, topic: Topic, sample: zenoh.Sample) -> None:
+        payload, alter = sample.payload.to_bytes(), self.alter
+        self.passed += 1
+        if topic is topics.ODOMETRY and self.offset_m:
+            payload = moved(payload, self.offset_m)
+        for sent in (payload,) if alter is None else alter(topic, payload):
+            if self._late_s:
+                self._late.append((time.monotonic() + self._late_s, topic, sent))
+            else:
+                self._send(topic, sent)
+
+    def _send(self, topic: Topic, payload: bytes) -> None:
+        if (publisher := self._publishers.get(topic)) is not None:
+            _put(publisher, payload)
+
+
+def _put(publisher: zenoh.Publisher, payload: bytes) -> None:
+    try:
+        publisher.put(payload)
+    except zenoh.ZError:  # its session is being closed
+        return
+
+
+# -- what messages are made into -------------------------------------------------------------------
+
+
+def moved(payload: bytes, x_m: float, yaw_rad: float = 0.0) -> bytes:
+    """Odometry as it would be elsewhere: turned about the origin of `map`, then moved along x."""
+    told = messages.decode_odometry(payload)
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    T = np.array([[c, -s, 0, x_m], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    return messages.encode_odometry(told.stamp_ns, T @ told.T_map_base, told.v_mps, told.w_radps)
+
+
+def restamped(payload: bytes, stamp_ns: int) -> bytes:
+    """Any message that begins with a header, of another instant."""
+    begin, end = len(HEADER), len(HEADER) + STAMP.size
+    return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
+
+
+def nothing(only: Sequence[Topic] = topics.PLAYED) -> Alter:
+    """Drops these."""
+    return lambda topic, payload: () if topic in only else (payload,)
+
+
+def frozen(stamps_go_on: bool) -> Alter:
+    """The first image of each topic again and again, as a driver that hangs sends it."""
+    first: dict[Topic, bytes] = {}
+
+    def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
+        if topic not in _IMAGES:
+            return (payload,)
+        kept = first.setdefault(topic, payload)
+        return (restamped(kept, messages.peek_stamp_ns(payload)) if stamps_go_on else kept,)
+
+    return alter
+
+
+def other_clock(ahead_s: float) -> Alter:
+    """Stamps of a clock that is so far ahead."""
+
+    def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
+        if topic not in _STAMPED:
+            return (payload,)
+        return (restamped(payload, messages.peek_stamp_ns(payload) + int(1e9 * ahead_s)),)
+
+    return alter
+
+
+def elsewhere(x_m: float, yaw_rad: float) -> Alter:
+    """Odometry that has jumped."""
+    return lambda topic, payload: (
+        (moved(payload, x_m, yaw_rad),) if topic is topics.ODOMETRY else (payload,)
+    )
+
+
+def garbage(rng: np.random.Generator) -> Alter:
+    """Each message well, and before it a broken one: cut, with other bytes, or of nothing but
+    chance."""
+    hand = threading.Lock()  # a generator is for one thread, Zenoh calls from several
+
+    def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
+        with hand:
+            return broken(payload, rng), payload
+
+    return alter
+
+
+def broken(payload: bytes, rng: np.random.Generator) -> bytes:
+    """A message that is not what it was."""
+    kind = rng.integers(3)
+    if kind == 0:
+        return payload[: rng.integers(len(payload) + 1)]
+    if kind == 1:
+        return rng.bytes(int(rng.integers(1, 512)))
+    content = bytearray(payload)
+    for at in rng.integers(0, max(min(len(content), 256), 1), 16 if content else 0):
+        content[at] = rng.integers(256)
+    return bytes(content)

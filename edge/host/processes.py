@@ -1,0 +1,102 @@
+"""What other processes of this user are at, from Linux's /proc."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_PROC = Path("/proc")
+_TICKS_A_S = os.sysconf("SC_CLK_TCK")
+_MB_A_KB = 1.024e-3
+_COMM_ENDS, _PARENT, _USER, _SYSTEM, _STARTED = b")", 1, 11, 12, 19  # of /proc/PID/stat, from `)`
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A process, and no other that gets its number after it.
+
+    Attributes:
+        started: in the kernel's clock ticks since it booted.
+    """
+
+    pid: int
+    parent: int
+    started: int
+    command: str
+
+    def lives(self) -> bool:
+        """Whether it runs: one that has ended and that nobody has asked for does not."""
+        now = _read(self.pid)
+        return now is not None and now.started == self.started
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a process has, now.
+
+    Attributes:
+        memory_mb: resident and its own: no files, which the kernel may drop, but shared memory,
+            `shared_mb`.
+        cpu_s: of all its threads, since its start.
+    """
+
+    memory_mb: float
+    shared_mb: float
+    threads: int
+    descriptors: int
+    cpu_s: float
+
+
+def usage(pid: int) -> Usage | None:
+    """None where there is no such process (any more), or it is another user's."""
+    folder = _PROC / str(pid)
+    try:
+        lines = (folder / "status").read_text(encoding="utf-8", errors="replace").splitlines()
+        told = dict(line.split(":", 1) for line in lines)
+        own_mb, shared_mb = (
+            int(told[key].split()[0]) * _MB_A_KB for key in ("RssAnon", "RssShmem")
+        )
+        fields = _stat(pid)
+        cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_A_S
+        opened = len(os.listdir(folder / "fd"))
+    except (OSError, KeyError):  # KeyError: it has ended, so has no memory
+        return None
+    return Usage(own_mb + shared_mb, shared_mb, int(told["Threads"]), opened, cpu_s)
+
+
+def descendants(pid: int) -> list[Process]:
+    """Its children that run, their children, and so on; parents come first."""
+    children: dict[int, list[Process]] = {}
+    for process in _all():
+        children.setdefault(process.parent, []).append(process)
+    found, new = [], list(children.get(pid, ()))
+    while new:
+        found += new
+        new = [child for parent in new for child in children.get(parent.pid, ())]
+    return found
+
+
+def _all() -> Iterator[Process]:
+    for name in os.listdir(_PROC):
+        if name.isdecimal() and (process := _read(int(name))) is not None:
+            yield process
+
+
+def _read(pid: int) -> Process | None:
+    try:
+        fields = _stat(pid)
+        command = (_PROC / str(pid) / "cmdline").read_bytes()
+    except OSError:
+        return None
+    if fields[0] in (b"Z", b"X"):
+        return None
+    words = command.replace(b"\0", b" ").decode("utf-8", "replace").strip()
+    return Process(pid, int(fields[_PARENT]), int(fields[_STARTED]), words)
+
+
+def _stat(pid: int) -> list[bytes]:
+    """The fields from the state on; a process's name, before it, may hold anything."""
+    content = (_PROC / str(pid) / "stat").read_bytes()
+    return content.rpartition(_COMM_ENDS)[2].split()

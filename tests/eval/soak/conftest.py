@@ -1,0 +1,5 @@
+"""`edge` commands as processes."""
+
+from edge_processes import edge
+
+__all__ = ["edge"]

@@ -1,0 +1,114 @@
+"""A stream that nobody waits for, on real pipes."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from contextlib import redirect_stderr, suppress
+
+import pytest
+
+from edge.host.outlet import MOST_WAITING, Outlet, unwaited_stderr
+
+LINE = "x" * 199 + "\n"
+MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
+
+
+@pytest.fixture
+def pipe():
+    """Its reading end, and a text stream that writes to it."""
+    read, write = os.pipe()
+    with open(write, "w", encoding="utf-8") as stream:
+        yield read, stream
+    with suppress(OSError):
+        os.close(read)
+
+
+def all_of(read: int) -> str:
+    with open(read, encoding="utf-8", closefd=False) as reader:
+        return reader.read()
+
+
+def test_nothing_is_nothing(pipe):
+    read, stream = pipe
+    Outlet(stream).end()
+    stream.close()
+    assert all_of(read) == ""
+
+
+def test_all_comes_in_order(pipe):
+    read, stream = pipe
+    outlet = Outlet(stream)
+    for k in range(100):
+        outlet.write(f"{k}\n")
+    outlet.end()
+    stream.close()
+    assert all_of(read) == "".join(f"{k}\n" for k in range(100))
+
+
+def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe):
+    read, stream = pipe
+    outlet = Outlet(stream)
+    for _ in range(MUCH):
+        assert outlet.write(LINE) == len(LINE)
+    outlet.end()  # though nobody reads
+    told = b""
+    while not told.endswith(b")\n"):
+        told += os.read(read, 1 << 16)
+    lines = told.decode().splitlines(keepends=True)
+    losses = [line for line in lines if line != LINE]
+    lost = sum(int(loss[1:].split()[0]) for loss in losses)
+    assert losses[-1] == lines[-1]
+    assert all(loss.endswith(" lines were not read in time, and are lost)\n") for loss in losses)
+    assert lost > 0
+    assert len(lines) - len(losses) + lost == MUCH
+
+
+def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
+    read, stream = pipe
+    os.close(read)
+    outlet = Outlet(stream)
+    for _ in range(MUCH):
+        outlet.write(LINE)
+    outlet.end()
+    assert not outlet._thread.is_alive()
+
+
+def test_after_its_end_it_is_the_stream_itself(pipe):
+    read, stream = pipe
+    outlet = Outlet(stream)
+    outlet.write("before, ")
+    outlet.end()
+    outlet.write("after")
+    stream.close()
+    assert all_of(read) == "before, after"
+
+
+def test_a_stream_without_a_descriptor_stays():
+    with redirect_stderr(io.StringIO()) as captured:
+        with unwaited_stderr():
+            assert sys.stderr is captured
+            print("told", file=sys.stderr)
+        assert sys.stderr is captured
+    assert captured.getvalue() == "told\n"
+
+
+PROGRAM = f"""
+import sys
+from edge.cli.main import _leave
+from edge.host.outlet import unwaited_stderr
+with unwaited_stderr():
+    for _ in range({MUCH}):
+        sys.stderr.write({LINE!r})
+    print("went on", flush=True)
+sys.exit(_leave(3))
+"""
+
+
+def test_a_process_goes_on_and_ends_though_its_log_is_stuck():
+    program = [sys.executable, "-c", PROGRAM]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"went on\n"
+        assert process.wait() == 3

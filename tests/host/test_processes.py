@@ -1,0 +1,63 @@
+"""What /proc says of processes: real ones."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import psutil
+import pytest
+from patience import eventually
+
+from edge.host.processes import descendants, usage
+
+NOBODY = 1 << 22  # the kernel's largest number, and more
+
+
+def test_there_is_nothing_to_say_of_nobody():
+    assert usage(NOBODY) is None
+    assert descendants(NOBODY) == []
+
+
+def test_usage_is_what_others_count():
+    ours, theirs = usage(psutil.Process().pid), psutil.Process()
+    assert ours.threads == theirs.num_threads()
+    assert ours.descriptors == pytest.approx(theirs.num_fds(), abs=2)
+    memory = theirs.memory_full_info()
+    assert ours.memory_mb == pytest.approx(memory.rss / 1e6, rel=0.7)
+    assert ours.memory_mb <= 1.1 * memory.rss / 1e6
+    times = theirs.cpu_times()
+    assert ours.cpu_s == pytest.approx(times.user + times.system, abs=0.5)
+
+
+def test_memory_and_descriptors_are_seen_to_grow():
+    before = usage(psutil.Process().pid)
+    held = bytearray(b"x" * 64_000_000)
+    with open("/dev/null"):
+        after = usage(psutil.Process().pid)
+    assert after.memory_mb - before.memory_mb == pytest.approx(len(held) / 1e6, rel=0.2)
+    assert after.descriptors == before.descriptors + 1
+
+
+def test_descendants_are_all_and_end():
+    child = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'input()'])"
+    parent = subprocess.Popen([sys.executable, "-c", child], stdin=subprocess.PIPE)
+    try:
+        found = eventually(lambda: found if len(found := descendants(parent.pid)) == 1 else None)
+        assert [process.parent for process in found] == [parent.pid]
+        assert found[0] in descendants(psutil.Process().pid)
+        assert "input()" in found[0].command
+        assert found[0].lives()
+    finally:
+        parent.stdin.close()
+        parent.wait()
+    eventually(lambda: not found[0].lives())
+
+
+def test_one_that_nobody_has_asked_for_does_not_live():
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    (process,) = [p for p in descendants(psutil.Process().pid) if p.pid == child.pid]
+    child.stdin.close()
+    eventually(lambda: not process.lives())
+    assert descendants(psutil.Process().pid) == []
+    child.wait()
