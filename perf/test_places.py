@@ -39,11 +39,11 @@ def parts_of(grid: mapping.RollingMap, c: config.Config) -> places.Parts:
     sightings = SightingTracker(c.perception)
     tracker, pool = InstanceTracker(c.perception, sightings), CandidatePool(384, 1.0)
     goals = GoalTracker(c, pool, tracker, lambda goal: None, lambda text, now_ns: None)
-    return places.Parts(grid, sightings, tracker, pool, goals, make_policy(c.policy))
+    return places.Parts(c, grid, sightings, tracker, pool, goals, make_policy(c.policy))
 
 
 def gathered(grid: mapping.RollingMap, c: config.Config) -> places.Kept:
-    return places.gather(parts_of(grid, c), NOW, c, "", ("bed",), "bed")
+    return places.gather(parts_of(grid, c), NOW, "", ("bed",), "bed")
 
 
 def file_of(cells: int) -> bytes:
@@ -73,7 +73,7 @@ def test_copying_what_changed(benchmark, cells):
 
     def copy() -> None:
         assert copier.step(grid.window, grid.planes, MOST_PER_STEP + grid.tiles_of_update)
-        places.gather(parts, NOW, c, "", ("bed",), "bed")
+        places.gather(parts, NOW, "", ("bed",), "bed")
 
     benchmark.pedantic(copy, setup=written, rounds=100, warmup_rounds=5)
 

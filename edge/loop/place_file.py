@@ -35,7 +35,7 @@ _HEAD = re.compile(
     rb'\{"format":"edge-map","version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
     rb'"table":([0-9]{1,9}),"arrays":([0-9]{1,9}),"tiles":([0-9]{1,9})\}\n'
 )
-_Sizes = Annotated[tuple[Annotated[int, Field(ge=0, le=1 << 26)], ...], Field(max_length=3)]
+_Sizes = Annotated[tuple[Annotated[int, Field(ge=0, le=1 << 26)], ...], Field(max_length=8)]
 _Count = Annotated[int, Field(ge=0)]
 _Name = Annotated[str, Field(max_length=100)]
 _ROWS = TypeAdapter(

@@ -123,7 +123,7 @@ class PlaceKeeper:
         if not self._copier.step(grid.window, grid.planes, most):
             return
         self._due = False
-        kept = gather(parts, now, self._config, self._boot, targets, target)
+        kept = gather(parts, now, self._boot, targets, target)
         anew, batches = self._copier.take()
         self._writer.post(partial(self._pack, kept, grid.window.n, anew, batches), now.now_ns)
 

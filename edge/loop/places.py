@@ -148,8 +148,9 @@ TABLE: dict[str, Column] = {
 
 
 class Parts(NamedTuple):
-    """Those parts of a service that know places."""
+    """Those parts of a service that know places, and what it goes by."""
 
+    config: Config
     grid: RollingMap
     sightings: SightingTracker
     tracker: InstanceTracker
@@ -166,16 +167,14 @@ class Now(NamedTuple):
     now_ns: int
 
 
-def gather(
-    parts: Parts, now: Now, config: Config, boot: str, targets: tuple[str, ...], target: str
-) -> Kept:
+def gather(parts: Parts, now: Now, boot: str, targets: tuple[str, ...], target: str) -> Kept:
     """All but the tiles, as it stands.
 
     Args:
         boot: see `edge.host.machine.boot_id`.
         targets: of the mission; `target` is the active one.
     """
-    grid, policy, values = parts.grid, parts.policy, parts.grid.values
+    config, grid, policy, values = parts.config, parts.grid, parts.policy, parts.grid.values
     given = {
         "about": {
             "boot": np.array([boot]), "policy": np.array([config.policy.kind]),
@@ -285,15 +284,15 @@ def make_map(
     return grid
 
 
-def restore(parts: Parts, kept: Kept, now: Now, policy: str | None) -> None:
+def restore(parts: Parts, kept: Kept, now: Now, goes_on: bool) -> None:
     """Have the parts go on with what was gathered; `parts.grid` is of `make_map`.
 
     What was to last until some time lasts as long as it would have; where a clock was set back, as
     long as it had yet to last.
 
     Args:
-        policy: of which kind it is; None: the mission is another one, and with it all that was
-            tried for the last.
+        goes_on: whether the mission does, and with it what was tried, and what the policy
+            remembers where it is of the same kind.
 
     Raises:
         ValueError: the policy takes this for no memory of its own; all else has been restored.
@@ -304,11 +303,11 @@ def restore(parts: Parts, kept: Kept, now: Now, policy: str | None) -> None:
     parts.sightings.restore(part_of(kept, "sightings"), later_stamp_ns)
     parts.tracker.restore(part_of(kept, "instances"), later_stamp_ns)
     parts.pool.restore(part_of(kept, "candidates"), later_ns, later_stamp_ns)
-    if policy is None:
+    if not goes_on:
         return
     parts.goals.restore(part_of(kept, "goals"), str(kept["about/target"][0]), now.now_ns)
     memory = part_of(kept, "policy")
-    if memory and _remembers(parts.policy) and kept["about/policy"][0] == policy:
+    if memory and _remembers(parts.policy) and kept["about/policy"][0] == parts.config.policy.kind:
         try:
             parts.policy.restore(memory)
         except (KeyError, TypeError) as error:

@@ -185,7 +185,7 @@ class Service:
         self._seen_map = MapView(self.grid)
         goes_on = keeper.goes_on(self.mission, kept["about/targets"].tolist())
         with self.faults.outlived("restore", now.now_ns):
-            restore(self._parts, kept, now, self.config.policy.kind if goes_on else None)
+            restore(self._parts, kept, now, goes_on)
         if goes_on:
             self.mission.overlook(self.tracker.newest_id)
         else:
@@ -346,7 +346,9 @@ class Service:
 
     @property
     def _parts(self) -> Parts:
-        return Parts(self.grid, self.sightings, self.tracker, self.pool, self.goals, self.policy)
+        return Parts(
+            self.config, self.grid, self.sightings, self.tracker, self.pool, self.goals, self.policy
+        )
 
     def _tell(self, goal: Goal) -> None:
         self._publisher.goals.append(goal)
