@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,6 +62,8 @@ class Robot(ClosedLoop):
         """Until so much is known, or nothing is left to go to; notes (known m2, way) by the way."""
         for n in range(int(LIMIT_S / self.config.sim.step_s)):
             self.step()
+            while not self.service.keeper.places.idle:  # simulated time is faster than a disk
+                time.sleep(0.0005)
             done = self.service.status.done or self.service.goals.searched
             if n % 5 == 0 or done:
                 known_m2 = self.service.grid.known_m2
@@ -100,8 +103,9 @@ def killed(config: Config, folder: Path, half_m2: float, keeps: bool) -> Twice:
         path.with_name("mission.json.map").unlink(missing_ok=True)
     robot.start()
     driven_m = robot.service.mission.path_m
-    kept = known(robot.service.keeper.places._waiting)
+    kept = known(robot.service.keeper.places.waiting)
     robot.explore()
+    robot.service.keeper.close()
     again = (before - kept) & known(robot.service.grid)
     area_m2 = config.mapping.resolution_m**2
     return Twice(
@@ -123,13 +127,17 @@ def main() -> None:
             "policy": {"kind": "search"},
         }  # fmt: skip
         config = parse(data)
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             whole = Robot(config, Path(folder) / "mission.json")
             ways: list[tuple[float, float]] = []  # known, and the way until then
             whole.explore(each=ways)
+            whole.service.keeper.close()
         half_m2 = 0.5 * whole.service.grid.known_m2
         rest_m = whole.service.mission.path_m - next(m for m2, m in ways if m2 >= half_m2)
-        with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
+        with (
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as one,
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as other,
+        ):
             kept = killed(config, Path(one), half_m2, True)
             lost = killed(config, Path(other), half_m2, False)
         rows.append((kept, lost, rest_m))

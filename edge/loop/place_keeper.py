@@ -33,6 +33,7 @@ class PlaceKeeper:
 
     Attributes:
         problem: why the file that was there is of no use, "" where there is none such.
+        waiting: the map that the file held, until the first observation.
     """
 
     def __init__(self, config: Config, path: Path) -> None:
@@ -44,7 +45,7 @@ class PlaceKeeper:
         loaded = load(path, _PLACES)
         self.problem = loaded.problem
         self._read: Places | None = loaded.saved
-        self._waiting: RollingMap | None = None
+        self.waiting: RollingMap | None = None
         self._writer: CheckpointWriter[Places] = CheckpointWriter(path, PERIOD_S, _PLACES)
         self._copier, self._packed = Copier(), PackedTiles()
         self._due = False
@@ -55,13 +56,13 @@ class PlaceKeeper:
         if self._read is None:
             return
         try:
-            self._waiting = make_map(self._read.kept, self._read.unpacked, self._config)
+            self.waiting = make_map(self._read.kept, self._read.unpacked, self._config)
         except ValueError as error:
             self._read, self.problem = None, set_aside(self._path, str(error))
 
     def take(self, now: Now) -> tuple[RollingMap, Kept] | None:
         """What the file held, once, where the robot's frame is still the same."""
-        grid, self._waiting = self._waiting, None
+        grid, self.waiting = self.waiting, None
         if grid is None or self._read is None:
             return None
         kept = self._read.kept
@@ -91,12 +92,17 @@ class PlaceKeeper:
             targets: of the mission; `target` is the active one.
             changed: in a way that is worth being kept at once.
         """
-        if self._waiting is not None:  # nothing was observed yet
+        if self.waiting is not None:  # nothing was observed yet
             return
         self._last = parts, now, targets, target
         self._due = self._due or changed or self._writer.due(now.now_ns)
         if self._due and self._writer.idle:
             self._copy(MOST_PER_STEP + parts.grid.tiles_of_update)
+
+    @property
+    def idle(self) -> bool:
+        """Whether all that was handed to the writer is on the disk, or could not be written."""
+        return self._writer.idle
 
     @property
     def written(self) -> int:

@@ -351,9 +351,11 @@ def kept(clusters):
     free = clusters.free_id[: clusters.count[FREE_IDS]]
     free = np.concatenate((free, ids[size == 0]))  # those for which there was no node
     ids, size = ids[size > 0], size[size > 0]
+    samples, sample = clusters.samples[ids], clusters.sample[ids]
+    sample[np.arange(MAX_SAMPLES) >= samples[:, None]] = 0  # of earlier clusters
     return {
-        "id": ids, "size": size, "samples": clusters.samples[ids], "sample": clusters.sample[ids],
-        "cell": cell[:n], "free": free,
+        "id": ids, "size": size, "samples": samples, "sample": sample, "cell": cell[:n],
+        "free": free,
     }  # fmt: skip
 
 

@@ -133,9 +133,12 @@ def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, con
         column, array = TABLE[name], places.kept[name]
         if column.dtype == WORD or name == "tile/bytes":
             continue
-        low, high = (-1e3, 1e3) if column.low is None else (column.low, column.high)
-        low, high = max(low, -(10.0 ** random.integers(1, 18))), min(high, 1e18)
-        changes[name] = random.uniform(low, high, array.shape).astype(array.dtype)
+        low, high = (0, 1) if column.low is None else (column.low, column.high)
+        far = 10.0 ** random.integers(1, 9 if array.itemsize < 8 else 18)
+        drawn = random.uniform(
+            max(low, -far), min(high, far, 2.0 ** (8 * array.itemsize - 2)), array.shape
+        )
+        changes[name] = drawn.astype(array.dtype)
     path = tmp_path_factory.mktemp("forged") / "m.json"
     try:
         made = encode(Places({**places.kept, **changes}, places.tiles))

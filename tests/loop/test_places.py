@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 from simulated import simulated
 
 from edge.config import Config
@@ -17,7 +19,11 @@ from edge.eval.closed_loop import ClosedLoop, Notes
 from edge.geometry import SE2
 from edge.loop import place_keeper
 from edge.loop.keeper import Keeper
+from edge.loop.place_file import decode
+from edge.loop.places import Now, gather, make_map
 from edge.loop.service import Service
+from edge.mapping.tiles import Copier, Planes
+from edge.mapping.window import Window
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -133,12 +139,73 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.tracker.all
         ]
         assert one.sightings.shown.n == other.sightings.shown.n
+    mine, its = (gather(s._parts, Now(SE2(0, 0, 0), 0, 0), "", (), "") for s in (one, other))
+    assert mine.keys() == its.keys()
+    for name, array in mine.items():
+        np.testing.assert_array_equal(array, its[name], name)
     np.testing.assert_array_equal(one.grid.coverage.looks, other.grid.coverage.looks)
     for layer, (a, b) in zip(
         one.grid.layers._fields, zip(one.grid.layers, other.grid.layers, strict=True), strict=True
     ):
         np.testing.assert_array_equal(a, b, layer)
     other.keeper.close()
+
+
+def idle(keeper: Keeper) -> None:
+    """Wait for the writer's thread."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not keeper.places.idle:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.001)
+
+
+def test_what_is_kept_is_the_map_of_one_tick_and_never_older_than_five_seconds(
+    tmp_path, monkeypatch
+):
+    """Even where copying it takes several ticks, in which the robot drives on."""
+    steps, step = [], Copier.step
+
+    def few(copier: Copier, window: Window, planes: Planes, most: int) -> bool:
+        steps.append(step(copier, window, planes, 17))  # one more than an update writes here
+        return steps[-1]
+
+    monkeypatch.setattr(Copier, "step", few)
+    run = Run(tmp_path / "m.json", config())
+    path, raw, written, kept_ns = tmp_path / "m.json.map", {}, set(), None
+    for _ in range(120):
+        now_ns = run.drive.motion.stamp_ns
+        run.ticks(1)
+        grid = run.service.grid
+        raw[now_ns] = grid.layers.raw.copy()
+        idle(run.service.keeper)
+        if path.exists():
+            places = decode(path.read_bytes())
+            kept_ns = int(places.kept["about/now_ns"])
+            assert now_ns - kept_ns <= 5 * 10**9
+            if kept_ns not in written:
+                written.add(kept_ns)
+                again = make_map(places.kept, places.unpacked, run.config)
+                np.testing.assert_array_equal(again.layers.raw, raw[kept_ns])
+    assert len(written) >= 4
+    assert not all(steps)
+    run.service.keeper.close()
+
+
+def test_a_disk_that_takes_nothing_costs_only_what_is_kept(tmp_path, caplog):
+    run = Run(tmp_path / "m.json", config())
+    (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
+    for _ in range(40):
+        run.ticks(1)
+        idle(run.service.keeper)
+    assert run.service.keeper.status()["problem"] == "Is a directory"
+    assert sum("not written" in message for message in caplog.messages) == 1
+    assert run.service.faults.failed == 0
+    assert run.service.goal is not None
+    (tmp_path / ".m.json.map.tmp").rmdir()
+    run.killed()
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert run.service.grid.known_m2 > 10
+    run.service.keeper.close()
 
 
 def test_a_bump_and_what_was_given_up_come_back(tmp_path):
@@ -198,8 +265,15 @@ def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_
     now_ns = run.drive.motion.stamp_ns
     run.service.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
     run.killed()
+    kept = decode((tmp_path / "m.json.map").read_bytes()).kept
     observation = replace(run.observe(), stamp_ns=10**8)
     run.service.tick(observation, 10**8)
+    back_ns = int(kept["about/stamp_ns"]) - 10**8
+    first_ns = dict(zip(kept["candidates/id"], kept["candidates/first_seen_ns"], strict=True))
+    now = run.service.pool.kept()
+    lasting = [i for i, k in enumerate(now["id"]) if k in first_ns]
+    assert lasting
+    assert all(now["first_seen_ns"][i] == first_ns[now["id"][i]] - back_ns for i in lasting)
     kept_ns = run.service.pool.kept()["discarded_until_ns"].tolist()
     assert kept_ns[0] - 10**8 == pytest.approx(5 * 10**9, abs=10**9)
     assert (run.service.pool.candidates.first_seen_ns <= 10**8).all()
