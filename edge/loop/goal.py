@@ -37,7 +37,7 @@ MIN_IMAGES = 5
 GRACE_NS = 300_000_000
 SILENT_NS = 3_000_000_000
 
-_KINDS = ("frontier", "instance")
+_KINDS = ("frontier", "instance", "look")
 
 Verdict = Literal["reached", "refuted", "out of reach"]
 
@@ -421,9 +421,9 @@ class GoalTracker:
             _, self._search, self._present = restored
 
     def kept(self) -> dict[str, np.ndarray]:
-        """The present goal and what was tried in vain, as plain arrays; a look is not kept."""
+        """The present goal and what was tried in vain, as plain arrays; a view is not kept."""
         present, goals = self._present, []
-        if present is not None and present.goal.kind != "look":
+        if present is not None and present.view is None:
             goals = [(present.goal, present.peak)]
         return {
             **self._search.kept(),

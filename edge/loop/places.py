@@ -141,7 +141,7 @@ TABLE: dict[str, Column] = {
     **_of(
         "goals",
         exhausted=_FLAG, second_chance=_FLAG, turns=Column("i8", (), 0, 1000),
-        left_m=_at("left", 2), missed=_at("missed", 3), kind=Column("i1", ("one",), 0, 1),
+        left_m=_at("left", 2), missed=_at("missed", 3), kind=Column("i1", ("one",), 0, 2),
         id=Column("i8", ("one",), 0), at=_at("one", 7),
     ),
 }  # fmt: skip
