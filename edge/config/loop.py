@@ -73,6 +73,10 @@ class Source(Section):
 
     `kind` is a short name (`edge/sources/__init__.py`), or `module:Class` of one's own; `options`
     are given to the class. Everything outside the limits is dropped and counted.
+
+    `localised`: poses are those of a localisation in a map that lasts, as AMCL's in tf. What
+    `mission.checkpoint` keeps of places is then good wherever the robot is after a restart, and
+    after one of the computer, too; else only where odometry went on.
     """
 
     kind: str = "zenoh"
@@ -83,6 +87,7 @@ class Source(Section):
     max_cloud_points: Annotated[int, Field(ge=16)] = 131072
     pool_slots: Annotated[int, Field(ge=3, le=32)] = 6
     odometry_ring: Annotated[int, Field(ge=64)] = 256
+    localised: bool = False
 
 
 class Loop(Section):

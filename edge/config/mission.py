@@ -93,7 +93,8 @@ class Mission(Section):
     pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
     `max_states` and `compile_limit_steps` bound the work of compiling it, in counts that are the
     same on every machine: the default takes a few seconds at most.
-    `checkpoint` is the file that a mission goes on from after a restart.
+    `checkpoint` is the file that a mission goes on from after a restart; what was mapped and seen
+    is kept beside it, in a file of that name and `.map` (docs/service.md).
     `on_request`: none is begun at the start, unless the command line names one; the robot stands
     until it is asked for one."""
 

@@ -106,6 +106,11 @@ def identity(root: Path = _ROOT) -> str:
     return short_name({"cpu": this_cpu(root), "cores": os.cpu_count(), "jetson": _jetson(root)})
 
 
+def boot_id(root: Path = _ROOT) -> str:
+    """Another one after each start of the computer; "" where the kernel does not tell."""
+    return text_of(root / "proc/sys/kernel/random/boot_id").strip()[:64]
+
+
 def this_cpu(root: Path = _ROOT) -> str:
     """This machine's processor: its name, or at least its architecture."""
     return cpu_name(text_of(root / "proc/cpuinfo")) or platform.machine()

@@ -18,6 +18,7 @@ from edge.policies.base import FRONTIER, INSTANCE, LOOK, SNAP_M, Candidates
 from edge.types import Instance
 
 _DISCARDED = 64
+_LASTING = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
 _UNMEASURED = np.float32(-1.0)
 # Frontiers whose gain is measured again in a tick, besides those that are new.
 _MEASURED = 12
@@ -45,6 +46,7 @@ class CandidatePool:
         self.r_assoc_m = r_assoc_m
         self._next_id = 1
         self._measure_next = 0
+        self._measured_ns: int | None = None
         self._measured = np.zeros(capacity, np.int32)
         self._look: tuple[int, float] | None = None  # id and heading
         self._match = np.full(capacity, -1, np.int32)
@@ -112,8 +114,10 @@ class CandidatePool:
         c = self.candidates
         grid.reach.paths_m(c.xy_m, c.kind, SNAP_M, c.n, c.path_m)
         n = int(np.count_nonzero(c.kind[: c.n] == FRONTIER))
+        if c.stamp_ns != self._measured_ns:  # the turn goes on once for each observation
+            self._measured_ns = c.stamp_ns
+            self._measure_next = (self._measure_next + _MEASURED) % max(n, 1)
         k = _to_measure(c.gain_m2, n, self._measure_next, _MEASURED, self._measured)
-        self._measure_next = (self._measure_next + _MEASURED) % max(n, 1)
         if k and grid.window.placed:
             grid.gain.around(c.xy_m, self._measured, k, c.gain_m2)
 
@@ -168,6 +172,45 @@ class CandidatePool:
     def lift_discards(self) -> None:
         """Give every discarded candidate another chance."""
         self._discarded_until_ns[:] = 0
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """The frontiers' identities, and what is left alone until when, as plain arrays."""
+        n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
+        left = self._discarded_until_ns > 0
+        return {
+            **{name: a[:n].copy() for name, a in zip(_LASTING, self._lasting, strict=True)},
+            "next_id": np.array(self._next_id),
+            "measure_next": np.array(self._measure_next),
+            "look_id": np.array([] if self._look is None else self._look[:1], np.int64),
+            "look_rad": np.array([] if self._look is None else self._look[1:], np.float64),
+            "discarded_xy_m": self._discarded_xy_m[left],
+            "discarded_kind": self._discarded_kind[left],
+            "discarded_id": self._discarded_id[left],
+            "discarded_until_ns": self._discarded_until_ns[left],
+        }
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int, later_stamp_ns: int) -> None:
+        """Go on with what `kept` gave, with no candidate known yet; what does not fit is left out.
+
+        Args:
+            later_ns, later_stamp_ns: how much later it all happened on the clock of `discard`, and
+                on the sensors'.
+        """
+        c = self.candidates
+        c.n = min(len(kept["id"]), len(c.id))
+        c.kind[: c.n] = FRONTIER
+        for name, array in zip(_LASTING, self._lasting, strict=True):
+            array[: c.n] = kept[name][: c.n]
+        c.first_seen_ns[: c.n] += later_stamp_ns
+        self._next_id = max(self._next_id, int(kept["next_id"]))
+        self._measure_next = int(kept["measure_next"])
+        for look_id, heading in zip(kept["look_id"], kept["look_rad"], strict=True):
+            self._look = (int(look_id), float(heading))
+        for kind, i, xy_m, until_ns in zip(
+            kept["discarded_kind"], kept["discarded_id"], kept["discarded_xy_m"],
+            kept["discarded_until_ns"], strict=True,
+        ):  # fmt: skip
+            self.discard(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + later_ns)
 
     def clear(self) -> None:
         """Forget every candidate and every discarded point."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 from typing import Literal
 
@@ -36,6 +36,8 @@ MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
 SILENT_NS = 3_000_000_000
+
+_KINDS = ("frontier", "instance", "look")
 
 Verdict = Literal["reached", "refuted", "out of reach"]
 
@@ -98,6 +100,7 @@ class GoalTracker:
         self._sent_ns: int | None = None  # stamp of the goal that the controller drives to
         self._blocked: tuple[float, float] | None = None  # where it said that it was held up
         self._turns = -1
+        self._restored: tuple[str, Search, _Present | None] | None = None  # and its target
         self._without_since_ns: int | None = None
         self._unanswered_since_ns: int | None = None
         self._grace_ns = GRACE_NS
@@ -413,10 +416,44 @@ class GoalTracker:
         self._turns = mission.turns
         self.drop()
         self._search = Search()
+        restored, self._restored = self._restored, None
+        if restored is not None and restored[0] == mission.target:
+            _, self._search, self._present = restored
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """The present goal and what was tried in vain, as plain arrays; a view is not kept."""
+        present, goals = self._present, []
+        if present is not None and present.view is None:
+            goals = [(present.goal, present.peak)]
+        return {
+            **self._search.kept(),
+            "kind": np.array([_KINDS.index(goal.kind) for goal, _ in goals], np.int8),
+            "id": np.array([goal.candidate_id for goal, _ in goals], np.int64),
+            "at": np.array(
+                [
+                    (*astuple(goal.pose), *goal.candidate_xy_m, goal.score, peak)
+                    for goal, peak in goals
+                ]
+            ).reshape(-1, 7),
+        }
+
+    def restore(self, kept: dict[str, np.ndarray], target: str, now_ns: int) -> None:
+        """Go on with what `kept` gave as soon as it sets out for this target, if it does so first.
+
+        The goal is sent again, by another stamp: what became of the last sending is not known.
+        """
+        present = None
+        for kind, i, at in zip(kept["kind"], kept["id"], kept["at"].tolist(), strict=True):
+            x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
+            pose = SE2(x_m, y_m, yaw_rad)
+            goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
+            present = _Present(goal, peak)
+        self._restored = (target, Search.restored(kept), present)
 
     def forget_mission(self) -> None:
         """Another mission has other goals, and forbids other things."""
         self._warned_of = set()
+        self._restored = None
         self._turns = -1
         self.drop()
         self._next_view.start_over()
@@ -430,7 +467,7 @@ class GoalTracker:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
         self.rest()
         self._sent_ns = self._blocked = None
-        self._search = Search()
+        self._search, self._restored = Search(), None
         self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:

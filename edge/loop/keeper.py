@@ -1,25 +1,28 @@
-"""Between a running mission and its checkpoint: what is kept, when, and how it goes on."""
+"""Between a running service and its checkpoint: what is kept, when, and how it goes on.
+
+Two files, since they outlive different things: the mission's, small and written whenever it
+changes, and beside it that of all that is bound to `map` (`edge.loop.places`), which a robot whose
+mission is over keeps too.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
-from copy import copy
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 from edge.config import Config
 from edge.errors import UserError
-from edge.geometry import SE2
+from edge.loop.place_keeper import SUFFIX, PlaceKeeper
+from edge.loop.places import Now, Parts
 from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of
-from edge.mission.checkpoint import CheckpointWriter, continuous, load
+from edge.mission.checkpoint import CheckpointWriter, load
 from edge.mission.run import MissionRun
-from edge.mission.saved import Saved, restore_instance, save_instances
+from edge.mission.saved import Saved
 from edge.mission.translate import Translation
-from edge.perception.instances import InstanceTracker
 from edge.text import one_line
-from edge.types import Instance, MissionStatus, Observation
+from edge.types import MissionStatus
 
 log = logging.getLogger("edge.loop.keeper")
 
@@ -30,6 +33,7 @@ class Keeper:
     Attributes:
         saved: the unfinished mission that the checkpoint held and that goes on; else None.
         problem: why a checkpoint that was there is of no use, "" where there is none such.
+        places: keeps what is bound to `map`.
     """
 
     def __init__(self, config: Config, path: Path, asked: str | None) -> None:
@@ -45,8 +49,9 @@ class Keeper:
         loaded = load(path)
         self.problem = loaded.problem
         self.saved = _to_go_on_with(loaded.saved, asked)
-        self._places = self.saved
+        self.places = PlaceKeeper(config, path.with_name(path.name + SUFFIX))
         self._writer = CheckpointWriter(path)
+        self._resumed: MissionRun | None = None
         self._kept: tuple[MissionRun, int] | None = None
 
     def brief(self) -> Brief | None:
@@ -69,8 +74,10 @@ class Keeper:
 
     def resume(self, mission: MissionRun) -> None:
         """Set the mission to where it was; what was seen comes back with the first observation."""
+        self.places.prepare()
         if (saved := self.saved) is not None:
             mission.id = saved.id
+            self._resumed = mission
             mission.restore(
                 saved.word, saved.reached, saved.failed, saved.elapsed_s, saved.path_m, saved.paused
             )
@@ -78,55 +85,36 @@ class Keeper:
                      one_line(saved.instruction), mission.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
-    def restore_places(
-        self, mission: MissionRun, tracker: InstanceTracker, observation: Observation
-    ) -> None:
-        """Put the instances back if the robot's odometry is still the one they were seen in."""
-        saved, self._places = self._places, None
-        if saved is None:
-            return
-        pose = observation.pose
-        here = (pose.x_m, pose.y_m, pose.yaw_rad)
-        robot, source = self._config.robot, self._config.source
-        if continuous(
-            saved, here, observation.stamp_ns, robot.max_speed_mps, source.max_pose_jump_m
-        ):
-            for instance in saved.instances:
-                tracker.adopt(restore_instance(instance, observation.stamp_ns))
-            mission.overlook(max((i.id for i in saved.instances), default=-1))
-        else:
-            log.info("the pose is not where it was: what was seen before the restart is dropped")
+    def goes_on(self, mission: MissionRun, targets: Sequence[str]) -> bool:
+        """Whether this is the mission that the checkpoint held, and places were kept for it."""
+        return mission is self._resumed and tuple(targets) == mission.brief.targets
 
     def note(
         self,
         mission: MissionRun,
         status: MissionStatus,
-        seen: Iterable[Instance],
-        pose: SE2 | None,
-        stamp_ns: int,
-        epoch: int,
+        parts: Parts,
+        now: Now | None,
         now_ns: int,
     ) -> None:
-        """Hand the state to the writer if it is time. Never blocks.
+        """Hand the state to the writers if it is time. Never blocks.
 
         Args:
-            seen: every instance.
-            pose: in `map`, at `stamp_ns` of the sensors' clock; None before there was any.
-            epoch: counts the frames that the map was in.
+            now: the newest observation's; None before there was any.
             now_ns: the loop's time.
         """
         kept, self._kept = self._kept, (mission, mission.changes)
-        unchanged = kept is not None and kept[0] is mission and kept[1] == mission.changes
-        if unchanged and not self._writer.due(now_ns):
+        changed = kept is None or kept[0] is not mission or kept[1] != mission.changes
+        if now is not None:
+            self.places.note(parts, now, mission.brief.targets, mission.target, changed)
+        if not (changed or self._writer.due(now_ns)):
             return
-        # Only references are taken here: instances replace their arrays and never write into them.
-        instances = [copy(i) for i in seen]
-        brief, pending = mission.brief, self._places
+        brief = mission.brief
         word, reached, failed = mission.word, mission.reached, mission.failed
         detected, paused, name = mission.detected, mission.paused, mission.id
 
         def made() -> Saved:
-            saved = Saved(
+            return Saved(
                 instruction=brief.translation.instruction,
                 formula=str(brief.automaton.formula),
                 backend=brief.translation.backend,
@@ -141,36 +129,24 @@ class Keeper:
                 paused=paused,
                 elapsed_s=status.elapsed_s,
                 path_m=status.path_m,
-                pose=None if pose is None else (pose.x_m, pose.y_m, pose.yaw_rad),
-                stamp_ns=stamp_ns,
-                odometry_epoch=epoch,
-                instances=save_instances(instances),
                 id=name,
-            )
-            if pending is None:
-                return saved
-            # Nothing was observed since the restart: the places are still those of before.
-            return replace(
-                saved,
-                pose=pending.pose,
-                stamp_ns=pending.stamp_ns,
-                odometry_epoch=pending.odometry_epoch,
-                instances=pending.instances,
             )
 
         self._writer.post(made, now_ns)
 
     def status(self) -> dict[str, object]:
         """For the status message."""
-        writer = self._writer
-        problem = writer.problem or self.problem
+        writer, places = self._writer, self.places
+        problem = writer.problem or places.trouble or self.problem
         return {
             "path": str(writer.path), "written": writer.written, "failed": writer.failed,
+            "places_written": places.written,
             "problem": problem,
         }  # fmt: skip
 
     def close(self) -> None:
         """Write what waits."""
+        self.places.close()
         self._writer.close()
 
 

@@ -6,6 +6,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from edge.loop.candidates import CandidatePool
 from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
@@ -42,6 +44,27 @@ class Search:
     _second_chance: bool = False
     _missed: tuple[int, tuple[float, float]] | None = None
     _retry: tuple[int, int] | None = None  # reach generation and time that end it
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What is held against places, as plain arrays; what takes seconds is not."""
+        missed = () if self._missed is None else ((self._missed[0], *self._missed[1]),)
+        return {
+            "exhausted": np.array(self.exhausted),
+            "turns": np.array(self._turns),
+            "second_chance": np.array(self._second_chance),
+            "left_m": np.array(self.left, np.float64).reshape(-1, 2),
+            "missed": np.array(missed, np.float64).reshape(-1, 3),
+        }
+
+    @classmethod
+    def restored(cls, kept: dict[str, np.ndarray]) -> Search:
+        """As `kept` gave it."""
+        search = cls(bool(kept["exhausted"]))
+        search.left.extend((x, y) for x, y in kept["left_m"].tolist())
+        search._turns, search._second_chance = int(kept["turns"]), bool(kept["second_chance"])
+        for i, x, y in kept["missed"].tolist():
+            search._missed = (int(i), (x, y))
+        return search
 
     def fickle(self, xy_m: tuple[float, float]) -> bool:
         """Whether a frontier was left too often before the robot came there."""

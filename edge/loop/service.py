@@ -23,6 +23,7 @@ from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
+from edge.loop.places import Now, Parts, restore
 from edge.loop.prior import make_prior
 from edge.loop.publish import Publisher
 from edge.loop.result import Event, Sink, TickResult, facts_of, scored
@@ -157,6 +158,8 @@ class Service:
         self.latency.resume(perf_counter_ns())
 
         self.stage = MAP
+        if self.keeper is not None:
+            self._take_up(self.keeper, Now(pose, observation.stamp_ns, now_ns))
         self._map(observation, pose, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
@@ -182,6 +185,24 @@ class Service:
         """This stage is done, the next begins."""
         self.latency.mark(stage, perf_counter_ns())
         self.stage = (stage + 1) % len(stages.STAGES)
+
+    def _take_up(self, keeper: Keeper, now: Now) -> None:
+        """What was mapped and seen before a restart, with the first observation."""
+        found = keeper.places.take(now)
+        if found is None:
+            return
+        self.grid, kept = found
+        self._seen_map = MapView(self.grid)
+        goes_on = keeper.goes_on(self.mission, kept["about/targets"].tolist())
+        with self.faults.outlived("restore", now.now_ns):
+            restore(self._parts, kept, now, goes_on)
+        if goes_on:
+            self.mission.overlook(self.tracker.newest_id)
+        else:
+            self._forget_tried()
+        self._keep_values()
+        known = f"{self.grid.known_m2:.0f} m2 and {len(self.tracker)} things"
+        self.event(f"taken up from before the restart: {known}", now.now_ns)
 
     def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
@@ -281,8 +302,6 @@ class Service:
         mission, pose = self.mission, observation.pose
         if not mission.started:
             mission.start(now_ns)
-        if self.keeper is not None:
-            self.keeper.restore_places(mission, self.tracker, observation)
         mission.observe(pose, now_ns)
         mission.see(self._newest_ids(), now_ns)
         if self._surveyor is not None:
@@ -331,11 +350,15 @@ class Service:
     def _keep(self, now_ns: int) -> None:
         """Have the checkpoint written, where there is to be one."""
         if self.keeper is not None:
-            seen, pose = self.tracker.all, self.pose
+            now = None if self.pose is None else Now(self.pose, self.stamp_ns, now_ns)
             with self.faults.outlived("checkpoint", now_ns):
-                self.keeper.note(
-                    self.mission, self.status, seen, pose, self.stamp_ns, self.epoch, now_ns
-                )
+                self.keeper.note(self.mission, self.status, self._parts, now, now_ns)
+
+    @property
+    def _parts(self) -> Parts:
+        return Parts(
+            self.config, self.grid, self.sightings, self.tracker, self.pool, self.goals, self.policy
+        )
 
     def _tell(self, goal: Goal) -> None:
         self._publisher.goals.append(goal)
@@ -359,16 +382,12 @@ class Service:
         self._remember(self.mission)
         self.mission = mission
         self._keep_values()
-        self.tracker.forget_verdicts()
-        self.tracker.recall(brief.targets)
-        self.grid.coverage.forget()
-        self.policy.reset("mission")
+        self._forget_tried()
         self._detections = None
         if self._surveyor is not None:
             self._surveyor.forget()
         if self._scorers is not None:
             self._scorers.forget()
-        self.goals.forget_mission()
         self.mission.start(now_ns)
 
     def _remember(self, mission: MissionRun) -> None:
@@ -376,6 +395,14 @@ class Service:
             status = mission.status(self.goals.phase)
             over = (status.phase, status.reason) if mission.done else ("failed", "replaced")
             self.past.append({"id": mission.id, "phase": over[0], "reason": over[1]})
+
+    def _forget_tried(self) -> None:
+        """The mission is another than the one for which things were looked at, and tried."""
+        self.tracker.forget_verdicts()
+        self.tracker.recall(self.mission.brief.targets)
+        self.grid.coverage.forget()
+        self.policy.reset("mission")
+        self.goals.forget_mission()
 
     def reconfigure(self, config: Config, policy: Policy) -> None:
         """Go by another configuration from the next tick on.
@@ -454,6 +481,8 @@ class Service:
             self._scorers.forget()
         self.goals.forget_places()
         self._void_seq = self._newest_seq
+        if self.keeper is not None:
+            self.keeper.places.jumped()
 
     def event(self, text: str, now_ns: int) -> None:
         """Tell log and sinks of something that a person would want to know."""

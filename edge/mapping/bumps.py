@@ -162,6 +162,50 @@ class Bumps:
         kept = [b._replace(felt=b.felt & held, guessed=b.guessed & held) for b in self._bumps]
         self._bumps = [bump for bump in kept if bump.cells]
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """All that is closed, and what was opened to be tried again, as plain arrays; a row of
+        `cell` is (bump, x, y, whether guessed), one of `closed` (x, y, raw, top) as it was."""
+        opened = self._opened[-_MOST:]
+        every = (*opened, *self._bumps)
+        cells = [
+            (i, *cell, guessed)
+            for i, bump in enumerate(every)
+            for guessed, held in enumerate((bump.felt, bump.guessed))
+            for cell in sorted(held)
+        ]
+        closed = [(*cell, was.raw, was.top) for cell, was in self._closed.items()]
+        return {
+            "place_m": np.array([bump.place_m for bump in every]).reshape(-1, 2),
+            "heading_rad": np.array([bump.heading_rad for bump in every], np.float64),
+            "half_m": np.array([bump.half_m for bump in every], np.float64),
+            "until_ns": np.array([bump.until_ns for bump in every], np.int64),
+            "opened": np.arange(len(every)) < len(opened),
+            "cell": np.array(cells, np.int64).reshape(-1, 4),
+            "closed": np.array(closed, np.int64).reshape(-1, 4),
+        }
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
+        """Go on with what `kept` gave, in a map whose layers have these cells closed.
+
+        Args:
+            later_ns: how much later it all happened on the clock of now.
+        """
+        held: dict[Cell, int] = {}
+        for at, heading, half, until_ns, opened, cells in zip(
+            kept["place_m"], kept["heading_rad"], kept["half_m"], kept["until_ns"],
+            kept["opened"], _by_bump(kept["cell"], len(kept["opened"])), strict=True,
+        ):  # fmt: skip
+            bump = _Bump(
+                (float(at[0]), float(at[1])), float(heading), float(half), int(until_ns) + later_ns,
+                *cells,
+            )  # fmt: skip
+            (self._opened if opened else self._bumps).append(bump)
+            for cell in () if opened else bump.cells:
+                held[cell] = held.get(cell, 0) + 1
+        was = {(x, y): (raw, top) for x, y, raw, top in kept["closed"].tolist()}
+        self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in held.items()}
+        self.follow_window()
+
     def explained(self, pose: SE2, place_m: tuple[float, float], radius_m: float) -> bool:
         """Whether an obstacle that was seen explains why a robot at `pose` is held up at a place.
 
@@ -265,3 +309,11 @@ class Bumps:
             else:
                 del self._closed[cell]
                 self._write(*cell, before.raw, before.top)
+
+
+def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset[Cell]]]:
+    """(felt, guessed) of each of `n` bumps, from rows as `Bumps.kept` has them."""
+    sets: list[tuple[set[Cell], set[Cell]]] = [(set(), set()) for _ in range(n)]
+    for i, x, y, guessed in cells.tolist():
+        sets[i][guessed].add((x, y))
+    return [(frozenset(felt), frozenset(guessed)) for felt, guessed in sets]

@@ -18,6 +18,8 @@ MAX_SAMPLES = 32
 MAX_CLUSTERS = 8192
 MAX_KEPT = 1024
 _CELLS_PER_SIDE = 64
+KEPT_AS = ("id", "size", "samples", "sample", "cell", "free")
+"""What `kept` gives."""
 # Entries of `Clusters.count`.
 FREE_NODE, FREE_IDS, OVERFLOW, KEPT = 0, 1, 2, 3
 
@@ -334,3 +336,73 @@ def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cel
             ids[out] = k
             out += 1
     return out
+
+
+def kept(clusters):
+    """All clusters as plain arrays, from which `restore` makes the same again.
+
+    Returns:
+        `id`, `size` and `samples` (k,) int32; `sample` (k, MAX_SAMPLES) int32; `cell`, the
+        members of one cluster after the other, (size.sum(),) int32; `free` (f,) int32.
+    """
+    ids = np.flatnonzero(clusters.size).astype(np.int32)
+    cell, size = np.zeros(int(clusters.size.sum()), np.int32), np.zeros(len(ids), np.int32)
+    n = _members(clusters, ids, cell, size)
+    free = clusters.free_id[: clusters.count[FREE_IDS]]
+    free = np.concatenate((free, ids[size == 0]))  # those for which there was no node
+    ids, size = ids[size > 0], size[size > 0]
+    samples, sample = clusters.samples[ids], clusters.sample[ids]
+    sample[np.arange(MAX_SAMPLES) >= samples[:, None]] = 0  # of earlier clusters
+    return {
+        "id": ids, "size": size, "samples": samples, "sample": sample, "cell": cell[:n],
+        "free": free,
+    }  # fmt: skip
+
+
+def restore(label, clusters, kept):
+    """Make the clusters of `kept` in a map that has none yet.
+
+    Raises:
+        ValueError: they are no clusters of such a map.
+    """
+    flat = label.ravel()
+    ids, size, cell, free = (kept[name] for name in ("id", "size", "cell", "free"))
+    samples, sample = kept["samples"], kept["sample"]
+    every = np.sort(np.concatenate((ids, free)))
+    if not (
+        np.array_equal(every, np.arange(1, MAX_CLUSTERS))
+        and ((size > 0) & (size <= MAX_CELLS)).all()
+        and size.sum() == len(cell) == len(np.unique(cell)) <= len(clusters.node_cell)
+        and ((cell >= 0) & (cell < len(flat))).all()
+        and ((samples >= 0) & (samples <= MAX_SAMPLES)).all()
+    ):
+        raise ValueError("its frontiers are none")
+    flat[cell] = np.repeat(ids, size)
+    for k in range(MAX_SAMPLES):
+        has = samples > k
+        at = sample[has, k]
+        if not ((at >= 0) & (at < len(flat))).all() or not (flat[at] == ids[has]).all():
+            raise ValueError("its frontiers' targets lie elsewhere")
+    n = len(cell)
+    ends = np.cumsum(size)
+    clusters.node_cell[:n] = cell
+    clusters.node_next[ends - 1] = -1
+    clusters.head[ids], clusters.size[ids] = ends - size, size
+    clusters.samples[ids], clusters.sample[ids] = samples, sample
+    clusters.free_id[: len(free)] = free
+    clusters.count[FREE_IDS] = len(free)
+    clusters.count[FREE_NODE] = n if n < len(clusters.node_cell) else -1
+
+
+@njit(nogil=True, cache=True)
+def _members(clusters, ids, cell, size):
+    """List the members of clusters, in the order that they are kept in."""
+    n = 0
+    for i in range(len(ids)):
+        node = clusters.head[ids[i]]
+        while node >= 0:
+            cell[n] = clusters.node_cell[node]
+            size[i] += 1
+            n += 1
+            node = clusters.node_next[node]
+    return n

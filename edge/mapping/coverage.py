@@ -33,8 +33,8 @@ WORK_PER_STEP = 100_000
 """What a step of the search may do, as lattice points passed over (some 10 ns each)."""
 _REACHED_WORK, _CAST_WORK = 64, 2048
 MAX_RAYS = 512
-# A place's byte: looks up to `_MOST`, and a bit that is set while a kernel runs alone.
-_MOST, _FLAG = 127, 128
+# A place's byte: looks up to `MOST_LOOKS`, and a bit that is set while a kernel runs alone.
+MOST_LOOKS, _FLAG = 127, 128
 # What becomes of the places that a cast showed.
 KEEP, COUNT, WRITE_OFF = range(3)
 # Entries of the best view so far; the place is a world cell.
@@ -55,6 +55,7 @@ class Coverage:
 
     Attributes:
         camera_yaw_rad: of the camera on the robot; 0 where it looks ahead.
+        looks: (m, m) uint8 by storage place, how often it was looked at; 127 is the most.
         view: what `search` found, the best of all views; None when none is worth a goal.
     """
 
@@ -66,7 +67,7 @@ class Coverage:
         # The window's rolls are multiples of 64 cells, and so of a place's side.
         self._bits = min(6, max(0, round(math.log2(PLACE_M / resolution_m))))
         self._least = max(1, round(LEAST_M2 / (resolution_m * 2**self._bits) ** 2))
-        self._looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
+        self.looks = np.zeros((n >> self._bits, n >> self._bits), np.uint8)
         self._fresh = np.zeros(MAX_RAYS, np.int32)
         self._fov_rad = self._range_m = 0.0
         self._enough = 1
@@ -78,12 +79,13 @@ class Coverage:
         start, n = self._window.origin[axis], self._window.n
         gone = min(abs(by), n)
         start += 0 if by > 0 else n - gone
-        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self._looks)
-        self._looks[(slice(None), strip) if axis == 0 else strip] = 0
+        strip = np.arange(start >> self._bits, (start + gone) >> self._bits) % len(self.looks)
+        self.looks[(slice(None), strip) if axis == 0 else strip] = 0
 
     def forget(self) -> None:
         """The detector looks for something else: nothing was looked at for that."""
-        self._looks[:] = 0
+        self.looks[:] = 0
+        self._window.written[:] = True
 
     def look(self, seen: Observation, range_m: float, enough: int) -> None:
         """The detector searched this image.
@@ -96,7 +98,7 @@ class Coverage:
         if camera is None:
             return
         self._fov_rad, self._range_m = camera.hfov_rad, range_m
-        self._enough = min(enough, _MOST)
+        self._enough = min(enough, MOST_LOOKS)
         T = seen.T_map_base @ seen.T_base_camera
         self.camera_yaw_rad = optical_yaw_rad(seen.T_base_camera)
         far = range_m / self._window.resolution_m
@@ -120,7 +122,7 @@ class Coverage:
         """
 
         def plane() -> np.ndarray:
-            looks = np.minimum(self._looks & np.uint8(_FLAG - 1), self._enough)
+            looks = np.minimum(self.looks & np.uint8(_FLAG - 1), self._enough)
             return (looks.astype(np.uint16) * 255 // self._enough).astype(np.uint8)
 
         return self._window.copy_of(plane)
@@ -145,7 +147,7 @@ class Coverage:
         res = self._window.resolution_m
         distance, rect = reach.field
         self._next = best_view(
-            self._layers, distance, *rect, *self._window.origin, self._looks, self._bits,
+            self._layers, distance, *rect, *self._window.origin, self.looks, self._bits,
             self._enough, SURE * self._fov_rad, NEAR_M / res, SURE * self._range_m / res,
             START_M / res, self._least, self._fresh, self._next, WORK_PER_STEP, self._best,
         )  # fmt: skip
@@ -168,8 +170,12 @@ class Coverage:
     ) -> int:
         """See `show`; in metres of `map`."""
         window, res, (ox, oy) = self._window, self._window.resolution_m, self._window.origin
+        if then != KEEP:
+            x, y = window.cell_of(x_m, y_m)
+            reach = math.ceil(far) + 1
+            window.wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return show(
-            self._layers.raw, self._looks, self._bits, *window.shift,
+            self._layers.raw, self.looks, self._bits, *window.shift,
             x_m / res - ox, y_m / res - oy, first, between, rays, NEAR_M / res, far,
             self._enough, then, self._fresh,
         )  # fmt: skip
@@ -219,10 +225,10 @@ def show(
             if looks[sy, sx] < _FLAG:
                 continue
             before = looks[sy, sx] - _FLAG
-            if then == COUNT and before < _MOST:
+            if then == COUNT and before < MOST_LOOKS:
                 before += 1
             elif then == WRITE_OFF and before < enough:
-                before = _MOST
+                before = MOST_LOOKS
             looks[sy, sx] = before
     return total
 

@@ -96,6 +96,17 @@ class Gain:
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SURE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """From where the camera looked where."""
+        return {
+            "at_m": self._at_m.copy(), "looked": self._looked.copy(), "next": np.array(self._next),
+        }  # fmt: skip
+
+    def restore(self, kept: dict[str, np.ndarray]) -> None:
+        """Go on with what `kept` gave."""
+        self._at_m[:], self._looked[:] = kept["at_m"], kept["looked"]
+        self._next = int(kept["next"])
+
     def _place(self, pose: SE2) -> int:
         """The place that stands for where the robot is, a new one where there is none."""
         away = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import partial
 from weakref import proxy
 
@@ -12,10 +13,10 @@ from edge import config
 from edge.geometry import FARTHEST_M, SE2, CameraModel, Grid
 from edge.mapping import clusters as cl
 from edge.mapping import layers as ly
-from edge.mapping import points, unknown, update
+from edge.mapping import points, tiles, unknown, update
 from edge.mapping.bumps import ROUNDING_CELLS, Bumps
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
-from edge.mapping.coverage import Coverage, Viewpoint
+from edge.mapping.coverage import MOST_LOOKS, Coverage, Viewpoint
 from edge.mapping.gain import Gain
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
@@ -212,6 +213,85 @@ class RollingMap:
             1.0 / self.resolution_m, xy_m, n, self._flood_disc[1], *self._flood, out,
         )  # fmt: skip
 
+    # -- across a restart -------------------------------------------------------------------
+
+    @property
+    def planes(self) -> tiles.Planes:
+        """The layers that last, by tile; all others follow from them."""
+        layers, m = self._layers, len(self.window.written)
+        last = (
+            layers.raw, layers.top, layers.trail, self.coverage.looks, self.values.value,
+            self.values.weight,
+        )  # fmt: skip
+        return tiles.Planes(*(tiles.tiled(layer, m) for layer in last))
+
+    @property
+    def tiles_of_update(self) -> int:
+        """How many tiles one update may write."""
+        return (2 * (self._half + 1) // ly.WORD + 2) ** 2
+
+    @property
+    def tile_bytes(self) -> int:
+        """What a tile takes without the value maps."""
+        return tiles.bytes_of(self.planes[: -tiles.VALUE_PLANES])
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What there is besides `planes`: see `restore`."""
+        robot = np.array([] if self._robot is None else [self._robot], np.int64)
+        return {
+            "origin": np.array(self.window.origin, np.int64),
+            "cells": np.array(self.window.n, np.int64),
+            "floor_z_m": np.array(self._floor_z_m),
+            "robot": robot.reshape(-1, 2),
+            **{f"cluster_{name}": of for name, of in cl.kept(self._clusters).items()},
+        }
+
+    def restore(
+        self,
+        kept: dict[str, np.ndarray],
+        tiles_of: Iterable[tuple[tuple[int, int], bytes]],
+        values: bool,
+    ) -> None:
+        """Take the place of a map that there was; for one that has seen nothing yet.
+
+        Frontiers keep their clusters where the window is as large as it was; else the window lies
+        around the robot, and what lies outside is left out.
+
+        Args:
+            kept: see `kept`.
+            tiles_of: world tiles (x, y), each with what `planes` had there.
+            values: whether the value maps are for the same, and as fine.
+
+        Raises:
+            ValueError: this was no map.
+        """
+        layers, window, n = self._layers, self.window, self.window.n
+        robot = [(int(x), int(y)) for x, y in kept["robot"]]
+        self._robot = robot[0] if robot else None
+        self._floor_z_m = float(kept["floor_z_m"])
+        x, y = (int(at) for at in kept["origin"])
+        if kept["cells"] != n and robot:
+            x, y = (at - n // 2 for at in robot[0])
+        window.origin = (x // ly.WORD * ly.WORD, y // ly.WORD * ly.WORD)
+        window.placed = True
+        planes = self.planes if values else self.planes[: -tiles.VALUE_PLANES]
+        tiles.write(planes, window, tiles_of)
+        np.minimum(self.coverage.looks, MOST_LOOKS, out=self.coverage.looks)
+        seen = layers.raw != ly.UNSEEN
+        layers.known[:] = ly.bits_of(seen)
+        if seen.any():
+            whole, changed = (0, 0, n, n), np.array(_NOTHING, np.int64)
+            ly.inflate_into(layers, *window.shift, whole, whole, self._disc, changed)
+            for axis in (0, 1):
+                at = (np.flatnonzero(seen.any(axis=axis)) - window.origin[axis]) % n
+                self._explored[axis], self._explored[axis + 2] = at.min(), at.max() + 1
+        if kept["cells"] == n:
+            clusters = {name: kept[f"cluster_{name}"] for name in cl.KEPT_AS}
+            cl.restore(layers.label, self._clusters, clusters)
+            layers.frontier[:] = ly.bits_of(layers.label > 0)
+        self._retest(0, 0, n, n)
+        self._refresh_frontiers(True)
+
     def _use_camera(self, camera: CameraModel) -> None:
         """Precompute what depends on the intrinsics alone."""
         if camera == self._camera:
@@ -290,6 +370,7 @@ class RollingMap:
         )  # fmt: skip
         self._extend_trail(robot)
         self.bumps.stand_on(robot)
+        self._note_written(cell, robot)
         changed = self._refresh_frontiers(rolled)
         return MapUpdate(changed, rolled)
 
@@ -306,6 +387,7 @@ class RollingMap:
             ly.add_disc(layers, *self.window.shift, x, y, by, self._disc, clip, self._changed)
         ly.grow(self._changed, x, y)
         ly.grow(self._explored, x, y)
+        self.window.wrote(x + ox, y + oy, x + ox + 1, y + oy + 1)
 
     def _extend_trail(self, robot: tuple[int, int]) -> None:
         """The robot's body fits where it is: see `layers.on_trail`."""
@@ -317,6 +399,13 @@ class RollingMap:
             before[0] - ox, before[1] - oy, robot[0] - ox, robot[1] - oy,
         )  # fmt: skip
         self._robot = robot
+
+    def _note_written(self, sensor: tuple[int, int], robot: tuple[int, int]) -> None:
+        """One update wrote around the sensor, under the robot, and on its way there."""
+        reach, (x, y), wrote = self._half + 1, sensor, self.window.wrote
+        wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
+        reach, (x, y) = max(len(self._footprint) // 2, _TRAIL_STEP_CELLS) + 1, robot
+        wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
 
     def _refresh_frontiers(self, rolled: bool) -> tuple[int, int, int, int]:
         """Test what changed again and list the target points; returns the changed world cells."""
@@ -379,6 +468,9 @@ class RollingMap:
         come = (n - gone, n) if by > 0 else (0, gone)
         ly.remove_obstacles(layers, *shift, *_band(axis, out, n), self._disc, self._changed)
         ly.wipe(layers, *shift, *_band(axis, out, n), self._clusters.dirty)
+        x0, y0, x1, y1 = _band(axis, out, n)
+        (ox, oy) = window.origin
+        window.wrote(x0 + ox, y0 + oy, x1 + ox, y1 + oy)
         self.coverage.roll(axis, by)
         self.values.roll(axis, by)
         origin = list(window.origin)
@@ -432,6 +524,7 @@ def warmup(mapping: config.Mapping) -> None:
     grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     _ = grid.known_m2
+    grid.kept()
     grid.values.begin(("x",))
     for depth in (None, np.full((16, 16), 1.0, np.float32)):
         sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))

@@ -84,6 +84,11 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
+def bits_of(cells: np.ndarray) -> np.ndarray:
+    """(N, N) bool as a bit plane."""
+    return np.packbits(cells, axis=1, bitorder="little").view(np.uint64)
+
+
 @njit(nogil=True, cache=True)
 def grow(rect, x, y):
     """Grow a half-open rectangle (x0, y0, x1, y1) to hold a cell."""

@@ -15,7 +15,7 @@ from numba import njit
 
 from edge.geometry import Grid, optical_yaw_rad
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, plain
-from edge.mapping.window import Window
+from edge.mapping.window import TILE, Window
 from edge.types import Observation
 
 RAYS = 128
@@ -93,6 +93,17 @@ class ValueMap:
                 value[..., channel] = self.value[..., old]
                 weight[..., channel] = self.weight[..., old]
         self._targets, self.value, self.weight = tuple(targets), value, weight
+        self._window.written[:] = True
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """What the channels are for."""
+        return self._targets
+
+    @property
+    def side(self) -> int:
+        """Cells on a side of a tile of the map."""
+        return TILE >> self._bits
 
     def roll(self, axis: int, by: int) -> None:
         """Forget what the window is about to leave, moving by so many map cells along x or y."""
@@ -232,7 +243,10 @@ class ValueMap:
         """List the window's cells that a sight showed, into scratch; how many."""
         if not self._window.placed:
             return 0
-        ox, oy = self._window.origin
+        window, (ox, oy) = self._window, self._window.origin
+        x, y = window.cell_of(sight.x_m, sight.y_m)
+        reach = math.ceil((float(sight.range_m.max()) + self.cell_m) / window.resolution_m) + 1
+        window.wrote(x - reach, y - reach, x + reach + 1, y + reach + 1)
         return seen_cells(
             sight.x_m, sight.y_m, sight.yaw_rad, sight.fov_rad, sight.range_m,
             ox >> self._bits, oy >> self._bits, self._cells, self.cell_m,

@@ -9,6 +9,9 @@ import numpy as np
 
 from edge.geometry import Grid
 
+TILE = 64
+"""Cells on a side of a tile; the window moves by whole ones."""
+
 
 class Window:
     """A square of n x n world cells; world cell c of an axis is stored at c mod n.
@@ -19,15 +22,18 @@ class Window:
     Attributes:
         origin: world cell (x, y) of the lower-left corner.
         placed: whether the window has its place; the first sensor decides it.
+        written: (n / TILE, n / TILE) bool by storage tile: a layer that lasts was written there.
+            Whoever writes sets it; who copies what was written clears it.
     """
 
-    __slots__ = ("n", "origin", "placed", "resolution_m")
+    __slots__ = ("n", "origin", "placed", "resolution_m", "written")
 
     def __init__(self, n: int, resolution_m: float) -> None:
         self.n = n
         self.resolution_m = resolution_m
         self.origin = (0, 0)
         self.placed = False
+        self.written = np.zeros((n // TILE, n // TILE), np.bool_)
 
     @property
     def shift(self) -> tuple[int, int]:
@@ -70,3 +76,23 @@ class Window:
         written = unrolled[y : rows[-1] + 1, x : columns[-1] + 1].copy()
         corner_m = ox * self.resolution_m + x * cell_m, oy * self.resolution_m + y * cell_m
         return Grid(written, corner_m, cell_m)
+
+    def wrote(self, x0: int, y0: int, x1: int, y1: int) -> None:
+        """Note that layers were written in a half-open rectangle of world cells."""
+        (ox, oy), n, m = self.origin, self.n, len(self.written)
+        x0, y0, x1, y1 = max(x0, ox), max(y0, oy), min(x1, ox + n), min(y1, oy + n)
+        if x0 >= x1 or y0 >= y1:
+            return
+        rows, columns = _tiles(y0, y1, m), _tiles(x0, x1, m)
+        for row in rows:
+            for column in columns:
+                self.written[row, column] = True
+
+
+def _tiles(start: int, end: int, m: int) -> tuple[slice, ...]:
+    """Storage tiles along one axis that hold the cells of [start, end), in one run or two."""
+    first, last = start // TILE, (end - 1) // TILE + 1
+    if last - first >= m:
+        return (slice(0, m),)
+    first, last = first % m, (last - 1) % m + 1
+    return (slice(first, last),) if first < last else (slice(first, m), slice(0, last))

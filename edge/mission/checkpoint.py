@@ -1,28 +1,28 @@
-"""The whole state of a mission in a file, so that a service that was killed goes on with it.
+"""The state of a service in files, so that one that was killed goes on with it.
 
-The file (see `edge.mission.saved`) is replaced as a whole, so only a broken disk or a hand can
-damage it. What is damaged is set aside, never deleted: it may be all that is left of a mission.
+A file (`edge.mission.saved` has the mission's) is replaced as a whole, so only a broken disk or a
+hand can damage it. What is damaged is set aside, never deleted: it may be all that is left.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from edge.errors import FileError
 from edge.host.files import replace_atomically, sync
 from edge.host.worker import Worker
-from edge.mission.saved import MAX_BYTES, Saved, decode, encode
+from edge.mission.saved import MAX_BYTES, decode, encode
+from edge.text import one_line
 
 log = logging.getLogger("edge.mission.checkpoint")
 
-_HASTE = 1.5  # robots are faster than they say
-_DRIVES_ON_S = 10.0
+State = TypeVar("State")
 
 
 class CheckpointError(FileError):
@@ -30,27 +30,39 @@ class CheckpointError(FileError):
 
 
 @dataclass(frozen=True)
-class Loaded:
+class Loaded(Generic[State]):
     """What a checkpoint held. `problem`: one line when there was a file, but no use in it."""
 
-    saved: Saved | None = None
+    saved: State | None = None
     problem: str = ""
 
 
-def save(path: Path, saved: Saved) -> None:
+@dataclass(frozen=True)
+class Format(Generic[State]):
+    """How a state becomes a file's bytes, and these a state; both raise ValueError of one line."""
+
+    encode: Callable[[State], bytes]
+    decode: Callable[[bytes], State]
+    max_bytes: int
+
+
+MISSION = Format(encode, decode, MAX_BYTES)
+
+
+def save(path: Path, saved: State, form: Format[State] = MISSION) -> None:
     """Replace the checkpoint; it has reached the disk when this returns.
 
     Raises:
         OSError: it cannot be written; the one before is untouched.
         ValueError: `saved` is no state that `load` would take.
     """
-    path, content = _real(path), encode(saved)
+    path, content = _real(path), form.encode(saved)
     with replace_atomically(path, path.with_name(f".{path.name}.tmp")) as beside:
         beside.write_bytes(content)
     sync(path.parent)  # or the old file may be back after a power cut
 
 
-def load(path: Path) -> Loaded:
+def load(path: Path, form: Format[State] = MISSION) -> Loaded[State]:
     """Read a checkpoint; one that is damaged, foreign or newer than this program is set aside.
 
     Raises:
@@ -60,48 +72,33 @@ def load(path: Path) -> Loaded:
     _no_other_thing(path)
     try:
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+            content = file.read(form.max_bytes + 1)
     except FileNotFoundError:
         return Loaded()
     except OSError as error:
         raise _unusable(path, error) from None
     try:
-        return Loaded(decode(content))
+        return Loaded(form.decode(content))
     except ValueError as error:
-        problem = str(error)
+        return Loaded(problem=set_aside(path, one_line(error)))
+
+
+def set_aside(path: Path, problem: str) -> str:
+    """Rename a file that is of no use, and tell so; the line that tells it.
+
+    Raises:
+        CheckpointError: it cannot be renamed.
+    """
     try:
-        aside = _set_aside(path)
+        aside = _set_aside(_real(path))
     except OSError as error:
         raise _unusable(path, error) from None
     problem = f"mission.checkpoint: {path}: {problem}; kept as {aside.name}, starting without it"
     log.warning("%s", problem)
-    return Loaded(problem=problem)
+    return problem
 
 
-def continuous(
-    saved: Saved,
-    pose: tuple[float, float, float] | None,
-    stamp_ns: int,
-    max_speed_mps: float,
-    max_jump_m: float,
-) -> bool:
-    """Whether `map` is believed to be the frame that the checkpoint's places are in.
-
-    It is where the robot stands no farther from its saved pose than `max_jump_m`, and what it
-    could have driven since; without a service a robot ends its last goal and goes no farther, so
-    only the first seconds count. Odometry that began anew is told by its pose, or by its clock;
-    it is not where it began anew at the very place that the robot had been at.
-
-    Args:
-        pose: x and y in metres and yaw in radians now, at `stamp_ns`; None when not known.
-    """
-    if saved.pose is None or pose is None or stamp_ns < saved.stamp_ns:
-        return False
-    driving_s = min((stamp_ns - saved.stamp_ns) * 1e-9, _DRIVES_ON_S)
-    return math.dist(pose[:2], saved.pose[:2]) <= max_jump_m + _HASTE * max_speed_mps * driving_s
-
-
-class CheckpointWriter:
+class CheckpointWriter(Generic[State]):
     """Writes the newest state on a thread of its own, so that the loop never waits for a disk.
 
     Attributes:
@@ -112,20 +109,26 @@ class CheckpointWriter:
         CheckpointError: nothing can be written there.
     """
 
-    def __init__(self, path: Path, period_s: float = 1.0) -> None:
+    def __init__(self, path: Path, period_s: float = 1.0, form: Format[State] = MISSION) -> None:
         self.path = _real(path)
         self.written = self.failed = 0
         self.problem = ""
+        self._form = form
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
         _probe(self.path)
         self._worker = Worker("checkpoint", self._write, finishes=True)
 
+    @property
+    def idle(self) -> bool:
+        """Whether all that was posted is written, or could not be."""
+        return self._worker.idle
+
     def due(self, now_ns: int) -> bool:
         """Whether the last posted state is a period old; events need not wait for that."""
         return self._posted_ns is None or abs(now_ns - self._posted_ns) >= self._period_ns
 
-    def post(self, make: Callable[[], Saved], now_ns: int) -> None:
+    def post(self, make: Callable[[], State], now_ns: int) -> None:
         """Write this state next, in place of one that still waits. Never blocks.
 
         Args:
@@ -139,9 +142,9 @@ class CheckpointWriter:
         """Write what waits, for at most `timeout_s`; whether it was done in time."""
         return self._worker.close(timeout_s)
 
-    def _write(self, make: Callable[[], Saved]) -> None:
+    def _write(self, make: Callable[[], State]) -> None:
         try:
-            save(self.path, make())
+            save(self.path, make(), self._form)
         except (OSError, ValueError) as error:
             if not self.problem:
                 log.warning("mission.checkpoint: %s: not written: %s", self.path, _why(error))

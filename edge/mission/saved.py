@@ -2,31 +2,25 @@
 
 One JSON object `{"format", "version", "sha256", "mission"}`, whose checksum is over the bytes of
 `mission`. Everything is checked on the way in and on the way out, so that whatever was written
-can be read again.
+can be read again. What was seen where is kept elsewhere (`edge.loop.places`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
-import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from edge.config.section import Name
 from edge.errors import UserError
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
 from edge.text import one_line
-from edge.types import Instance, InstanceState
 
-VERSION = 1
-MAX_POINTS = 64
-MAX_INSTANCES = 256
+VERSION = 2
 MAX_BYTES = 8 << 20
 
 _FILE = re.compile(
@@ -35,27 +29,8 @@ _FILE = re.compile(
 )
 _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
-Point = tuple[Metres, Metres, Metres]
-Count = Annotated[int, Field(ge=0, lt=1 << 63)]
-Stamp = Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)]
 Word = Annotated[str, Field(max_length=1000)]
 Words = Annotated[tuple[Word, ...], Field(max_length=10_000)]
-
-
-@dataclass(frozen=True)
-class SavedInstance:
-    """A thing in the map (see `edge.types.Instance`), with at most `MAX_POINTS` of its points."""
-
-    __pydantic_config__ = _STRICT
-
-    id: Count
-    label: Name
-    center_m: Point
-    points_m: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_POINTS)]
-    score: Annotated[float, Field(ge=0, le=1)]
-    hits: Count
-    state: InstanceState
 
 
 @dataclass(frozen=True)
@@ -67,8 +42,6 @@ class Saved:
             follows from running them, whatever number a later compiler gives to it.
         reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
         target: the proposition that was pursued, or None.
-        pose: x and y in metres, yaw in radians in `map`, at `stamp_ns` of the sensors' clock.
-        odometry_epoch: of the source in the process that wrote this.
         id: see `edge.mission.run.MissionRun`.
     """
 
@@ -88,10 +61,6 @@ class Saved:
     paused: bool
     elapsed_s: Annotated[float, Field(ge=0)]
     path_m: Annotated[float, Field(ge=0)]
-    pose: Point | None
-    stamp_ns: Stamp
-    odometry_epoch: Count
-    instances: Annotated[tuple[SavedInstance, ...], Field(max_length=MAX_INSTANCES)]
     id: Word = ""
 
 
@@ -132,27 +101,6 @@ def decode(content: bytes) -> Saved:
     return _check(whole[3])
 
 
-def save_instances(instances: Iterable[Instance]) -> tuple[SavedInstance, ...]:
-    """Instances as they are kept: the `MAX_INSTANCES` that were seen most, points thinned."""
-    most = sorted(instances, key=lambda i: (-i.hits, i.id))[:MAX_INSTANCES]
-    return tuple(
-        SavedInstance(
-            i.id, i.label, _rounded(i.center_m[None])[0], _rounded(_thinned(i.points_m)),
-            min(float(i.score), 1.0), i.hits, i.state,
-        )
-        for i in most
-    )  # fmt: skip
-
-
-def restore_instance(saved: SavedInstance, stamp_ns: int) -> Instance:
-    """The instance again, as if it had been seen at `stamp_ns`."""
-    return Instance(
-        saved.id, saved.label, np.array(saved.center_m, np.float32),
-        np.array(saved.points_m, np.float32), saved.score, saved.hits,
-        first_seen_ns=stamp_ns, last_seen_ns=stamp_ns, state=saved.state,
-    )  # fmt: skip
-
-
 def _check(body: bytes) -> Saved:
     """The mission in these bytes; ValueError with one line if there is none."""
     try:
@@ -177,15 +125,3 @@ def _letters(formula: str) -> frozenset[str]:
         return frozenset(propositions(parse(formula)))
     except UserError as error:
         raise ValueError(f"formula: {error}") from None
-
-
-def _thinned(points_m: np.ndarray) -> np.ndarray:
-    """(k, 3) to at most (MAX_POINTS, 3), evenly over the order they are in."""
-    if len(points_m) <= MAX_POINTS:
-        return points_m
-    return points_m[np.linspace(0, len(points_m) - 1, MAX_POINTS).astype(np.intp)]
-
-
-def _rounded(points_m: np.ndarray) -> tuple[tuple[float, float, float], ...]:
-    """To a tenth of a millimetre: half the bytes, and nobody measures better."""
-    return tuple(map(tuple, np.round(points_m.astype(np.float64), 4).tolist()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from edge.perception.lift import Lifted
 from edge.perception.look_kernels import AT_EDGE, HIDDEN, NO_DEPTH, WHOLE, shown, view_of
 from edge.perception.sighting_kernels import PARTIAL
 from edge.perception.sightings import SightingTracker
-from edge.types import Instance, Observation
+from edge.types import Instance, InstanceState, Observation
 
 MAX_POINTS = 64
 RISE, FALL = 0.5, 0.15
@@ -33,6 +34,17 @@ SURER = 1.6
 """So much more must speak against a thing that was confirmed to bring it in doubt: from near by it
 is seen in part, and what stands before it fills the image."""
 _PROTECTED = ("confirmed", "refuted", "reached")
+_STATES: tuple[InstanceState, ...] = get_args(InstanceState)
+# What is kept of an instance, and of its track.
+_COLUMNS = (
+    ("id", np.int64), ("score", np.float64), ("hits", np.int64), ("first_seen_ns", np.int64),
+    ("last_seen_ns", np.int64),
+)  # fmt: skip
+_EVIDENCE = (
+    ("evidence_ns", np.int64), ("good_hits", np.int64), ("views", np.float64),
+    ("good_ns", np.int64), ("target_sum", np.float64), ("rival_sum", np.float64),
+    ("doubted", np.bool_),
+)  # fmt: skip
 
 
 @dataclass(slots=True, eq=False)
@@ -244,15 +256,55 @@ class InstanceTracker:
         if track := self._tracks.get(instance_id):
             track.instance.state = "reached"
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """Every instance and what deciding about it needs, as plain arrays of a row each, oldest
+        first; the points of one after the other."""
+        tracks = list(self._tracks.values())
+        found = [track.instance for track in tracks]
+        points = [track.points_m for track in tracks]
+        return {
+            **{name: np.array([getattr(i, name) for i in found], t) for name, t in _COLUMNS},
+            **{name: np.array([getattr(t, name) for t in tracks], d) for name, d in _EVIDENCE},
+            "label": np.array([i.label for i in found], np.str_),
+            "state": np.array([_STATES.index(i.state) for i in found], np.int8),
+            "n_points": np.array([len(each) for each in points], np.int32),
+            "points_m": np.concatenate(points) if points else np.zeros((0, 3), np.float32),
+            "support": np.concatenate([np.zeros(0, np.int32), *(t.support for t in tracks)]),
+            "next_id": np.array(self._next_id),
+        }
+
     def adopt(self, instance: Instance) -> None:
-        """Take in an instance from before a restart, under its old id; what it takes to confirm
-        one has to be seen again."""
-        if instance.state == "confirmed":
-            instance.state = "seen"
-        track = _Track(instance, names.canonical(instance.label), instance.last_seen_ns)
-        self._tracks[instance.id] = track
-        self._next_id = max(self._next_id, instance.id + 1)
-        self._place(track, instance.points_m)
+        """Take in an instance that was found elsewhere, under its id."""
+        self._adopt(instance, instance.points_m, np.ones(len(instance.points_m), np.int32))
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
+        """Go on with what `kept` gave, with no instance known yet.
+
+        Args:
+            later_ns: how much later it all happened on the sensors' clock of now.
+        """
+        end = np.cumsum(kept["n_points"])
+        for row, label in enumerate(kept["label"].tolist()):
+            its = slice(end[row] - kept["n_points"][row], end[row])
+            points_m = kept["points_m"][its].copy()
+            instance = Instance(
+                label=label, center_m=points_m[0], points_m=points_m,
+                state=_STATES[kept["state"][row]],
+                **{name: kept[name][row].item() for name, _ in _COLUMNS},
+            )  # fmt: skip
+            instance.first_seen_ns += later_ns
+            instance.last_seen_ns += later_ns
+            track = self._adopt(instance, points_m, kept["support"][its].copy())
+            for name, _ in _EVIDENCE:
+                setattr(track, name, kept[name][row].item())
+            track.evidence_ns += later_ns
+        self._next_id = max(self._next_id, int(kept["next_id"]))
+        self._limit()
+
+    @property
+    def newest_id(self) -> int:
+        """The highest id that was given so far; 0: none."""
+        return self._next_id - 1
 
     def recall(self, labels: Sequence[str]) -> None:
         """What was seen as context becomes an instance of the label that it answers to, with all
@@ -349,10 +401,22 @@ class InstanceTracker:
         if track.instance.state != "refuted":
             self._place(track, points)
 
+    def _adopt(self, instance: Instance, points_m: np.ndarray, support: np.ndarray) -> _Track:
+        track = _Track(instance, names.canonical(instance.label), instance.last_seen_ns)
+        track.points_m, track.support = points_m, support
+        self._outline(track)
+        self._tracks[instance.id] = track
+        self._next_id = max(self._next_id, instance.id + 1)
+        return track
+
     def _place(self, track: _Track, points: np.ndarray) -> None:
         track.points_m, track.support = kernels.merge_points(
             track.points_m, track.support, points, self.config.voxel_m, MAX_POINTS
         )
+        self._outline(track)
+
+    def _outline(self, track: _Track) -> None:
+        """The thing itself, by those of the points that most views show."""
         instance = track.instance
         instance.points_m, instance.center_m, track.radius_m = kernels.core_points(
             track.points_m, track.support

@@ -183,6 +183,41 @@ class SightingTracker:
         self._all.n = 0
         self._show()
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """All of it, as plain arrays of `n` rows, and what numbers its words."""
+        columns = {name: array[: self._all.n].copy() for name, array in self._columns_kept()}
+        return {
+            **columns, "words": np.array(self._all.words, np.str_),
+            "next_id": np.array(self._next_id),
+        }  # fmt: skip
+
+    def restore(self, kept: dict[str, np.ndarray], later_ns: int) -> None:
+        """Go on with what `kept` gave, with nothing seen yet; what does not fit is left out.
+
+        Args:
+            later_ns: how much later it all happened on the sensors' clock of now.
+        """
+        s = self._all
+        self._numbers(kept["words"].tolist())
+        s.n = min(len(kept["word"]), len(s.word))
+        for name, array in self._columns_kept():
+            array[: s.n] = kept[name][: s.n]
+        s.word[: s.n] = self._numbers(kept["words"].tolist())[kept["word"][: s.n]]
+        s.last_seen_ns[: s.n] += later_ns
+        self._next_id = max(self._next_id, int(kept["next_id"]))
+        s.generation += 1
+        self._show()
+
+    def _columns_kept(self) -> Iterator[tuple[str, np.ndarray]]:
+        s = self._all
+        yield from (
+            ("xyz_m", s.xyz_m), ("word", s.word), ("confidence", s.confidence),
+            ("last_seen_ns", s.last_seen_ns), ("id", s.id), ("hits", s.hits),
+            ("near_hits", s.near_hits), ("points_m", s.points_m), ("n_points", s.n_points),
+            ("weight", self._weight), ("total", self._total), ("cursor", self._cursor),
+            ("told", self._told),
+        )  # fmt: skip
+
     def _ask(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
         """Number what was looked for."""
         if (prompts, words) == self._asked_for:

@@ -203,6 +203,23 @@ class Policy(Protocol):
         ...
 
 
+class Remembers(Protocol):
+    """A policy whose memory outlives the service: one that has these is asked."""
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What it remembers, in arrays of its own of numbers; some megabytes at most."""
+        ...
+
+    def restore(self, kept: dict[str, np.ndarray]) -> None:
+        """Go on with what `kept` gave, by the same kind of policy and for the same targets;
+        candidates have the ids that they had.
+
+        Raises:
+            ValueError: it is no such memory.
+        """
+        ...
+
+
 def scores_of(policy: Policy, context: Context) -> np.ndarray:
     """What a policy makes of the candidates there are.
 

@@ -31,6 +31,7 @@ class Hvl:
         self.config = config
         self._words: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
         self._related = np.zeros((0, 0))
+        self._n, self._id, self._vl = 0, np.zeros(0, np.int64), np.zeros((0, 0), np.float32)
         self._remember(0, 0)
 
     def score(self, context: Context) -> np.ndarray:
@@ -86,12 +87,28 @@ class Hvl:
         if why != "map rolled":
             self._n = 0
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """See `edge.policies.base.Remembers`: the first sights."""
+        return {"id": self._id[: self._n].copy(), "vl": self._vl[:, : self._n].copy()}
+
+    def restore(self, kept: dict[str, np.ndarray]) -> None:
+        """See `edge.policies.base.Remembers`."""
+        ids, vl = kept["id"], kept["vl"]
+        if ids.ndim != 1 or vl.ndim != 2 or vl.shape[1] != len(ids) or np.isinf(vl).any():
+            raise ValueError("no first sights")
+        self._remember(len(vl), len(ids))
+        self._id[:], self._vl[:], self._n = ids, vl, len(ids)
+
     def _remember(self, targets: int, capacity: int) -> None:
-        """Room for the VL scores of so many frontiers; none is known yet."""
-        self._n = 0
+        """Room for the VL scores of so many frontiers; those of as many targets stay."""
+        n = min(self._n, capacity) if len(self._vl) == targets else 0
+        known, vl = self._id[:n], self._vl[:, :n]
         self._id, self._old_id = (np.zeros(capacity, np.int64) for _ in range(2))
         self._vl, self._old_vl = (np.zeros((targets, capacity), np.float32) for _ in range(2))
         self._ratio, self._score = (np.zeros(capacity, np.float32) for _ in range(2))
+        self._n, self._id[:n] = n, known
+        if n:
+            self._vl[:, :n] = vl
 
 
 def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:

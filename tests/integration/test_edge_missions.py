@@ -41,9 +41,16 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     edge("sim", config)
     first = edge("run", config).says("reached: sofa").says("target: television")
     first.until(lambda: b'"reached":["sofa"' in kept.read_bytes(), "it was never kept")
+    first.until((tmp_path / "mission.json.map").exists, "the map was never kept")
     first.kill()
     second = edge("run", config, "--once")
     assert second.wait() == 0, second.output
+    taken_up = re.search(
+        r"taken up from before the restart: (\d+) m2 and (\d+) things", second.output
+    )
+    assert taken_up, second.output
+    assert int(taken_up[1]) > 10
+    assert int(taken_up[2]) > 0
     assert "going on with the mission" in second.output
     assert "reached: sofa (" not in second.output, "what was reached stays reached"
     assert "reached: sofa, then television, then trash can" in second.output

@@ -28,7 +28,7 @@ from edge.mission.saved import Saved
 
 UNFINISHED = Saved(
     "go to the bed", "F bed", "grammar", "reach the bed", (), (), (), (), "bed", "exploring", "",
-    False, 1.0, 0.5, None, 0, 0, (),
+    False, 1.0, 0.5,
 )  # fmt: skip
 
 COMPILED_IN_THE_LOOP = """

@@ -98,7 +98,7 @@ def test_what_held_it_up_may_go(tmp_path, reach_cells_per_tick):
     loop = closed_loop(tmp_path, False, reach_cells_per_tick=reach_cells_per_tick)
     while not held_up(loop):
         loop.step()
-    loop.service.grid.coverage._looks[:] = 255
+    loop.service.grid.coverage.looks[:] = 255
     plan = loop.world.plan
     row, column = plan.grid.cell_of(4.0, 1.5)
     sill = (slice(row - 19, row + 19), slice(column - 3, column + 4))

@@ -41,7 +41,7 @@ def searched(grid: RollingMap) -> Viewpoint | None:
 
 def window(grid: RollingMap) -> np.ndarray:
     """The looks in window coordinates."""
-    looks, bits = grid.coverage._looks, grid.coverage._bits
+    looks, bits = grid.coverage.looks, grid.coverage._bits
     (x, y), m = grid.window.origin, len(looks)
     return np.roll(looks, (-((y >> bits) % m), -((x >> bits) % m)), axis=(0, 1))
 
@@ -93,7 +93,7 @@ def test_nothing_is_sought_where_nothing_was_seen():
     grid = RollingMap(SMALL)
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
     assert searched(grid) is None
-    assert not grid.coverage._looks.any()
+    assert not grid.coverage.looks.any()
 
 
 def test_nothing_is_sought_before_a_camera_looked():
@@ -197,8 +197,8 @@ def place(grid: RollingMap, x_m: float, y_m: float) -> int:
     """How often the place of a point was looked at."""
     side_m = grid.resolution_m * 2**grid.coverage._bits
     x, y = math.floor(x_m / side_m), math.floor(y_m / side_m)
-    m = len(grid.coverage._looks)
-    return int(grid.coverage._looks[y % m, x % m])
+    m = len(grid.coverage.looks)
+    return int(grid.coverage.looks[y % m, x % m])
 
 
 def test_another_target_was_looked_for_nowhere():
@@ -272,11 +272,11 @@ def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
         px, py = (at >> BITS for at in window.origin)
         known = {(x, y): v for (x, y), v in known.items() if px <= x < px + m and py <= y < py + m}
         for x, y in known:
-            assert cover._looks[y % m, x % m] == known[x, y]
-        assert np.count_nonzero(cover._looks) == len(known)
+            assert cover.looks[y % m, x % m] == known[x, y]
+        assert np.count_nonzero(cover.looks) == len(known)
         for x, y in rng.integers(0, m, (30, 2)):
             known[int(px + x), int(py + y)] = value = int(rng.integers(1, 128))
-            cover._looks[(py + y) % m, (px + x) % m] = value
+            cover.looks[(py + y) % m, (px + x) % m] = value
 
 
 def test_coverage_rolls_with_the_map():
@@ -284,7 +284,7 @@ def test_coverage_rolls_with_the_map():
     grid.coverage.look(seen_from(SE2(0.0, 0.0, 0.0)), 3.0, 1)
     for x in np.arange(0.0, 40.0, 1.0):
         look(grid, SE2(float(x), 0.0, 0.0), [])
-    assert not grid.coverage._looks.any()
+    assert not grid.coverage.looks.any()
 
 
 def test_a_snapshot_tells_how_well_each_place_was_looked_at():
@@ -298,4 +298,4 @@ def test_a_snapshot_tells_how_well_each_place_was_looked_at():
     ahead_m = shown.centres_m(rows, columns)
     assert np.all(ahead_m[:, 0] > 0.3)
     assert np.all(np.hypot(*ahead_m.T) < 2.2)
-    assert len(rows) == np.count_nonzero(grid.coverage._looks)
+    assert len(rows) == np.count_nonzero(grid.coverage.looks)

@@ -1,0 +1,150 @@
+"""The layers that last, by tiles of 64 x 64 cells: copied, packed, unpacked, put back.
+
+What a map holds is copied while the loop goes on, without a stall and yet as of one moment:
+`Copier` takes the tiles that were written since the last time, some in each tick, and those again
+that were written meanwhile. When none is left, what it has is the map of that tick.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from edge.mapping.window import TILE, Window
+
+MOST_PER_STEP = 128
+"""Tiles copied in a step, besides those of one update: a tenth of a millisecond or two."""
+_LEVEL = 1  # of zlib
+
+Place = tuple[int, int]
+
+
+class Planes(NamedTuple):
+    """Views of a map's layers by storage tile: [row of tiles, row, column of tiles, column, …]."""
+
+    raw: np.ndarray
+    top: np.ndarray
+    trail: np.ndarray
+    looks: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+
+
+VALUE_PLANES = 2  # the last of them
+
+
+def tiled(array: np.ndarray, m: int) -> np.ndarray:
+    """A view of (rows, columns, …) as (m, rows / m, m, columns / m, …)."""
+    rows, columns, *rest = array.shape
+    return array.reshape(m, rows // m, m, columns // m, *rest)
+
+
+class Batch(NamedTuple):
+    """Copies of some tiles: `planes` hold (k, rows, columns, …) each."""
+
+    row: np.ndarray
+    column: np.ndarray
+    planes: tuple[np.ndarray, ...]
+
+
+class Copier:
+    """Copies what was written of a map, until it has all of one moment; for the loop's thread."""
+
+    def __init__(self) -> None:
+        self._window: Window | None = None
+        self._anew = True
+        self._batches: list[Batch] = []
+
+    def step(self, window: Window, planes: Planes, most: int) -> bool:
+        """Copy up to `most` tiles; whether `take` now gives the whole map as it is."""
+        if window is not self._window:  # another map: nothing of the last one counts
+            self._window, self._anew, self._batches = window, True, []
+        row, column = np.nonzero(window.written)
+        row, column = row[:most], column[:most]
+        if len(row):
+            copies = tuple(plane[row, :, column] for plane in planes)
+            self._batches.append(Batch(row, column, copies))
+            window.written[row, column] = False
+        return not window.written.any()
+
+    def take(self) -> tuple[bool, list[Batch]]:
+        """Whether this is another map than the last time, and what was copied since, oldest
+        first."""
+        taken = self._anew, self._batches
+        self._anew, self._batches = False, []
+        return taken
+
+
+class PackedTiles:
+    """A map's tiles, each packed by itself, so that only what changed is packed anew; those in
+    which nothing was written are left out. For the writer's thread."""
+
+    def __init__(self) -> None:
+        self._packed: dict[Place, bytes] = {}
+
+    def update(self, batches: Iterable[Batch]) -> None:
+        """Take up copies, oldest first."""
+        for row, column, planes in batches:
+            empty = ~np.any([plane.reshape(len(row), -1).any(axis=1) for plane in planes], axis=0)
+            for i, place in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
+                if empty[i]:
+                    self._packed.pop(place, None)
+                else:
+                    tile = b"".join(plane[i].tobytes() for plane in planes)
+                    self._packed[place] = zlib.compress(tile, _LEVEL)
+
+    def all(self, origin: tuple[int, int], m: int) -> tuple[np.ndarray, list[bytes]]:
+        """(k, 2) int32 world tiles (x, y), which hold the cells from 64 times that on, and them.
+
+        Args:
+            origin: world tile of the window's lower-left corner; m: tiles on its side.
+        """
+        x0, y0 = origin
+        xy = [(x0 + (c - x0) % m, y0 + (r - y0) % m) for r, c in self._packed]
+        return np.array(xy, np.int32).reshape(-1, 2), list(self._packed.values())
+
+
+def unpack(packed: bytes | memoryview, size: int) -> bytes:
+    """One tile.
+
+    Raises:
+        ValueError: it is none of this size; no more than that is unpacked.
+    """
+    unpacker = zlib.decompressobj()
+    try:
+        tile = unpacker.decompress(packed, size + 1)
+    except zlib.error:
+        raise ValueError("what is packed cannot be unpacked") from None
+    if len(tile) != size or not unpacker.eof or unpacker.unused_data:
+        raise ValueError(f"what is packed is not of {size} bytes")
+    return tile
+
+
+def bytes_of(planes: Iterable[np.ndarray]) -> int:
+    """What one tile takes, unpacked."""
+    return sum(plane[0, :, 0].nbytes for plane in planes)
+
+
+def write(
+    planes: Iterable[np.ndarray], window: Window, tiles: Iterable[tuple[Place, bytes]]
+) -> None:
+    """Put world tiles, unpacked, where they belong: those that lie in the window.
+
+    Args:
+        planes: the first of `Planes`, or all.
+    """
+    m = len(window.written)
+    first = window.origin[0] // TILE, window.origin[1] // TILE
+    for (x, y), tile in tiles:
+        if not all(0 <= at - low < m for at, low in zip((x, y), first, strict=True)):
+            continue
+        window.written[y % m, x % m] = True
+        start = 0
+        for plane in planes:
+            there = plane[y % m, :, x % m]
+            end = start + there.nbytes
+            there[...] = np.frombuffer(tile[start:end], plane.dtype).reshape(there.shape)
+            start = end

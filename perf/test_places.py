@@ -1,0 +1,115 @@
+"""What keeping places costs the loop, and what taking them up costs the start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_mapping import MAPPING, explored_map, update_all_round
+
+from edge import config
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.geometry import SE2
+from edge.loop import places
+from edge.loop.candidates import CandidatePool
+from edge.loop.goal import GoalTracker
+from edge.loop.keeper import Keeper
+from edge.loop.place_file import Places, decode, encode
+from edge.mapping import grid as mapping
+from edge.mapping.tiles import MOST_PER_STEP, Copier, PackedTiles
+from edge.mapping.window import TILE
+from edge.perception.instances import InstanceTracker
+from edge.perception.sightings import SightingTracker
+from edge.policies import make_policy
+
+NOW = places.Now(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
+SETTINGS = {"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "search"}}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled():
+    mapping.warmup(MAPPING)
+
+
+def settings(cells: int) -> config.Config:
+    return parse({**SETTINGS, "mapping": {"extent_m": cells * MAPPING.resolution_m}})
+
+
+def parts_of(grid: mapping.RollingMap, c: config.Config) -> places.Parts:
+    sightings = SightingTracker(c.perception)
+    tracker, pool = InstanceTracker(c.perception, sightings), CandidatePool(384, 1.0)
+    goals = GoalTracker(c, pool, tracker, lambda goal: None, lambda text, now_ns: None)
+    return places.Parts(c, grid, sightings, tracker, pool, goals, make_policy(c.policy))
+
+
+def gathered(grid: mapping.RollingMap, c: config.Config) -> places.Kept:
+    return places.gather(parts_of(grid, c), NOW, "", ("bed",), "bed")
+
+
+def file_of(cells: int) -> bytes:
+    """All of a map that is explored all over."""
+    grid, c = explored_map(cells), settings(cells)
+    copier, packed = Copier(), PackedTiles()
+    grid.window.written[:] = True
+    copier.step(grid.window, grid.planes, grid.window.written.size)
+    packed.update(copier.take()[1])
+    origin = grid.window.origin[0] // TILE, grid.window.origin[1] // TILE
+    xy, tiles = packed.all(origin, grid.window.n // TILE)
+    return encode(Places({**gathered(grid, c), "tile/xy": xy}, tuple(tiles)))
+
+
+@pytest.mark.parametrize("cells", [1000, 4000])
+def test_copying_what_changed(benchmark, cells):
+    """The tick that copies pays this, once in three seconds."""
+    benchmark.extra_info["budget"] = f"places_copy_{cells}"
+    grid, c = explored_map(cells), settings(cells)
+    parts, update, copier = parts_of(grid, c), update_all_round(grid), Copier()
+    update()
+    grid.window.written[:] = False
+
+    def written() -> None:
+        update()
+        copier.take()
+
+    def copy() -> None:
+        assert copier.step(grid.window, grid.planes, MOST_PER_STEP + grid.tiles_of_update)
+        places.gather(parts, NOW, "", ("bed",), "bed")
+
+    benchmark.pedantic(copy, setup=written, rounds=100, warmup_rounds=5)
+
+
+@pytest.mark.parametrize("cells", [1000, 4000])
+def test_taking_up(benchmark, cells):
+    """From the file's bytes to a map with its frontiers, before the first tick."""
+    benchmark.extra_info["budget"] = f"places_restore_{cells}"
+    content, c = file_of(cells), settings(cells)
+
+    def restore() -> mapping.RollingMap:
+        kept = decode(content)
+        return places.make_map(kept.kept, kept.unpacked, c)
+
+    grid = benchmark.pedantic(restore, rounds=5, warmup_rounds=1)
+    benchmark.extra_info["megabytes"] = len(content) * 1e-6
+    print(f"{cells} cells: a file of {len(content) * 1e-6:.2f} MB")
+    assert grid.known_m2 > 0.9 * (cells * MAPPING.resolution_m) ** 2
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_tick(benchmark, tmp_path, keeps):
+    """A tick of a service that keeps places, and of one that keeps nothing, on one road."""
+    benchmark.extra_info["budget"] = "tick_keeping" if keeps else "tick_not_keeping"
+    lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05}}
+    loop = ClosedLoop(parse({**SETTINGS, **lockstep, "mission": {"target": "toilet"}}))
+    if keeps:
+        keeper = Keeper(loop.config, tmp_path / "mission.json", None)
+        loop.service.keeper = keeper
+
+    def drive() -> tuple[tuple, dict]:
+        loop.step()
+        return (loop.observe(), loop.drive.motion.stamp_ns), {}
+
+    benchmark.pedantic(loop.service.tick, setup=drive, rounds=300, warmup_rounds=20)
+    if keeps:
+        keeper.close()
+        assert keeper.places.written > 3
+    assert np.isfinite(loop.service.scores).all()

@@ -1,0 +1,340 @@
+"""What is kept of places: taken up again, a service goes on as if it had never been away."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from patience import PATIENCE_S
+from simulated import simulated
+
+from edge.config import Config
+from edge.eval.closed_loop import ClosedLoop, Notes
+from edge.geometry import SE2
+from edge.loop import place_keeper
+from edge.loop.keeper import Keeper
+from edge.loop.place_file import decode
+from edge.loop.places import Now, gather, make_map
+from edge.loop.service import Service
+from edge.mapping.tiles import Copier, Planes
+from edge.mapping.window import Window
+from edge.perception.factory import make_detector
+from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
+from edge.types import Goal, GoalStatus
+
+POLICIES = ("nearest_frontier", "search", "hvl")
+
+
+def config(policy: str = "search", **sections: dict) -> Config:
+    data = {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": {"instruction": "F toilet", "translator": {"kind": "ltl"}},
+        # A field that is whole after one tick: else two services grow theirs from other poses.
+        "mapping": {"reach_cells_per_tick": 1_000_000, "extent_m": 25.0},
+        "policy": {"kind": policy},
+        "perception": {"prior": "none"},
+    }
+    for name, section in sections.items():
+        data[name] = {**data.get(name, {}), **section}
+    return simulated(data)
+
+
+class Run(ClosedLoop):
+    """A robot, the service that drives it, and perhaps one that sees the same and is not heard."""
+
+    def __init__(self, path: Path, settings: Config) -> None:
+        super().__init__(settings, colour=False)
+        self.path, self.beside = path, None
+        self.service = self.another()
+
+    def another(self, settings: Config | None = None) -> Service:
+        """A service that reads what is kept."""
+        settings = settings or self.config
+        keeper = Keeper(settings, self.path, None)
+        brief = keeper.brief() or self.service.mission.brief
+        detector = make_detector(settings.perception, brief.targets, truth=self.truth)
+        worker = DetectorWorker(detector, inline=True)
+        policy = make_policy(settings.policy)
+        return Service(settings, brief, worker, policy, [self.notes], keeper)
+
+    def ticks(self, n: int) -> Run:
+        for _ in range(n):
+            self.step()
+        return self
+
+    def killed(self, settings: Config | None = None) -> Run:
+        """The service is gone, and another is in its place."""
+        self.service.keeper.close()
+        self.service = self.another(settings)
+        return self
+
+    def both(self) -> tuple[Service, Service]:
+        """A tick of the service that drives, then of the one beside, which hears the same."""
+        observation, now_ns = self.observe(), self.drive.motion.stamp_ns
+        self._seq -= 1
+        seen = len(self.notes.answers)
+        self.step()
+        self.beside.tick(replace(observation), now_ns)
+        for answer in self.notes.answers[seen:]:
+            self.hear(answer)
+        return self.service, self.beside
+
+    def hear(self, answer: GoalStatus) -> None:
+        goal = self.beside.goal
+        if goal is not None and self.service.goal is not None:
+            mine = answer.stamp_ns == self.service.goal.stamp_ns
+            stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
+            self.beside.goal_answered(replace(answer, stamp_ns=stamp_ns))
+
+
+def told(goal: Goal | None) -> tuple | None:
+    return None if goal is None else (goal.kind, goal.candidate_id, goal.pose, goal.target)
+
+
+def begun(path: Path, ticks: int, settings: Config) -> Run:
+    """A run that was kept after so many ticks, with a service beside that read that."""
+    run = Run(path, settings).ticks(ticks)
+    run.service.keeper.close()
+    run.beside = run.another()
+    # What it says is nobody's to obey.
+    run.beside._publisher = type(run.beside._publisher)([Notes()])
+    return run
+
+
+def test_with_nothing_kept_there_is_nothing_to_take_up(tmp_path):
+    run = Run(tmp_path / "m.json", config())
+    assert run.service.keeper.places.trouble == ""
+    run.ticks(1)
+    assert not any("taken up" in text for text in run.notes.events)
+    run.service.keeper.close()
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.sampled_from(POLICIES), st.integers(1, 120))
+@example("hvl", 90)
+def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, policy, ticks):
+    """Frontiers, identities, ways, gains, scores, things and goals are the same, bit for bit, on
+    the same further observations."""
+    run = begun(tmp_path_factory.mktemp("kept") / "m.json", ticks, config(policy))
+    before = run.service.goal
+    for i in range(25):
+        one, other = run.both()
+        # What the controller said last was said to the one that is gone: it says it again.
+        assume(i > 0 or before is None or one.goal is before)
+        n = one.grid.frontiers.n
+        assert n == other.grid.frontiers.n
+        np.testing.assert_array_equal(one.grid.frontiers.xy_m[:n], other.grid.frontiers.xy_m[:n])
+        mine, its = one.pool.candidates, other.pool.candidates
+        assert mine.n == its.n
+        for name in ("id", "kind", "first_seen_ns", "path_m", "gain_m2", "blocked", "confidence"):
+            a, b = getattr(mine, name), getattr(its, name)
+            np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
+        np.testing.assert_array_equal(one.scores, other.scores)
+        assert told(one.goal) == told(other.goal)
+        assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.tracker.all] == [
+            (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.tracker.all
+        ]
+        assert one.sightings.shown.n == other.sightings.shown.n
+    mine, its = (gather(s._parts, Now(SE2(0, 0, 0), 0, 0), "", (), "") for s in (one, other))
+    assert mine.keys() == its.keys()
+    for name, array in mine.items():
+        np.testing.assert_array_equal(array, its[name], name)
+    np.testing.assert_array_equal(one.grid.coverage.looks, other.grid.coverage.looks)
+    for layer, (a, b) in zip(
+        one.grid.layers._fields, zip(one.grid.layers, other.grid.layers, strict=True), strict=True
+    ):
+        np.testing.assert_array_equal(a, b, layer)
+    other.keeper.close()
+
+
+def idle(keeper: Keeper) -> None:
+    """Wait for the writer's thread."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not keeper.places.idle:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.001)
+
+
+def test_what_is_kept_is_the_map_of_one_tick_and_never_older_than_five_seconds(
+    tmp_path, monkeypatch
+):
+    """Even where copying it takes several ticks, in which the robot drives on."""
+    steps, step = [], Copier.step
+
+    def few(copier: Copier, window: Window, planes: Planes, most: int) -> bool:
+        steps.append(step(copier, window, planes, 17))  # one more than an update writes here
+        return steps[-1]
+
+    monkeypatch.setattr(Copier, "step", few)
+    run = Run(tmp_path / "m.json", config())
+    path, raw, written, kept_ns = tmp_path / "m.json.map", {}, set(), None
+    for _ in range(120):
+        now_ns = run.drive.motion.stamp_ns
+        run.ticks(1)
+        grid = run.service.grid
+        raw[now_ns] = grid.layers.raw.copy()
+        idle(run.service.keeper)
+        if path.exists():
+            places = decode(path.read_bytes())
+            kept_ns = int(places.kept["about/now_ns"])
+            assert now_ns - kept_ns <= 5 * 10**9
+            if kept_ns not in written:
+                written.add(kept_ns)
+                again = make_map(places.kept, places.unpacked, run.config)
+                np.testing.assert_array_equal(again.layers.raw, raw[kept_ns])
+    assert len(written) >= 4
+    assert not all(steps)
+    run.service.keeper.close()
+
+
+def test_a_disk_that_takes_nothing_costs_only_what_is_kept(tmp_path, caplog):
+    run = Run(tmp_path / "m.json", config())
+    (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
+    for _ in range(40):
+        run.ticks(1)
+        idle(run.service.keeper)
+    assert run.service.keeper.status()["problem"] == "Is a directory"
+    assert sum("not written" in message for message in caplog.messages) == 1
+    assert run.service.faults.failed == 0
+    assert run.service.goal is not None
+    (tmp_path / ".m.json.map.tmp").rmdir()
+    run.killed()
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert run.service.grid.known_m2 > 10
+    run.service.keeper.close()
+
+
+def test_a_bump_and_what_was_given_up_come_back(tmp_path):
+    run = Run(tmp_path / "m.json", config()).ticks(40)
+    service, now_ns = run.service, run.drive.motion.stamp_ns
+    pose = run.drive.motion.odometry
+    service.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
+    service.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
+    service.goals._search.left.append((3.0, 4.0))
+    cells = service.grid.layers.raw == 255
+    run.killed()
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    grid = run.service.grid
+    assert cells.any()
+    np.testing.assert_array_equal(grid.layers.raw == 255, cells)
+    assert grid.bumps.closed_m == service.grid.bumps.closed_m
+    assert run.service.pool.kept()["discarded_id"].tolist() == [7]
+    assert (3.0, 4.0) in run.service.goals._search.left
+    grid.bumps.expire(now_ns + 10**13)
+    assert not (grid.layers.raw == 255).any()
+    run.service.keeper.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, True),
+        ({"stamp_s": -1}, False),
+        ({"moved_m": 3.0}, False),
+        ({"turned_rad": 2.5}, False),
+        ({"boot": "another"}, False),
+        ({"boot": "another", "moved_m": 3.0, "stamp_s": -1, "localised": True}, True),
+    ],
+)
+def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, change, expected):
+    settings = config(source={"localised": change.get("localised", False)})
+    run = Run(tmp_path / "m.json", settings).ticks(20)
+    known_m2 = run.service.grid.known_m2
+    if "boot" in change:
+        monkeypatch.setattr(place_keeper, "boot_id", lambda: change["boot"])
+    run.killed()
+    seen, now_ns = run.observe(), run.drive.motion.stamp_ns
+    at = run.drive.motion.odometry
+    pose = SE2(
+        at.x_m + change.get("moved_m", 0.0), at.y_m, at.yaw_rad + change.get("turned_rad", 0.0)
+    )
+    stamp_ns = seen.stamp_ns + int(change.get("stamp_s", 0) * 1e9)
+    run.service.tick(replace(seen, T_map_base=pose.matrix(), stamp_ns=stamp_ns), now_ns)
+    taken = run.service.grid.known_m2 > 0.9 * known_m2
+    assert taken is expected
+    assert any("taken up" in text for text in run.notes.events) is expected
+    run.service.keeper.close()
+
+
+def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_path):
+    run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
+    now_ns = run.drive.motion.stamp_ns
+    run.service.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
+    run.killed()
+    kept = decode((tmp_path / "m.json.map").read_bytes()).kept
+    observation = replace(run.observe(), stamp_ns=10**8)
+    run.service.tick(observation, 10**8)
+    back_ns = int(kept["about/stamp_ns"]) - 10**8
+    first_ns = dict(zip(kept["candidates/id"], kept["candidates/first_seen_ns"], strict=True))
+    now = run.service.pool.kept()
+    lasting = [i for i, k in enumerate(now["id"]) if k in first_ns]
+    assert lasting
+    assert all(now["first_seen_ns"][i] == first_ns[now["id"][i]] - back_ns for i in lasting)
+    kept_ns = run.service.pool.kept()["discarded_until_ns"].tolist()
+    assert kept_ns[0] - 10**8 == pytest.approx(5 * 10**9, abs=10**9)
+    assert (run.service.pool.candidates.first_seen_ns <= 10**8).all()
+    assert all(i.last_seen_ns <= 10**8 for i in run.service.tracker.all)
+    run.service.keeper.close()
+
+
+def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
+    run = Run(tmp_path / "m.json", config()).ticks(40)
+    run.service.mission.fail("told to", run.drive.motion.stamp_ns)
+    run.ticks(1)
+    known_m2, things = run.service.grid.known_m2, len(run.service.sightings.shown.id)
+    run.killed()
+    assert run.service.keeper.saved is None
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert run.service.grid.known_m2 >= known_m2 > 0
+    assert len(run.service.sightings.shown.id) == things
+    # For the new mission nothing was looked at: only what this one image shows now.
+    assert run.service.grid.coverage.looks.max(initial=0) <= 1
+    run.service.keeper.close()
+
+
+@pytest.mark.parametrize(
+    ("mapping", "aside", "part"),
+    [
+        ({"extent_m": 40.0}, False, "mapping.extent_m is another"),
+        ({"extent_m": 14.0}, False, "mapping.extent_m is another"),
+        ({"inflation_m": 0.3}, False, "taken up"),
+        ({"resolution_m": 0.1}, True, "made with mapping.resolution_m 0.05, which now is 0.1"),
+        ({"obstacle_max_m": 1.5}, True, "made with mapping.obstacle_max_m 1, which now is 1.5"),
+    ],
+)
+def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, part):
+    path = tmp_path / "m.json"
+    run = Run(path, config()).ticks(40)
+    raw = run.service.grid.snapshot()
+    with caplog.at_level(logging.INFO):
+        run.killed(config(mapping=mapping))
+        run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert part in "\n".join([*caplog.messages, *run.notes.events])
+    assert (tmp_path / "m.json.map.damaged-1").exists() is aside
+    if not aside:
+        x0, y0 = raw.origin_xy_m
+        occupied = np.argwhere(raw.cells == 100) * 0.05 + (y0 + 0.025, x0 + 0.025)
+        grid = run.service.grid
+        assert any(grid.state_at(x, y) == 100 for y, x in occupied)
+        assert run.service.goal is not None
+    run.service.keeper.close()
+
+
+def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_kept(tmp_path):
+    run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(40)
+    known_m2 = run.service.grid.known_m2
+    run.killed()
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    run.service.forget_places(run.drive.motion.stamp_ns)
+    assert run.service.grid.known_m2 == 0
+    run.service.tick(run.observe(), run.drive.motion.stamp_ns)
+    assert run.service.grid.known_m2 >= 0.99 * known_m2
+    run.service.keeper.close()
