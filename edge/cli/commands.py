@@ -21,6 +21,7 @@ from edge.launch import children, on_a_free_port, open_service
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
 from edge.loop.vitals import PROBES, Vitals
+from edge.recording.trace import TracePage
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
 from edge.text import one_line
@@ -79,15 +80,16 @@ def _serve(
     formula: str | None,
     reload: Reload | None = None,
 ) -> RunRecord:
-    recorder, vitals = Recorder(config), Vitals(ServiceManager())
+    recorder, vitals, traced = Recorder(config), Vitals(ServiceManager()), TracePage()
     sinks = [ConsoleSink(), recorder]
     with (
-        _served(vitals.pages(), config.http),
+        _served({**vitals.pages(), **traced.pages()}, config.http),
         open_service(config, sinks, asked, formula, stop, vitals.starting) as running,
     ):
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
         instruction = running.service.mission.brief.translation.instruction
+        traced.spans = running.service.latency.spans
         log.info("ready: %s, on %s", one_line(instruction), config.zenoh.address)
         vitals.ready()
         loop(running, stop, once, partial(vitals.beat, running))

@@ -74,10 +74,9 @@ def handle_mission(service: Service, request: Request, now_ns: int) -> dict:
             phase = service.status.phase
             raise UserError(f"no mission is under way: the last one {phase}")
     elif request.do == "cancel":
-        mission.fail("cancelled", now_ns)
+        service.fail("cancelled", now_ns)
     elif request.do in ("pause", "resume"):
-        mission.pause(request.do == "pause")
-        service.event(f"mission: {request.do}d", now_ns)
+        service.pause(request.do == "pause", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {**answer_of(service.status, facts_of(service.mission)), **overtaken}
 

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.loop.latency import LatencyReport
+from edge.loop.journal import Input
+from edge.loop.latency import LatencyReport, Span
 from edge.mission.brief import Brief
 from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
@@ -59,8 +60,8 @@ class TickResult:
 
     What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
     `instances` and `frontiers` say the same from their first call on; `known_m2`, `snapshot`,
-    `latency` and `health` tell how things stand at each. Only `snapshot` and `latency` may be
-    called at other times, by another thread.
+    `latency`, `spans` and `health` tell how things stand at each. Only `snapshot`, `latency` and
+    `spans` may be called at other times, by another thread.
 
     Attributes:
         now_ns: the loop's time.
@@ -71,6 +72,7 @@ class TickResult:
         controlled: whether a controller answers.
         targets: of the mission.
         goals: that went out since the result before; so `answers` that came, and `events`.
+        inputs: what came into the loop from beside it, likewise.
         detections: what came in, with its frame, valid until `Sink.tick` returns; None: nothing.
         mission: the mission's state, plan and story.
         instances: those of all targets that are worth driving to, best first a target; one that
@@ -78,7 +80,7 @@ class TickResult:
         frontiers: (n, 2) float32 in `map`, a copy.
         known_m2: area that was seen.
         snapshot: a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
-        latency: see `edge.loop.latency.LatencyRing.report`.
+        latency: see `edge.loop.latency.LatencyRing.report`; `spans`: see `LatencyRing.spans`.
         health: of loop, checkpoint, detector, swap and scorers, JSON-ready.
     """
 
@@ -93,6 +95,7 @@ class TickResult:
     goals: tuple[Goal, ...]
     answers: tuple[GoalStatus, ...]
     events: tuple[Event, ...]
+    inputs: tuple[Input, ...]
     detections: Detections | None
     mission: Callable[[], MissionFacts]
     instances: Callable[[], list[Instance]]
@@ -100,11 +103,15 @@ class TickResult:
     known_m2: Callable[[], float]
     snapshot: Callable[..., Grid]
     latency: Callable[..., LatencyReport]
+    spans: Callable[..., list[Span]]
     health: Callable[[], dict[str, Any]]
 
 
 class Sink(Protocol):
-    """Takes results. Its methods never block; what they raise is counted and costs no one else."""
+    """Takes results. Its methods never block; what they raise is counted and costs no one else.
+
+    It may have a method `status()` as well: what it returns, JSON-ready, is shown in the service's
+    status under the class's name."""
 
     def tick(self, result: TickResult) -> None:
         """A tick ended, or there was nothing to see for a moment."""
