@@ -256,6 +256,7 @@ class _Run:
         self._journal: _Replayed | None = None
         self._failed: Observation | None = None  # what a tick failed on
         self.service: Service | None = None
+        self._worker: DetectorWorker | None = None
 
     @property
     def unseen(self) -> int:
@@ -267,6 +268,8 @@ class _Run:
             self._now.see(moment.observation, moment.picture)
         for action, entries in _actions(moment.page.entries):
             self._now.begin(entries)
+            if self._worker is not None:
+                self._count_images(entries)
             if action.kind == "start":
                 self._start(**action.fields)
             elif self.service is None:
@@ -291,7 +294,7 @@ class _Run:
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
             detector = make_detector(config.perception, brief.targets)
-        worker = DetectorWorker(detector, inline=True)
+        self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
         scorers = self._scorers(brief.targets)
         own = ()
@@ -304,6 +307,12 @@ class _Run:
             config, brief, worker, policy, [self.sink], keeper, scorers, journal=self._journal
         )
         self._stack.callback(self.service.close)
+
+    def _count_images(self, entries: Sequence[Input]) -> None:
+        """So many the detector had looked at when the loop asked."""
+        for entry in entries:
+            if entry.kind == "images":
+                self._worker.stats.done = entry.fields["done"]
 
     def _scorers(self, targets: Sequence[str]) -> Scorers | None:
         scorers = make_scorers(
