@@ -96,4 +96,10 @@ GOAL, MAP, STATUS, LATENCY, MISSION, GOAL_STATUS = map(
 PATH = of_ros("/path", "nav_msgs/Path")
 MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
 SPANS = of_json("/spans", "edge.Spans")
+TOLD = (
+    PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
+    MISSION, GOAL_STATUS, PATH, MARKERS, SPANS,
+)  # fmt: skip
+"""What people look at; the journal beside them is for the replay."""
+
 JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from edge.types import Detections, Observation
 STATUS_HZ = LATENCY_HZ = DRAWN_HZ = 1.0
 QUALITY = 85
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+_NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
 _INFO = 2  # of foxglove.Log
 _LINE_LOOP = 2  # of foxglove.PointsAnnotation
 _BOX = {"r": 1.0, "g": 0.6, "b": 0.1, "a": 1.0}
@@ -46,25 +48,28 @@ class Told(NamedTuple):
     sequence: int = 0
 
 
+class _Later(NamedTuple):
+    """A message that is yet to be made, by any thread."""
+
+    channel: Channel
+    stamp_ns: int
+    encode: Callable[[], bytes]
+    sequence: int = 0
+
+
 @dataclass(frozen=True)
 class Moment:
     """What is to be told of a result.
 
     Attributes:
         seen: the observation, with copies of those arrays that are wanted and no others.
-        later: makes messages of what is dear to gather, and may be called by any thread.
+        bytes: of these.
     """
 
     now_ns: int
     seen: Observation | None
-    detections: Detections | None
-    made: list[Callable[[], Told]] = field(default_factory=list)
-
-    @property
-    def bytes(self) -> int:
-        """Of the arrays."""
-        arrays = () if self.seen is None else (self.seen.rgb, self.seen.depth_m, self.seen.cloud_m)
-        return sum(array.nbytes for array in arrays if array is not None)
+    bytes: int
+    messages: list[_Later]
 
 
 class Teller:
@@ -72,10 +77,16 @@ class Teller:
 
     Args:
         rgb_hz: of pictures, as JPEG; depth and clouds are told of every observation.
+        wanted: whether anybody wants what comes over a channel; may be called by any thread.
     """
 
-    def __init__(self, config: Config, rgb_hz: float) -> None:
-        self._rgb_hz = rgb_hz
+    def __init__(
+        self,
+        config: Config,
+        rgb_hz: float,
+        wanted: Callable[[Channel], bool] = lambda channel: True,
+    ) -> None:
+        self._rgb_hz, self._wanted = rgb_hz, wanted
         rates = {"map": config.report.map_hz, "status": STATUS_HZ, "latency": LATENCY_HZ}
         self._pace = Pace(rgb=max(rgb_hz, 1e-9), drawings=DRAWN_HZ, **rates)
         self._way = Way()
@@ -88,53 +99,65 @@ class Teller:
         Args:
             arrays: False: without pictures, depth and clouds.
         """
-        seen, now_ns = result.observation, result.now_ns
         if result.pose is not None:
             self._way.add(result.pose)
+        told: list[_Later] = []
+        seen, size = result.observation, 0
         if seen is not None:
-            picture = arrays and self._rgb_hz > 0 and seen.rgb is not None
-            seen = replace(
-                seen,
-                rgb=_copy(seen.rgb) if picture and self._pace.is_due("rgb", now_ns) else None,
-                depth_m=_copy(seen.depth_m) if arrays else None,
-                cloud_m=_copy(seen.cloud_m) if arrays else None,
-                slot=None,
-            )
-        return Moment(now_ns, seen, result.detections, list(self._made(result, now_ns)))
+            kept = self._arrays(seen, result.now_ns) if arrays else {}
+            size = sum(array.nbytes for array in kept.values())
+            seen = replace(seen, slot=None, **{**_NO_ARRAYS, **kept})
+            told += _of_observation(seen)
+        if result.detections is not None:
+            told.append(_of_detections(result.detections))
+        told += self._of_result(result, result.now_ns)
+        return Moment(result.now_ns, seen, size, told)
 
-    def _made(self, result: TickResult, now_ns: int) -> Iterator[Callable[[], Told]]:
-        """What is made later of what is gathered now."""
+    def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
+        """Copies of those that are wanted, by the observation's fields."""
+        there = {
+            "rgb": (seen.rgb, channels.PICTURE),
+            "depth_m": (seen.depth_m, channels.DEPTH),
+            "cloud_m": (seen.cloud_m, channels.CLOUD),
+        }
+        if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
+            del there["rgb"]
+        return {
+            name: array.copy()
+            for name, (array, channel) in there.items()
+            if array is not None and self._wanted(channel)
+        }
+
+    def _of_result(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
         for goal in result.goals:
-            yield lambda goal=goal: Told(
-                channels.GOAL, goal.stamp_ns, messages.encode_pose_stamped(goal.stamp_ns, goal.pose)
-            )
+            encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
+            yield _Later(channels.GOAL, goal.stamp_ns, encode)
         for answer in result.answers:
             said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
-            yield lambda said=said: Told(channels.GOAL_STATUS, now_ns, json_bytes(said))
+            yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
         for event in result.events:
-            yield lambda event=event: Told(channels.EVENTS, event.now_ns, _log(*event))
+            yield _Later(channels.EVENTS, event.now_ns, partial(_log, *event))
         status = result.status
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
-            yield lambda: Told(channels.MISSION, now_ns, json_bytes(asdict(status)))
+            yield _Later(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
         if self._pace.is_due("status", now_ns):
-            said = status_of(result)
-            yield lambda: Told(channels.STATUS, now_ns, json_bytes(said))
+            yield _Later(channels.STATUS, now_ns, partial(json_bytes, status_of(result)))
         if self._pace.is_due("latency", now_ns):
-            yield lambda: Told(channels.LATENCY, now_ns, json_bytes(result.latency().as_dict()))
-            yield lambda: Told(channels.SPANS, now_ns, self._spans(result))
+            yield _Later(channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict()))
+            yield _Later(channels.SPANS, now_ns, partial(self._spans, result))
         if self._pace.is_due("map", now_ns):
-            yield lambda: Told(
-                channels.MAP, now_ns, messages.encode_occupancy_grid(now_ns, result.snapshot())
-            )
+            yield _Later(
+                channels.MAP, now_ns,
+                lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
+            )  # fmt: skip
         if self._pace.is_due("drawings", now_ns):
             way, drawn = self._way.poses(), (result.frontiers(), result.instances(), result.goal)
-            yield lambda: Told(
-                channels.PATH, now_ns, transforms.encode_path(now_ns, MAP_FRAME, way)
-            )
-            yield lambda: Told(
+            path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
+            yield _Later(channels.PATH, now_ns, path)
+            yield _Later(
                 channels.MARKERS, now_ns,
-                markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
+                lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
             )  # fmt: skip
 
     def _spans(self, result: TickResult) -> bytes:
@@ -145,39 +168,44 @@ class Teller:
         return json_bytes({"spans": spans})
 
     def tell(self, moment: Moment) -> Iterator[Told]:
-        """The messages of a moment."""
-        if moment.seen is not None:
-            yield from _told_of(moment.seen)
-        if moment.detections is not None:
-            found = moment.detections
-            yield Told(channels.BOXES, found.observation.stamp_ns, _boxes(found))
-        for make in moment.made:
-            yield make()
+        """The messages of a moment, in the order in which things happened."""
+        for channel, stamp_ns, encode, sequence in moment.messages:
+            if self._wanted(channel):
+                yield Told(channel, stamp_ns, encode(), sequence)
 
 
-def _told_of(seen: Observation) -> Iterator[Told]:
-    """Sensors, pose and transforms of an observation."""
+def _of_observation(seen: Observation) -> Iterator[_Later]:
+    """Sensors, pose and transforms."""
     stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
-    yield Told(
-        channels.ODOMETRY, stamp_ns,
-        messages.encode_odometry(stamp_ns, seen.T_map_base, 0.0, 0.0), n,
+    T, camera, depth_m, cloud_m, rgb = (
+        seen.T_map_base, seen.camera, seen.depth_m, seen.cloud_m, seen.rgb
     )  # fmt: skip
-    tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, seen.T_map_base)]
-    if seen.camera is not None:
+    odometry = partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
+    yield _Later(channels.ODOMETRY, stamp_ns, odometry, n)
+    tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
+    if camera is not None:
         tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
-        info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, seen.camera)
-        yield Told(channels.CAMERA_INFO, stamp_ns, info, n)
-    if seen.cloud_m is not None:
+        info = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
+        yield _Later(channels.CAMERA_INFO, stamp_ns, info, n)
+    if cloud_m is not None:
         tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
-        cloud = messages.encode_point_cloud(stamp_ns, LIDAR_FRAME, seen.cloud_m)
-        yield Told(channels.CLOUD, stamp_ns, cloud, n)
-    yield Told(channels.TF, stamp_ns, transforms.encode_transforms(tf), n)
-    if seen.depth_m is not None:
-        depth = messages.encode_image(stamp_ns, CAMERA_FRAME, _smallest(seen.depth_m))
-        yield Told(channels.DEPTH, stamp_ns, depth, n)
-    if seen.rgb is not None:
-        jpeg = compressed.encode_jpeg(stamp_ns, CAMERA_FRAME, seen.rgb, QUALITY)
-        yield Told(channels.PICTURE, stamp_ns, jpeg, n)
+        cloud = partial(messages.encode_point_cloud, stamp_ns, LIDAR_FRAME, cloud_m)
+        yield _Later(channels.CLOUD, stamp_ns, cloud, n)
+    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf), n)
+    if depth_m is not None:
+        yield _Later(channels.DEPTH, stamp_ns, partial(_depth, stamp_ns, depth_m), n)
+    if rgb is not None:
+        jpeg = partial(compressed.encode_jpeg, stamp_ns, CAMERA_FRAME, rgb, QUALITY)
+        yield _Later(channels.PICTURE, stamp_ns, jpeg, n)
+
+
+def _of_detections(found: Detections) -> _Later:
+    stamp_ns = found.observation.stamp_ns
+    return _Later(channels.BOXES, stamp_ns, partial(_boxes, stamp_ns, found))
+
+
+def _depth(stamp_ns: int, depth_m: np.ndarray) -> bytes:
+    return messages.encode_image(stamp_ns, CAMERA_FRAME, _smallest(depth_m))
 
 
 def _smallest(depth_m: np.ndarray) -> np.ndarray:
@@ -187,13 +215,9 @@ def _smallest(depth_m: np.ndarray) -> np.ndarray:
     return mm if np.array_equal(mm * M_PER_MM, depth_m) else depth_m
 
 
-def _copy(array: np.ndarray | None) -> np.ndarray | None:
-    return None if array is None else array.copy()
-
-
-def _boxes(found: Detections) -> bytes:
+def _boxes(stamp_ns: int, found: Detections) -> bytes:
     """foxglove.ImageAnnotations."""
-    at = _time(found.observation.stamp_ns)
+    at = _time(stamp_ns)
     outlines, words = [], []
     for (x0, y0, x1, y1), score, k in zip(
         found.xyxy_px.tolist(), found.score.tolist(), found.class_id.tolist(), strict=True
