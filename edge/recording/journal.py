@@ -102,13 +102,13 @@ def _observation(seen: Observation, whole: Observation | None) -> dict[str, Any]
     return {
         "seq": seen.seq,
         "stamp_ns": seen.stamp_ns,
-        "T_map_base": seen.T_map_base.ravel().tolist(),
+        "T_map_base": _array(seen.T_map_base),
         "rgb_hw": None if whole is None or whole.rgb is None else list(whole.rgb.shape[:2]),
         "depth": whole is not None and whole.depth_m is not None,
         "cloud": whole is not None and whole.cloud_m is not None,
         "camera": None if camera is None else asdict(camera),
-        "T_base_camera": seen.T_base_camera.ravel().tolist(),
-        "T_base_lidar": seen.T_base_lidar.ravel().tolist(),
+        "T_base_camera": _array(seen.T_base_camera),
+        "T_base_lidar": _array(seen.T_base_lidar),
     }
 
 
@@ -121,14 +121,10 @@ def observation_of(
     """An observation again, with the arrays that were recorded beside it."""
     camera = said["camera"]
     return Observation(
-        said["seq"], said["stamp_ns"], _matrix(said["T_map_base"]), rgb, depth_m,
-        None if camera is None else CameraModel(**camera), _matrix(said["T_base_camera"]),
-        cloud_m, _matrix(said["T_base_lidar"]),
+        said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
+        None if camera is None else CameraModel(**camera), _array_of(said["T_base_camera"]),
+        cloud_m, _array_of(said["T_base_lidar"]),
     )  # fmt: skip
-
-
-def _matrix(values: list[float]) -> np.ndarray:
-    return np.array(values, np.float64).reshape(4, 4)
 
 
 # -- entries --------------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ rooms, is worked out anew; what a detector or a scorer said stays what they said
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -159,7 +160,8 @@ class _Beside:
         self, name: str, worker: Any, now: _Now, take_up: Callable[[dict[str, Any], Any], Any]
     ) -> None:
         self._name, self._worker, self._now, self._take_up = name, worker, now, take_up
-        self._item: Any = None
+        # An answer may come after the next question was asked, in one tick.
+        self._asked: deque[Any] = deque(maxlen=2)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._worker, name)
@@ -169,14 +171,14 @@ class _Beside:
         return self._name in self._now.asked
 
     def submit(self, item: Any) -> None:
-        self._item = item
+        self._asked.append(item)
 
     def poll(self) -> Any:
         said = self._now.found.get(self._name)
-        return None if said is None else self._take_up(said, self._item)
+        return None if said is None else self._take_up(said, self._asked)
 
     def forget(self) -> None:
-        self._item = None
+        self._asked.clear()
 
 
 class _Replayed(Journal):
@@ -193,9 +195,9 @@ class _Replayed(Journal):
         self._now, self._anew, self._own = now, anew, own
         self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
-            "surveyor": lambda said, item: journal.distances_of(said),
-            "prior": lambda said, item: journal.rooms_of(said),
-            "similarity": lambda said, item: item and (item, journal.similarity_of(said)),
+            "surveyor": lambda said, asked: journal.distances_of(said),
+            "prior": lambda said, asked: journal.rooms_of(said),
+            "similarity": self._similarity,
             "choice": self._choice,
         }
 
@@ -204,7 +206,7 @@ class _Replayed(Journal):
             return worker
         return _Beside(name, worker, self._now, self._take_up[name])
 
-    def _detections(self, said: dict[str, Any], item: Any) -> Detections | None:
+    def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
         observation = self._now.frame(said["seq"])
         if self._anew is None:
             return journal.detections_of(said, observation)
@@ -213,11 +215,23 @@ class _Replayed(Journal):
             return None
         return self._anew.detect(observation)
 
-    def _choice(self, said: dict[str, Any], item: Any) -> Any:
+    def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+        similarity = journal.similarity_of(said)
+        question = _question(asked, similarity.stamp_ns)
+        return None if question is None else (question, similarity)
+
+    def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
         """None where the question was another, as other settings may have made it."""
         choice = journal.choice_of(said)
-        fits = item is not None and {m.id for m in item.view.marks} >= set(choice.ids)
-        return (item, choice) if fits else None
+        question = _question(asked, choice.stamp_ns)
+        if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
+            return None
+        return question, choice
+
+
+def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
+    """The one about the observation of this stamp; None: it was not asked."""
+    return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)
 
 
 class Said:

@@ -46,7 +46,8 @@ class Rolling:
         clock: seconds.
 
     Attributes:
-        messages: that were written; `lost`: that were not, for want of a file to write to.
+        messages: that were written; `lost`: that were not, for want of a file to write to. What
+            was not yet on the disk when that failed counts as lost.
         problem: why nothing can be written now, in one line; empty while it can.
     """
 
@@ -63,7 +64,7 @@ class Rolling:
         self._folder, self._limits, self._compression = folder, limits, compression
         self._metadata, self._clock = metadata, clock
         self._file: McapFile | None = None
-        self._parts = 0
+        self._parts = self._fresh = 0  # files; messages that may not be on the disk yet
         self._began_s = self._synced_s = 0.0
         self._again_s = -float("inf")
 
@@ -92,6 +93,7 @@ class Rolling:
         try:
             self._file.add(channel, log_ns, stamp_ns, payload, sequence)
             self.messages += 1
+            self._fresh += 1
         except OSError as error:
             self.lost += 1
             self._give_up(error)
@@ -104,6 +106,7 @@ class Rolling:
         self._synced_s = now_s
         try:
             self._file.sync()
+            self._fresh = 0
         except OSError as error:
             self._give_up(error)
 
@@ -133,7 +136,7 @@ class Rolling:
     def _finish(self) -> None:
         try:
             self._file.finish()
-            self._file = None
+            self._file, self._fresh = None, 0
         except OSError as error:
             self._give_up(error)
 
@@ -141,6 +144,9 @@ class Rolling:
         """The file stays as it is: it can be read up to where it ends."""
         self._file.abandon()
         self._file = None
+        self.messages -= self._fresh
+        self.lost += self._fresh
+        self._fresh = 0
         self._tell(error)
 
     def _tell(self, error: OSError) -> None:

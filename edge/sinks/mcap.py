@@ -63,6 +63,7 @@ class McapSink:
         self._teller = Teller(config, rgb_hz)
         self._inputs: list[Input] = []
         self._page_ns: int | None = None  # when the page at hand was begun
+        self._held_back: TickResult | None = None  # the last of it
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
         self._hand = threading.Lock()  # on what is pending
         self._dropped = {"arrays": 0, "moments": 0}
@@ -82,13 +83,18 @@ class McapSink:
             self._page_ns = result.now_ns
         waits = 0 <= result.now_ns - self._page_ns < PAGE_NS
         if waits and result.observation is None and not (result.goals or result.events):
-            return
+            self._held_back = result
+        else:
+            self._queue(result)
+
+    def _queue(self, result: TickResult) -> None:
         room = self._pending_bytes < self._most_bytes
         moment = self._teller.take(result, arrays=room)
         self._dropped["arrays"] += result.observation is not None and not room
         with self._hand:
             self._pending_bytes += moment.bytes
         inputs, self._inputs, self._page_ns = tuple(self._inputs), [], None
+        self._held_back = None
         self._worker.queue((moment, inputs, result))
 
     def status(self) -> dict[str, Any]:
@@ -104,6 +110,8 @@ class McapSink:
 
     def close(self) -> None:
         """Write what is left, and complete the file."""
+        if self._held_back is not None:
+            self._queue(self._held_back)
         if self._worker.close(_CLOSE_S):
             self._files.close()
 
@@ -124,10 +132,10 @@ class McapSink:
             files.ready()
             for told in self._teller.tell(moment):
                 files.add(told.channel, now_ns, told.stamp_ns, told.payload, told.sequence)
+        finally:  # what cannot be shown must not cost what is needed to replay it
             page = journal.encode_page(inputs, result, moment.seen)
             files.add(channels.JOURNAL, now_ns, now_ns, page)
             files.sync()
-        finally:
             self._let_go(moment)
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
