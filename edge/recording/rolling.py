@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from edge.recording.channels import Channel
@@ -116,8 +116,7 @@ class Rolling:
             self._finish()
 
     def _begin(self, now_s: float) -> None:
-        stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%S.%f")[:-3]
-        path = self._folder / f"{PREFIX}{stamp}Z.mcap"
+        path = _free_name(self._folder)
         file = McapFile(path, self._compression, self._metadata(self._parts))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -156,6 +155,16 @@ class Rolling:
             log.error("%s: nothing can be recorded: %s; goes on as soon as it can", self._folder,
                       why)  # fmt: skip
         self.problem = why
+
+
+def _free_name(folder: Path) -> Path:
+    """The time of day, or the next millisecond of which there is no file."""
+    now = datetime.now(timezone.utc)
+    while True:
+        path = folder / f"{PREFIX}{now.strftime('%Y%m%dT%H%M%S.%f')[:-3]}Z.mcap"
+        if not (path.exists() or path.with_name(path.name + PARTIAL).exists()):
+            return path
+        now += timedelta(milliseconds=1)
 
 
 def files_of(folder: Path) -> list[Path]:

@@ -6,6 +6,7 @@ What does not fit is dropped, pictures, depth and clouds first, and counted.
 
 from __future__ import annotations
 
+import errno
 import json
 import threading
 import uuid
@@ -15,6 +16,7 @@ from edge import __version__
 from edge.config import Config
 from edge.errors import ConfigError
 from edge.host import resources
+from edge.host.files import make_writable
 from edge.host.worker import Worker
 from edge.loop.journal import Input
 from edge.loop.result import TickResult
@@ -22,6 +24,7 @@ from edge.recording import channels, journal
 from edge.recording.file import COMPRESSIONS
 from edge.recording.rolling import Limits, Rolling
 from edge.sinks.telling import Moment, Teller
+from edge.text import one_line
 
 PAGE_NS = 500_000_000  # a page is not held back for longer
 _CLOSE_S = 5.0
@@ -54,10 +57,17 @@ class McapSink:
         pending_mb: float = 64.0,
     ) -> None:
         _check(max_mb, max_s, keep_mb, sync_s, rgb_hz, compression, pending_mb)
+        where = resources.expand(folder)
+        try:
+            make_writable(where)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):  # there may be room later
+                why = f"{one_line(folder)}: {error.strerror}"
+                raise ConfigError(f"sinks: mcap: folder: {why}") from None
         self._config = config
         self._session = uuid.uuid4().hex
         self._files = Rolling(
-            resources.expand(folder), Limits(max_mb, max_s, keep_mb, sync_s), compression,
+            where, Limits(max_mb, max_s, keep_mb, sync_s), compression,
             self._metadata,
         )  # fmt: skip
         self._teller = Teller(config, rgb_hz)
@@ -133,10 +143,10 @@ class McapSink:
             for told in self._teller.tell(moment):
                 files.add(told.channel, now_ns, told.stamp_ns, told.payload, told.sequence)
         finally:  # what cannot be shown must not cost what is needed to replay it
+            self._let_go(moment)
             page = journal.encode_page(inputs, result, moment.seen)
             files.add(channels.JOURNAL, now_ns, now_ns, page)
             files.sync()
-            self._let_go(moment)
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
         config = json.dumps(journal.config_text(self._config))
