@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, NamedTuple, Protocol
 
+DETECTOR = "detector"
 _KEPT = 4096  # of what came between two results, the newest
 
 
@@ -72,7 +73,8 @@ class _Noted:
         return getattr(self._worker, name)
 
     def submit(self, item: Any) -> None:
-        self._journal.note("asked", worker=self._name)
+        if self._name != DETECTOR:  # which is handed every image
+            self._journal.note("asked", worker=self._name)
         self._worker.submit(item)
 
     def poll(self) -> Any:

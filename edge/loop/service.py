@@ -20,7 +20,7 @@ from edge.loop import stages
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
-from edge.loop.journal import Journal
+from edge.loop.journal import DETECTOR, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.prior import make_prior
@@ -112,7 +112,7 @@ class Service:
                 part.through(journal.beside)
         self.faults = Faults(self.event)
         self.stage = INGEST
-        self._worker = journal.beside("detector", worker)
+        self._worker = journal.beside(DETECTOR, worker)
         self._scorers = scorers
         self.swapper = Swapper(config.perception, worker, self.event)
         self._health = HealthWatch(

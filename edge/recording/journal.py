@@ -45,21 +45,27 @@ class Page:
     said: dict[str, Any] | None
 
 
-def encode_page(inputs: Iterable[Input], result: TickResult, seen: Observation | None) -> bytes:
+def encode_page(
+    inputs: Iterable[Input], result: TickResult, seen: Observation | None, rig: dict[str, Any]
+) -> bytes:
     """One message.
 
     Args:
         result: the newest of those that the inputs led to.
         seen: its observation, with those arrays only that are recorded.
+        rig: as it was written last, empty at first; changed in place.
     """
     page = {
         "entries": [
             {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
         ],
-        "observation": None if seen is None else _observation(seen, result.observation),
+        "observation": None if seen is None else _observation(seen, result.observation, rig),
         "said": said_of(result),
     }  # fmt: skip
-    return json.dumps(page, separators=(",", ":"), allow_nan=False).encode()
+    return _JSON(page).encode()
+
+
+_JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 def decode_page(payload: bytes) -> Page:
@@ -97,33 +103,50 @@ def said_of(result: TickResult) -> dict[str, Any] | None:
 # -- observations ----------------------------------------------------------------------------------
 
 
-def _observation(seen: Observation, whole: Observation | None) -> dict[str, Any]:
-    camera = seen.camera
-    return {
+def _observation(
+    seen: Observation, whole: Observation | None, rig: dict[str, Any]
+) -> dict[str, Any]:
+    said = {
         "seq": seen.seq,
         "stamp_ns": seen.stamp_ns,
         "T_map_base": _array(seen.T_map_base),
         "rgb_hw": None if whole is None or whole.rgb is None else list(whole.rgb.shape[:2]),
         "depth": whole is not None and whole.depth_m is not None,
         "cloud": whole is not None and whole.cloud_m is not None,
-        "camera": None if camera is None else asdict(camera),
-        "T_base_camera": _array(seen.T_base_camera),
-        "T_base_lidar": _array(seen.T_base_lidar),
     }
+    now = {
+        "camera": seen.camera,
+        "T_base_camera": seen.T_base_camera.tobytes(),
+        "T_base_lidar": seen.T_base_lidar.tobytes(),
+    }
+    if now != rig:
+        rig.update(now)
+        said["rig"] = {
+            "camera": None if seen.camera is None else asdict(seen.camera),
+            "T_base_camera": _array(seen.T_base_camera),
+            "T_base_lidar": _array(seen.T_base_lidar),
+        }
+    return said
 
 
 def observation_of(
     said: dict[str, Any],
+    rig: dict[str, Any],
     rgb: np.ndarray | None,
     depth_m: np.ndarray | None,
     cloud_m: np.ndarray | None,
 ) -> Observation:
-    """An observation again, with the arrays that were recorded beside it."""
-    camera = said["camera"]
+    """An observation again, with the arrays that were recorded beside it.
+
+    Args:
+        rig: as it was read last; changed in place.
+    """
+    rig.update(said.get("rig", {}))
+    camera = rig["camera"]
     return Observation(
         said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
-        None if camera is None else CameraModel(**camera), _array_of(said["T_base_camera"]),
-        cloud_m, _array_of(said["T_base_lidar"]),
+        None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
+        cloud_m, _array_of(rig["T_base_lidar"]),
     )  # fmt: skip
 
 

@@ -121,6 +121,7 @@ class Session:
             RecordingError: it is malformed.
         """
         beside: dict[str, Recorded] = {}
+        rig: dict[str, Any] = {}
         n = 0
         for m in self.messages():
             if m.topic != channels.JOURNAL.topic:
@@ -131,7 +132,7 @@ class Session:
                 continue
             try:
                 page = journal.decode_page(m.payload)
-                moment = _moment(page, beside)
+                moment = _moment(page, beside, rig)
             except (ValueError, KeyError, TypeError, DecodeError) as error:
                 raise RecordingError(
                     f"{self.head.path}: damaged journal: {type(error).__name__}: "
@@ -168,7 +169,7 @@ def _from(head: Head) -> list[Path]:
 _BESIDE = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
-def _moment(page: Page, beside: dict[str, Recorded]) -> Moment:
+def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
     said = page.observation
     if said is None:
         return Moment(page, None, False, ())
@@ -178,7 +179,7 @@ def _moment(page: Page, beside: dict[str, Recorded]) -> Moment:
         rgb = np.zeros((*said["rgb_hw"], 3), np.uint8)
     arrays = {"depth": depth_m, "cloud": cloud_m}
     lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
-    observation = journal.observation_of(said, rgb, depth_m, cloud_m)
+    observation = journal.observation_of(said, rig, rgb, depth_m, cloud_m)
     return Moment(page, observation, picture, lacks)
 
 

@@ -7,6 +7,7 @@ another. A recording and a live view have the same channels.
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge.bus.wire import compressed, markers, messages, transforms
-from edge.bus.wire.images import M_PER_MM
+from edge.bus.wire.kernels import exact_millimetres
 from edge.bus.wire.messages import BASE_FRAME, MAP_FRAME
 from edge.bus.wire.transforms import Transform
 from edge.config import Config
@@ -29,8 +30,12 @@ from edge.text import one_line
 from edge.types import Detections, Observation
 
 STATUS_HZ = LATENCY_HZ = DRAWN_HZ = 1.0
+SHOWN_HZ = 10.0
+"""Of pose, transforms and boxes: as often as people can follow."""
 QUALITY = 85
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+_SPARE = 16
+_NO_DEPTH = np.zeros((0, 0), np.uint16)
 _NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
 _INFO = 2  # of foxglove.Log
 _LINE_LOOP = 2  # of foxglove.PointsAnnotation
@@ -62,14 +67,20 @@ class Moment:
     """What is to be told of a result.
 
     Attributes:
-        seen: the observation, with copies of those arrays that are wanted and no others.
-        bytes: of these.
+        seen: the observation without its arrays; None: there was none.
+        arrays: copies of those that are wanted, by the observation's fields; depth as uint16
+            millimetres where these say exactly the same.
     """
 
     now_ns: int
     seen: Observation | None
-    bytes: int
+    arrays: dict[str, np.ndarray]
     messages: list[_Later]
+
+    @property
+    def bytes(self) -> int:
+        """Of the arrays."""
+        return sum(array.nbytes for array in self.arrays.values())
 
 
 class Teller:
@@ -88,10 +99,12 @@ class Teller:
     ) -> None:
         self._rgb_hz, self._wanted = rgb_hz, wanted
         rates = {"map": config.report.map_hz, "status": STATUS_HZ, "latency": LATENCY_HZ}
-        self._pace = Pace(rgb=max(rgb_hz, 1e-9), drawings=DRAWN_HZ, **rates)
+        shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
+        self._pace = Pace(rgb=max(rgb_hz, 1e-9), **shown, **rates)
         self._way = Way()
         self._mission: tuple[str, str, str] | None = None
         self._spans_ns = 0  # told up to here
+        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # for depth, of both threads
 
     def take(self, result: TickResult, arrays: bool = True) -> Moment:
         """What is to be told of a result; copies what the source will write over.
@@ -102,19 +115,20 @@ class Teller:
         if result.pose is not None:
             self._way.add(result.pose)
         told: list[_Later] = []
-        seen, size = result.observation, 0
+        seen, kept = result.observation, {}
         if seen is not None:
             kept = self._arrays(seen, result.now_ns) if arrays else {}
-            size = sum(array.nbytes for array in kept.values())
-            seen = replace(seen, slot=None, **{**_NO_ARRAYS, **kept})
-            told += _of_observation(seen)
-        if result.detections is not None:
+            seen = replace(seen, slot=None, **_NO_ARRAYS)
+            if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
+                told += _of_pose(seen, "cloud_m" in kept)
+            told += _of_arrays(seen, kept)
+        if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
             told.append(_of_detections(result.detections))
         told += self._of_result(result, result.now_ns)
-        return Moment(result.now_ns, seen, size, told)
+        return Moment(result.now_ns, seen, kept, told)
 
     def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
-        """Copies of those that are wanted, by the observation's fields."""
+        """See `Moment.arrays`."""
         there = {
             "rgb": (seen.rgb, channels.PICTURE),
             "depth_m": (seen.depth_m, channels.DEPTH),
@@ -123,10 +137,21 @@ class Teller:
         if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
             del there["rgb"]
         return {
-            name: array.copy()
+            name: self._depth(array) if name == "depth_m" else array.copy()
             for name, (array, channel) in there.items()
             if array is not None and self._wanted(channel)
         }
+
+    def _depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """A copy: as millimetres half the bytes, and they shrink more. It costs no more here, where
+        the map has just read it, than to copy it."""
+        mm = self._spare.pop() if self._spare else _NO_DEPTH
+        if mm.shape != depth_m.shape:
+            mm = np.empty(depth_m.shape, np.uint16)
+        if exact_millimetres(depth_m.reshape(-1), mm.reshape(-1)):
+            return mm
+        self._spare.append(mm)
+        return depth_m.copy()
 
     def _of_result(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
         for goal in result.goals:
@@ -172,47 +197,45 @@ class Teller:
         for channel, stamp_ns, encode, sequence in moment.messages:
             if self._wanted(channel):
                 yield Told(channel, stamp_ns, encode(), sequence)
+        depth = moment.arrays.pop("depth_m", None)
+        if depth is not None and depth.dtype == np.uint16:
+            self._spare.append(depth)
 
 
-def _of_observation(seen: Observation) -> Iterator[_Later]:
-    """Sensors, pose and transforms."""
-    stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
-    T, camera, depth_m, cloud_m, rgb = (
-        seen.T_map_base, seen.camera, seen.depth_m, seen.cloud_m, seen.rgb
-    )  # fmt: skip
-    odometry = partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
-    yield _Later(channels.ODOMETRY, stamp_ns, odometry, n)
+def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
+    """Pose, camera, and where all sensors are."""
+    stamp_ns, T, camera = seen.stamp_ns, seen.T_map_base, seen.camera
+    yield _Later(
+        channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
+    )
     tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
     if camera is not None:
         tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
         info = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
-        yield _Later(channels.CAMERA_INFO, stamp_ns, info, n)
-    if cloud_m is not None:
+        yield _Later(channels.CAMERA_INFO, stamp_ns, info)
+    if cloud:
         tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
-        cloud = partial(messages.encode_point_cloud, stamp_ns, LIDAR_FRAME, cloud_m)
-        yield _Later(channels.CLOUD, stamp_ns, cloud, n)
-    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf), n)
-    if depth_m is not None:
-        yield _Later(channels.DEPTH, stamp_ns, partial(_depth, stamp_ns, depth_m), n)
-    if rgb is not None:
-        jpeg = partial(compressed.encode_jpeg, stamp_ns, CAMERA_FRAME, rgb, QUALITY)
-        yield _Later(channels.PICTURE, stamp_ns, jpeg, n)
+    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
+
+
+def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:
+    """What the sensors measured."""
+    stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
+    for name, array in arrays.items():
+        channel, frame, encode = _ENCODERS[name]
+        yield _Later(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
+
+
+_ENCODERS: dict[str, tuple[Channel, str, Callable[[int, str, np.ndarray], bytes]]] = {
+    "cloud_m": (channels.CLOUD, LIDAR_FRAME, messages.encode_point_cloud),
+    "depth_m": (channels.DEPTH, CAMERA_FRAME, messages.encode_image),
+    "rgb": (channels.PICTURE, CAMERA_FRAME, partial(compressed.encode_jpeg, quality=QUALITY)),
+}
 
 
 def _of_detections(found: Detections) -> _Later:
     stamp_ns = found.observation.stamp_ns
     return _Later(channels.BOXES, stamp_ns, partial(_boxes, stamp_ns, found))
-
-
-def _depth(stamp_ns: int, depth_m: np.ndarray) -> bytes:
-    return messages.encode_image(stamp_ns, CAMERA_FRAME, _smallest(depth_m))
-
-
-def _smallest(depth_m: np.ndarray) -> np.ndarray:
-    """Millimetres as uint16 where these say exactly the same, as most cameras' do."""
-    with np.errstate(invalid="ignore"):
-        mm = np.rint(depth_m * np.float32(1000.0)).astype(np.uint16)
-    return mm if np.array_equal(mm * M_PER_MM, depth_m) else depth_m
 
 
 def _boxes(stamp_ns: int, found: Detections) -> bytes:
@@ -248,4 +271,7 @@ def _time(stamp_ns: int) -> dict[str, int]:
 
 
 def json_bytes(said: Any) -> bytes:
-    return json.dumps(said, separators=(",", ":"), allow_nan=False).encode()
+    return _JSON(said).encode()
+
+
+_JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
