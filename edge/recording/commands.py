@@ -79,8 +79,10 @@ def _differing(
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join(map(_shown, value)) or "-"
     if not isinstance(value, dict):
-        return "-" if value in (None, []) else one_line(value)
+        return "-" if value is None else one_line(value)
     x_m, y_m, yaw_rad = value["pose"]
     return (
         f"{value['kind']} {value['id']} of {one_line(value['target'], 40)} at "

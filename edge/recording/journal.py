@@ -25,7 +25,7 @@ from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.text import without_secrets
-from edge.types import ContextBoxes, Detections, GoalStatus, Observation
+from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
 FORMAT, VERSION = "edge-recording", 1
 
@@ -86,17 +86,19 @@ def said_of(result: TickResult) -> dict[str, Any] | None:
     """What a result says, as it is compared; None where nothing came of it."""
     if result.observation is None and not result.goals:
         return None
-    goal = result.goal
     return {
         "target": result.status.target,
         "phase": result.status.phase,
-        "goal": None if goal is None else {
-            "stamp": goal.stamp_ns, "kind": goal.kind, "id": goal.candidate_id,
-            "target": goal.target, "pose": [goal.pose.x_m, goal.pose.y_m, goal.pose.yaw_rad],
-            "candidate_xy_m": [float(v) for v in goal.candidate_xy_m],
-            "score": float(goal.score),
-        },
-        "sent": [goal.stamp_ns for goal in result.goals],
+        "goal": None if result.goal is None else _goal(result.goal),
+        "sent": [_goal(goal) for goal in result.goals],
+    }
+
+
+def _goal(goal: Goal) -> dict[str, Any]:
+    return {
+        "stamp": goal.stamp_ns, "kind": goal.kind, "id": goal.candidate_id,
+        "target": goal.target, "pose": _pose(goal.pose),
+        "candidate_xy_m": [float(v) for v in goal.candidate_xy_m], "score": float(goal.score),
     }  # fmt: skip
 
 

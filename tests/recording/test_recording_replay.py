@@ -15,6 +15,7 @@ from recordings import Recording, small
 
 from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
+from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
@@ -108,6 +109,22 @@ def test_all_that_can_come_into_the_loop(tmp_path):
 
 
 URL = "http://127.0.0.1:9/v1"
+
+
+def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
+    """How many images the detector had been through counts for a search that is given up."""
+    judge, images = GoalTracker.judge, []
+
+    def spy(self, grid, pose, mission, done, now_ns):
+        images.append(done)
+        return judge(self, grid, pose, mission, done, now_ns)
+
+    monkeypatch.setattr(GoalTracker, "judge", spy)
+    path = Recording(tmp_path, small(loop={"lockstep": True, "detect_every": 3})).steps(10).close()
+    then, images[:] = tuple(images), []
+    same(path, 10)
+    assert tuple(images) == then
+    assert 3 <= then[-1] < 10
 
 
 class Thinks:
