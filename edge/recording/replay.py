@@ -8,10 +8,9 @@ rooms, is worked out anew; what a detector or a scorer said stays what they said
 from __future__ import annotations
 
 import tempfile
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 from edge.config import ChoiceCooccurrence, Config
 from edge.errors import UserError
 from edge.loop.faults import TICK
-from edge.loop.journal import Input, Journal
+from edge.loop.journal import Input
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyReport
 from edge.loop.result import TickResult
@@ -29,17 +28,16 @@ from edge.loop.stages import STAGES
 from edge.mission import checkpoint
 from edge.mission.brief import brief_of
 from edge.mission.saved import Saved
-from edge.perception.detector import Detector, Health
+from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
-from edge.recording import journal
+from edge.recording.beside import Now, Replayed, Silent
 from edge.recording.file import RecordingError
 from edge.recording.journal import said_of
 from edge.recording.session import Moment, Session
-from edge.types import Detections, Observation
+from edge.types import Observation
 
-_MOST_FRAMES = 256  # that wait for their detections
 _BY_THE_MAP = ("surveyor", "prior")
 
 
@@ -88,152 +86,6 @@ class Outcome:
     latency_now: LatencyReport | None = None
 
 
-class _Silent:
-    """Stands where a model was: what it said is in the recording."""
-
-    prompts: tuple[str, ...] = ()
-    invalid_boxes = 0
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def set_prompts(self, prompts: Sequence[str]) -> None:
-        self.prompts = tuple(prompts)
-
-    def detect(self, observation: Observation) -> Detections:
-        raise AssertionError("a replay does not ask")
-
-    look = answer = score = detect
-
-    def health(self) -> Health:
-        return Health()
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-@dataclass
-class _Now:
-    """What was asked and found beside the loop in the tick that is replayed, and what of it is
-    known of earlier ones.
-
-    Attributes:
-        frames: observations that detections may still be of, by number.
-        pictures: of those, whose pictures were recorded.
-    """
-
-    asked: set[str] = field(default_factory=set)
-    found: dict[str, dict[str, Any]] = field(default_factory=dict)
-    frames: dict[int, Observation] = field(default_factory=dict)
-    pictures: set[int] = field(default_factory=set)
-
-    def begin(self, entries: Sequence[Input]) -> None:
-        self.asked = {e.fields["worker"] for e in entries if e.kind == "asked"}
-        self.found = {
-            e.fields["worker"]: e.fields["what"] for e in entries if e.kind == "found"
-        }  # fmt: skip
-
-    def see(self, observation: Observation, picture: bool) -> None:
-        self.frames[observation.seq] = observation
-        if picture:
-            self.pictures.add(observation.seq)
-        if len(self.frames) > _MOST_FRAMES:
-            self._forget(next(iter(self.frames)))
-
-    def frame(self, seq: int) -> Observation:
-        """The one of this number, where no earlier one is asked for any more."""
-        for old in [old for old in self.frames if old < seq]:
-            self._forget(old)
-        if seq not in self.frames:
-            raise RecordingError(f"detections of frame {seq}, which is not in the recording")
-        return self.frames[seq]
-
-    def _forget(self, seq: int) -> None:
-        del self.frames[seq]
-        self.pictures.discard(seq)
-
-
-class _Beside:
-    """Stands for a worker: asked when it was asked, and found when it was found."""
-
-    def __init__(
-        self, name: str, worker: Any, now: _Now, take_up: Callable[[dict[str, Any], Any], Any]
-    ) -> None:
-        self._name, self._worker, self._now, self._take_up = name, worker, now, take_up
-        # An answer may come after the next question was asked, in one tick.
-        self._asked: deque[Any] = deque(maxlen=2)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._worker, name)
-
-    @property
-    def idle(self) -> bool:
-        return self._name in self._now.asked
-
-    def submit(self, item: Any) -> None:
-        self._asked.append(item)
-
-    def poll(self) -> Any:
-        said = self._now.found.get(self._name)
-        return None if said is None else self._take_up(said, self._asked)
-
-    def forget(self) -> None:
-        self._asked.clear()
-
-
-class _Replayed(Journal):
-    """Puts what was recorded in the place of what runs beside the loop.
-
-    Args:
-        anew: a detector that looks at the recorded pictures instead; None: there is none.
-        own: workers that are to work.
-    """
-
-    def __init__(self, now: _Now, anew: Detector | None, own: Sequence[str]) -> None:
-        super().__init__()
-        self.unseen = 0
-        self._now, self._anew, self._own = now, anew, own
-        self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
-            "detector": self._detections,
-            "surveyor": lambda said, asked: journal.distances_of(said),
-            "prior": lambda said, asked: journal.rooms_of(said),
-            "similarity": self._similarity,
-            "choice": self._choice,
-        }
-
-    def beside(self, name: str, worker: Any) -> Any:
-        if name in self._own:
-            return worker
-        return _Beside(name, worker, self._now, self._take_up[name])
-
-    def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
-        observation = self._now.frame(said["seq"])
-        if self._anew is None:
-            return journal.detections_of(said, observation)
-        if said["seq"] not in self._now.pictures:
-            self.unseen += 1
-            return None
-        return self._anew.detect(observation)
-
-    def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
-        similarity = journal.similarity_of(said)
-        question = _question(asked, similarity.stamp_ns)
-        return None if question is None else (question, similarity)
-
-    def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
-        """None where the question was another, as other settings may have made it."""
-        choice = journal.choice_of(said)
-        question = _question(asked, choice.stamp_ns)
-        if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
-            return None
-        return question, choice
-
-
-def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
-    """The one about the observation of this stamp; None: it was not asked."""
-    return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)
-
-
 class Said:
     """The sink of a replay: what results said, as it is compared."""
 
@@ -266,8 +118,8 @@ class _Run:
         mission = given.mission.model_copy(update={"checkpoint": None})
         self.config = given.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
         self._detect, self._stack = detect, stack
-        self._now, self.sink = _Now(), Said()
-        self._journal: _Replayed | None = None
+        self._now, self.sink = Now(), Said()
+        self._journal: Replayed | None = None
         self._failed: Observation | None = None  # what a tick failed on
         self.service: Service | None = None
         self._worker: DetectorWorker | None = None
@@ -300,7 +152,7 @@ class _Run:
             checkpoint.save(path, saved)
             keeper = Keeper(config, path, None)
             self._stack.callback(keeper.close)
-        detector: Detector = _Silent("replay")
+        detector: Detector = Silent("replay")
         if self._detect:
             if config.perception.detector.kind == "sim":
                 raise ReplayError(
@@ -315,7 +167,7 @@ class _Run:
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             own = (*_BY_THE_MAP, *(["choice"] if by_prior else []))
-        self._journal = _Replayed(self._now, detector if self._detect else None, own)
+        self._journal = Replayed(self._now, detector if self._detect else None, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, brief, worker, policy, [self.sink], keeper, scorers, journal=self._journal
@@ -331,8 +183,8 @@ class _Run:
     def _scorers(self, targets: Sequence[str]) -> Scorers | None:
         scorers = make_scorers(
             self.config, targets,
-            make_similarity=lambda card, *_: _Silent(card.name),
-            make_choice=lambda choice: _Silent(choice.kind),
+            make_similarity=lambda card, *_: Silent(card.name),
+            make_choice=lambda choice: Silent(choice.kind),
         )  # fmt: skip
         if scorers is not None:
             self._stack.callback(scorers.close)
