@@ -31,7 +31,7 @@ def facts(target: str = "chair") -> MissionFacts:
 
 
 def health() -> dict[str, Any]:
-    return {key: {} for key in ("loop", "checkpoint", "detector", "swap", "scorers")}
+    return {key: {} for key in ("loop", "checkpoint", "detector", "swap", "scorers", "sinks")}
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
@@ -40,12 +40,12 @@ def result(now_ns: int = 0, **fields: Any) -> TickResult:
     nothing: dict[str, Any] = {
         "observation": None, "pose": None, "status": status, "goal": None, "answer": None,
         "controlled": False, "targets": (status.target,), "goals": (), "answers": (),
-        "events": (), "detections": None, "mission": lambda: facts(status.target),
+        "events": (), "inputs": (), "detections": None, "mission": lambda: facts(status.target),
         "instances": list, "frontiers": lambda: np.zeros((0, 2), np.float32),
         "candidates": lambda: scored(Candidates(0), np.zeros(0, np.float32)),
         "way": lambda: np.zeros((0, 2), np.float32), "choice": None, "layers": dict,
         "known_m2": lambda: 0.0,
         "snapshot": lambda inflated=100: Grid(CELLS, (-1.0, 2.0), 0.05),
-        "latency": LatencyRing().report, "health": health,
+        "latency": LatencyRing().report, "spans": LatencyRing().spans, "health": health,
     }  # fmt: skip
     return TickResult(now_ns=now_ns, **{**nothing, **fields})

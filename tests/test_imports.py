@@ -21,6 +21,7 @@ LAYERS = (
     ("mapping", "perception", "trajectory"),
     ("motion", "policies", "mission"),
     ("loop",),
+    ("recording",),
     ("sources", "sinks", "report", "ros2_adapter", "fleet"),
     ("live",),
     ("launch",),

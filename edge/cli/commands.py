@@ -24,6 +24,7 @@ from edge.loop.metrics import Metrics
 from edge.loop.reload import Reloader
 from edge.loop.runner import loop
 from edge.loop.vitals import PROBES, Vitals
+from edge.recording.trace import TracePage
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
 from edge.text import one_line
@@ -83,9 +84,9 @@ def _serve(
     reload: Reload | None = None,
 ) -> RunRecord:
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
-    live, metrics = LiveView(config, vitals), Metrics(vitals)
+    live, metrics, traced = LiveView(config, vitals), Metrics(vitals), TracePage()
     sinks = [ConsoleSink(), recorder, live.sink]
-    pages = {**vitals.pages(), **metrics.pages(), **live.pages()}
+    pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
     with (
         _served(pages, live.forms(), config.http),
         open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
@@ -94,6 +95,7 @@ def _serve(
         if reload is not None:
             running.reloader = Reloader(running.service, reload.reread, reload.asked)
         metrics.watch(running, running.sinks)
+        traced.spans = running.service.latency.spans
         mission = running.service.mission
         doing = mission.reason if mission.idle else one_line(mission.brief.translation.instruction)
         log.info("ready: %s, on %s", doing, config.zenoh.address)

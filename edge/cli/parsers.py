@@ -52,6 +52,9 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         fleet_parsers.add,
         model_parsers.add,
         _record,
+        _replay,
+        _recover,
+        _trace,
         _ros2_adapter,
         _bench,
         _eval,
@@ -157,6 +160,43 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
         "--seconds", type=positive, default=60.0, metavar="N", help="default: %(default)g"
     )
     record.set_defaults(handler=lazy("edge.sources.recording", "run"))
+
+
+def _replay(commands) -> None:  # type: ignore[no-untyped-def]
+    replay = commands.add_parser(
+        "replay", help="feed a recorded run through the service again, and compare what it says"
+    )
+    replay.add_argument("file", type=Path, metavar="FILE", help="the first file of the run")
+    replay.add_argument("--config", help=f"another configuration than was recorded: {CONFIG}")
+    replay.add_argument(
+        "--detect", action="store_true", help="run the detector anew on the recorded pictures"
+    )
+    replay.set_defaults(handler=lazy("edge.recording.commands", "replay"))
+
+
+def _recover(commands) -> None:  # type: ignore[no-untyped-def]
+    recover = commands.add_parser(
+        "recover", help="make a complete file of a recording that was cut off"
+    )
+    recover.add_argument("file", type=Path, metavar="FILE", help="NAME.mcap.partial, or any MCAP")
+    recover.add_argument(
+        "--out", type=Path, metavar="FILE", help="default: FILE without `.partial`"
+    )  # fmt: skip
+    recover.set_defaults(handler=lazy("edge.recording.commands", "recover"))
+
+
+def _trace(commands) -> None:  # type: ignore[no-untyped-def]
+    trace = commands.add_parser(
+        "trace", help="every stage of every tick, as a file for ui.perfetto.dev"
+    )
+    trace.add_argument(
+        "source", metavar="FILE|CONFIG", help="a recording (.mcap), or the configuration of the "
+        "running service, whose http.port is asked"
+    )  # fmt: skip
+    trace.add_argument(
+        "--out", type=Path, default=Path("trace.json"), metavar="FILE", help="default: %(default)s"
+    )
+    trace.set_defaults(handler=lazy("edge.recording.commands", "trace"))
 
 
 def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]

@@ -50,6 +50,10 @@ class Token:
             said.strip().encode("utf-8", "replace"), self._secret
         )
 
+    def header(self) -> dict[str, str]:
+        """What a request of one's own says."""
+        return {"Authorization": f"Bearer {self._secret.decode()}"}
+
 
 def read_token(key: str, name: str) -> Token:
     """The one line of a file.

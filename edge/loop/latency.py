@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,21 @@ TICK = "tick"
 NOT_RUN = -1
 _MS = 1e-6
 _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
+
+
+class Span(NamedTuple):
+    """One stage of one tick, the tick itself, or one piece of work beside it.
+
+    Attributes:
+        begin_ns: on the clock that the ring is handed (`time.perf_counter_ns`). Stages follow each
+            other; of what ran beside the tick it is known only when the loop took it up, which is
+            taken for its end.
+    """
+
+    name: str
+    begin_ns: int
+    took_ns: int
+    in_tick: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +210,8 @@ class LatencyRing:
         n = len(stages)
         # Column n is the tick itself. Stages in the tick share a head, others have their own.
         self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
+        self._begins_ns = np.zeros(capacity, dtype=np.int64)  # of the ticks
+        self._taken_up_ns = np.zeros((capacity, n), dtype=np.int64)  # what ran beside them
         # A list while the tick runs: setting an array's items one by one costs twice as much.
         self._blank = [NOT_RUN] * (n + 1)
         self._now_ns = list(self._blank)
@@ -239,7 +256,9 @@ class LatencyRing:
 
     def _span_beside(self, stage: int, duration_ns: int) -> None:
         with self._lock:
-            self._spans_ns[self._count[stage] % self._capacity, stage] = duration_ns
+            i = self._count[stage] % self._capacity
+            self._spans_ns[i, stage] = duration_ns
+            self._taken_up_ns[i, stage] = self._marked_ns
             self._count[stage] += 1
             self._overruns[stage] += duration_ns > self._limit_ns[stage]
             self._lasted.add_one(stage, duration_ns)
@@ -258,8 +277,9 @@ class LatencyRing:
         np.greater_equal(now, 0, out=self._ran)
         before_ns, self._before_ns = self._before_ns, self._looked_ns
         with self._lock:
-            row = self._spans_ns[self._ticks % self._capacity]
-            np.copyto(row, now, where=self._in_tick_columns)
+            i = self._ticks % self._capacity
+            self._begins_ns[i] = self._began_ns
+            np.copyto(self._spans_ns[i], now, where=self._in_tick_columns)
             self._overruns += self._over
             self._count += self._ran
             self._ticks += 1
@@ -304,6 +324,37 @@ class LatencyRing:
             (interval,) = self._apart.read()
         names = (stage.name for stage in self._stages)
         return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
+
+    def spans(self, after_ns: int = 0, before_ns: int | None = None) -> list[Span]:
+        """The single spans that are kept, oldest tick first, then those beside the ticks.
+
+        Args:
+            after_ns: of ticks that began later than this, and of work that was taken up later.
+            before_ns: … and not later than this.
+        """
+        columns = np.flatnonzero(~self._in_tick_columns)
+        with self._lock:
+            rows = self._newest(self._ticks, None)
+            begins_ns, spans_ns = self._begins_ns[rows], self._spans_ns[rows]
+            beside = [(i, self._newest(int(self._count[i]), None)) for i in columns]
+            ends_ns = [(i, self._taken_up_ns[at, i], self._spans_ns[at, i]) for i, at in beside]
+        until_ns = np.iinfo(np.int64).max if before_ns is None else before_ns
+        wanted = (begins_ns > after_ns) & (begins_ns <= until_ns)
+        names = [stage.name for stage in self._stages]
+        found: list[Span] = []
+        for begin_ns, row in zip(
+            begins_ns[wanted].tolist(), spans_ns[wanted].tolist(), strict=True
+        ):
+            found.append(Span(TICK, begin_ns, row[-1], True))
+            for name, in_tick, took_ns in zip(names, self._in_tick, row, strict=False):
+                if in_tick and took_ns >= 0:
+                    found.append(Span(name, begin_ns, took_ns, True))
+                    begin_ns += took_ns
+        for i, up_ns, took in ends_ns:
+            wanted = (up_ns > after_ns) & (up_ns <= until_ns)
+            for end_ns, took_ns in zip(up_ns[wanted].tolist(), took[wanted].tolist(), strict=True):
+                found.append(Span(names[i], end_ns - took_ns, took_ns, False))
+        return found
 
     def _newest(self, written: int, last: int | None) -> np.ndarray:
         """Rows of the newest `last` spans, where `written` were written so far."""

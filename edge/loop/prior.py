@@ -7,7 +7,7 @@ What stands near the place in sight (`cooccurrence`), and which kind of room it 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,6 +76,10 @@ class Prior:
         self._near = np.zeros((0, len(table.things)), np.float32)
         self._kind = np.zeros((0, len(table.kinds)))
         self._lifts: dict[str, np.ndarray] = {}
+
+    def through(self, beside: Callable[[str, Any], Any]) -> None:
+        """Let what the worker is asked and finds pass through `beside`."""
+        self._worker = beside("prior", self._worker)
 
     def step(self, seen: MapView, sightings: Sightings, now_ns: int) -> None:
         """Take up what there is, once a tick, and have the map cut anew where that is due."""

@@ -112,12 +112,9 @@ def handle_mission(
         if not request.overtaken:
             raise UserError(f"no {'such ' * bool(name)}mission is under way: {_last(service)}")
     elif request.do == "cancel":
-        mission.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
+        service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
-        paused = request.do == "pause"
-        if paused != mission.paused:  # who asks a hundred times a second is told of once
-            mission.pause(paused)
-            service.event(f"mission: {request.do}d", now_ns)
+        service.pause(request.do == "pause", now_ns)
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {
         **answer_of(service.status, facts_of(service.mission)),

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.loop.latency import LatencyReport
+from edge.loop.journal import Input
+from edge.loop.latency import LatencyReport, Span
 from edge.mission.brief import Brief
 from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
@@ -88,8 +89,9 @@ class TickResult:
 
     What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
     `instances`, `frontiers`, `candidates` and `way` say the same from their first call on;
-    `known_m2`, `snapshot`, `layers`, `latency` and `health` tell how things stand at each. Only
-    `snapshot`, `latency` and what `layers` holds may be called at other times, by another thread.
+    `known_m2`, `snapshot`, `layers`, `latency`, `spans` and `health` tell how things stand at each.
+    Only `snapshot`, `latency`, `spans` and what `layers` holds may be called at other times, by
+    another thread.
 
     Attributes:
         now_ns: the loop's time.
@@ -100,6 +102,7 @@ class TickResult:
         controlled: whether a controller answers.
         targets: of the mission.
         goals: that went out since the result before; so `answers` that came, and `events`.
+        inputs: what came into the loop from beside it, likewise.
         detections: what came in, with its frame, valid until `Sink.tick` returns; None: nothing.
         mission: the mission's state, plan and story.
         instances: those of all targets that are worth driving to, best first a target; one that
@@ -111,7 +114,7 @@ class TickResult:
         known_m2: area that was seen.
         snapshot: a copy of the map; see `edge.mapping.grid.RollingMap.snapshot`.
         layers: by name what makes a copy of a layer of the map, uint8, 0 where it says nothing.
-        latency: see `edge.loop.latency.LatencyRing.report`.
+        latency: see `edge.loop.latency.LatencyRing.report`; `spans`: see `LatencyRing.spans`.
         health: of loop, checkpoint, detector, swap and scorers, JSON-ready.
     """
 
@@ -126,6 +129,7 @@ class TickResult:
     goals: tuple[Goal, ...]
     answers: tuple[GoalStatus, ...]
     events: tuple[Event, ...]
+    inputs: tuple[Input, ...]
     detections: Detections | None
     mission: Callable[[], MissionFacts]
     instances: Callable[[], list[Instance]]
@@ -137,13 +141,16 @@ class TickResult:
     snapshot: Callable[..., Grid]
     layers: Callable[[], dict[str, Callable[[], Grid]]]
     latency: Callable[..., LatencyReport]
+    spans: Callable[..., list[Span]]
     health: Callable[[], dict[str, Any]]
 
 
 class Sink(Protocol):
     """Takes results. Its methods never block; what they raise is counted and costs no one else.
 
-    One with a thread of its own may have `stats` (`edge.host.worker.Stats`), for `/metrics`.
+    It may have a method `status()`: what it returns, JSON-ready, is shown in the service's status
+    under the class's name. One with a thread of its own may have `stats`
+    (`edge.host.worker.Stats`), for `/metrics`.
     """
 
     def tick(self, result: TickResult) -> None:

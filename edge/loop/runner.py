@@ -133,7 +133,7 @@ def _lockstep(running: Running, stop: threading.Event) -> Iterator[None]:
         if observation is not None:
             _tick(running, observation, now_ns)
         elif time.monotonic() - seen_s > (limit_s := running.service.config.mission.time_limit_s):
-            running.service.mission.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
+            running.service.fail(f"nothing to be seen for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
 

@@ -154,7 +154,17 @@ class Scorers:
             if to_choose is None
             else ScorerWorker("choice", to_choose, rest_s, inline or self._by_prior)
         )
-        self._workers = [w for w in (self._similarity, self._choice) if w is not None]
+
+    @property
+    def _workers(self) -> list[ScorerWorker]:
+        return [w for w in (self._similarity, self._choice) if w is not None]
+
+    def through(self, beside: Callable[[str, Any], Any]) -> None:
+        """Let what the workers are asked and find pass through `beside`."""
+        if self._similarity is not None:
+            self._similarity = beside("similarity", self._similarity)
+        if self._choice is not None:
+            self._choice = beside("choice", self._choice)
 
     def ask(
         self,
@@ -315,11 +325,17 @@ def sightings(
     return tuple(sorted(told_of, key=lambda sighting: sighting.distance_m)[:MAX_SIGHTINGS])
 
 
-def make_scorers(config: Config, targets: Sequence[str]) -> Scorers | None:
+def make_scorers(
+    config: Config,
+    targets: Sequence[str],
+    make_similarity: Callable[..., SimilarityScorer] = make_similarity,
+    make_choice: Callable[..., ViewScorer] = make_choice,
+) -> Scorers | None:
     """The scorers that the configuration names; None where there are none.
 
     Args:
         targets: of the mission to begin with.
+        make_similarity, make_choice: load the models.
 
     Raises:
         ModelError: a card or a model is missing or unusable.

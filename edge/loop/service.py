@@ -21,6 +21,7 @@ from edge.loop import stages
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
+from edge.loop.journal import DETECTOR, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.places import Now, Parts, restore
@@ -63,6 +64,7 @@ class Service:
         overruns: by what is listened to, how often more came than could be taken.
         calibration: of this computer, for the budgets; None: they are the reference computer's.
         idle: the mission is not begun: the robot stands until one is asked for.
+        journal: notes what comes in from beside the loop.
 
     Attributes:
         mission: the one under way, or the last one.
@@ -90,8 +92,10 @@ class Service:
         overruns: Callable[[], dict[str, int]] = dict,
         calibration: Calibration | None = None,
         idle: bool = False,
+        journal: Journal | None = None,
     ) -> None:
         self.config = config
+        self._journal = journal = journal or Journal()
         self.keeper, self.overruns = keeper, overruns
         self.grid = RollingMap(config.mapping)
         self._seen_map = MapView(self.grid)
@@ -110,13 +114,16 @@ class Service:
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
         self._prior = make_prior(config)
+        for part in (self._surveyor, self._prior, scorers):
+            if part is not None:
+                part.through(journal.beside)
         self.faults = Faults(self.event)
         self.stage = INGEST
-        self._worker = worker
+        self._worker = journal.beside(DETECTOR, worker)
         self._scorers = scorers
         self.swapper = Swapper(config.perception, worker, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, scorers, keeper, self.faults, overruns, self.event
+            worker, self.swapper, scorers, keeper, self.faults, overruns, self.event, sinks
         )
         self._lifter = Lifter(config.perception)
         self._changed = NOTHING_CHANGED
@@ -125,6 +132,7 @@ class Service:
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
         self._looked_ns = 0  # when the last observation was dealt with
+        self._images = 0  # that were looked for things in, as of this tick
         self.blind_s = max(BLIND_S, 3.0 / config.observed_hz)
         self._newest_seq = self._void_seq = -1
         self.past: deque[dict[str, str]] = deque(maxlen=_PAST)
@@ -133,6 +141,8 @@ class Service:
         if idle:
             self.mission.wait()
             self.goals.driving = True  # a controller may have a goal of a service before this one
+        saved = None if keeper is None else keeper.saved
+        journal.note("start", translation=brief.translation, saved=saved, idle=idle)
         self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
@@ -149,6 +159,7 @@ class Service:
 
         A tick that raises is as good as none: no one has looked.
         """
+        self._journal.note("tick", now_ns=now_ns)
         self.stage = DETECT
         pose = self.pose = observation.pose
         self.stamp_ns = observation.stamp_ns
@@ -163,6 +174,8 @@ class Service:
         self._map(observation, pose, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
+        self._images = self._worker.stats.done
+        self._journal.note("images", done=self._images)
         if self._prior is not None:
             self._prior.step(self._seen_map, self.sightings.shown, now_ns)
         self._lap(LIFT)
@@ -307,7 +320,7 @@ class Service:
         if self._surveyor is not None:
             self._surveyor.step(mission, self.grid, self.tracker, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
-            self.goals.judge(self.grid, pose, mission, self._worker.stats.done, now_ns)
+            self.goals.judge(self.grid, pose, mission, self._images, now_ns)
             if self.goals.exhausted:
                 mission.give_up(self.goals.why_in_vain(mission, self.grid), now_ns)
         mission.check_limits(now_ns)
@@ -331,7 +344,7 @@ class Service:
         if self.mission.done or self.mission.paused:
             self.goals.rest()
             return None
-        return self.goals.choose(self._context, self.grid, self.scores, self._worker.stats.done)
+        return self.goals.choose(self._context, self.grid, self.scores, self._images)
 
     def _publish(self, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -343,7 +356,9 @@ class Service:
         try:
             self._health.look(now_ns)
             self._keep(now_ns)
-            self._publisher.publish(self.result(now_ns, observation), self.faults)
+            result = self.result(now_ns, observation)
+            self._journal.pending.clear()
+            self._publisher.publish(result, self.faults)
         finally:
             self._publisher.let_go()
 
@@ -380,6 +395,7 @@ class Service:
         mission = MissionRun(brief, self.config.mission, self._step_taken, id)
         self._worker.set_prompts(brief.targets)
         self._remember(self.mission)
+        self._journal.note("mission", translation=brief.translation, id=id, now_ns=now_ns)
         self.mission = mission
         self._keep_values()
         self._forget_tried()
@@ -412,6 +428,7 @@ class Service:
                 detector runs already.
             policy: of this configuration; the present one where its settings are the same.
         """
+        self._journal.note("config", config=config)
         if config.value_source != self.config.value_source:
             self.grid.values.begin(())  # what another scorer said means something else
         self.config, self.policy = config, policy
@@ -424,8 +441,22 @@ class Service:
             self._scorers.feeds = config.value_source
         self._keep_values()
 
+    def pause(self, paused: bool, now_ns: int) -> None:
+        """Have the robot stand where it is, or go on."""
+        if paused == self.mission.paused:  # who asks a hundred times a second is told of once
+            return
+        self.mission.pause(paused)
+        self._journal.note("pause", paused=paused, now_ns=now_ns)
+        self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
+
+    def fail(self, reason: str, now_ns: int) -> None:
+        """End the mission."""
+        self._journal.note("fail", reason=reason, now_ns=now_ns)
+        self.mission.fail(reason, now_ns)
+
     def goal_answered(self, answer: GoalStatus) -> None:
         """The controller said something about a goal; answers to old goals are void."""
+        self._journal.note("answer", answer=answer)
         self._publisher.answers.append(answer)
         self.goals.answered(answer)
 
@@ -440,6 +471,7 @@ class Service:
         blind = self.pose is not None and now_ns - self._looked_ns > 1e9 * self.blind_s
         if blind and pose is not None:
             self.pose = pose
+        self._journal.note("idle", now_ns=now_ns, pose=pose if blind else None)
         looking = self.pose is not None and not blind
         try:
             self.mission.observe(self.pose, now_ns, looking)
@@ -462,6 +494,7 @@ class Service:
         What the detector still finds in images of before is void as well. The robot is told to
         stand, unless the next tick finds a goal in the new frame.
         """
+        self._journal.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
         self.epoch += 1
         self.grid = RollingMap(self.config.mapping)
@@ -541,6 +574,7 @@ class Service:
             goals=tuple(news.goals),
             answers=tuple(news.answers),
             events=tuple(news.events),
+            inputs=tuple(self._journal.pending),
             detections=news.detections,
             mission=cache(partial(facts_of, self.mission)),
             instances=cache(
@@ -554,6 +588,7 @@ class Service:
             snapshot=grid.snapshot,
             layers=self._layers,
             latency=self.latency.report,
+            spans=self.latency.spans,
             health=self._health.status,
         )
 

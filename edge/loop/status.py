@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from edge.loop.faults import DEGRADED_AFTER, Faults
 from edge.loop.keeper import Keeper
-from edge.loop.result import MissionFacts, TickResult
+from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.perception.detector import Health
 from edge.perception.swap.swapper import Swapper
@@ -58,6 +58,7 @@ def status_of(result: TickResult) -> dict[str, object]:
         "detector": health["detector"],
         "swap": health["swap"],
         "scorers": health["scorers"],
+        "sinks": health["sinks"],
     }
 
 
@@ -67,6 +68,7 @@ class HealthWatch:
     Args:
         overruns: by what is listened to, how often more came than could be taken.
         event: tells of something that a person would want to know.
+        sinks: those that have a `status()` are asked for it.
     """
 
     def __init__(
@@ -78,10 +80,12 @@ class HealthWatch:
         faults: Faults,
         overruns: Callable[[], dict[str, int]],
         event: Callable[[str, int], None],
+        sinks: Sequence[Sink] = (),
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
         self._event = event
+        self._sinks = [sink for sink in sinks if hasattr(sink, "status")]
         self._degraded = False  # the detector is known to be, and that was told
 
     def look(self, now_ns: int) -> None:
@@ -109,6 +113,7 @@ class HealthWatch:
             },
             "swap": self._swapper.status(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
+            "sinks": {type(sink).__name__: sink.status() for sink in self._sinks},
         }
 
 

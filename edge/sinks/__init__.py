@@ -12,7 +12,12 @@ from edge.config import Config
 from edge.config.named import find_named
 from edge.loop.result import Sink
 
-REGISTRY = {"zenoh": "edge.sinks.zenoh:ZenohSink", "ros2": "edge.sinks.ros2:Ros2Sink"}
+REGISTRY = {
+    "zenoh": "edge.sinks.zenoh:ZenohSink",
+    "ros2": "edge.sinks.ros2:Ros2Sink",
+    "mcap": "edge.sinks.mcap:McapSink",
+    "foxglove": "edge.sinks.foxglove:FoxgloveSink",
+}
 """Imported only where they are named: a sink may need packages of its own."""
 
 

@@ -7,11 +7,9 @@ source, it hears them.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import zenoh
 
 from edge.bus import topics
@@ -19,23 +17,17 @@ from edge.bus.ros2.node import Publisher, open_node
 from edge.bus.ros2.topics import LATCHED, SAID
 from edge.bus.session import declare_publisher
 from edge.bus.wire import markers, messages, transforms
-from edge.bus.wire.markers import Marker
 from edge.config import Config
-from edge.geometry import SE2, Grid
+from edge.geometry import Grid
 from edge.host.worker import Stats, Worker
 from edge.loop.result import TickResult
+from edge.sinks.drawings import Way, markers_of
 from edge.sinks.navigate import Navigator
 from edge.sinks.pace import Pace
-from edge.types import Goal, GoalStatus, Instance
+from edge.types import Goal, GoalStatus
 
 DRAWN_HZ = 1.0
-WAY_POSES, WAY_APART_M = 2000, 0.1
 _CLOSE_S = 1.0
-_FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
-_THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
-_REFUTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
-_GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
-_WORDS: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
 
 
 class Ros2Sink:
@@ -56,7 +48,7 @@ class Ros2Sink:
             action = settings.topic("navigate_to_pose")
             self._navigator = Navigator(self._node, action, self._frame, self._tell)
         self._unheard: Goal | None = None
-        self._way = Way(WAY_POSES, WAY_APART_M)
+        self._way = Way()
         self._driving = False
         self._pace = Pace(map=config.report.map_hz, drawings=DRAWN_HZ)
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
@@ -138,49 +130,3 @@ class Ros2Sink:
 
 def _encode_map(stamp_ns: int, take: Callable[[], Grid], frame_id: str) -> bytes:
     return messages.encode_occupancy_grid(stamp_ns, take(), frame_id)
-
-
-class Way:
-    """Where the robot has been: the last poses, some way apart, in a preallocated ring."""
-
-    def __init__(self, capacity: int, apart_m: float) -> None:
-        self._poses = np.zeros((capacity, 3))
-        self._apart_m = apart_m
-        self._n = 0
-
-    def add(self, pose: SE2) -> None:
-        if self._n:
-            last = self._poses[(self._n - 1) % len(self._poses)]
-            if math.hypot(pose.x_m - last[0], pose.y_m - last[1]) < self._apart_m:
-                return
-        self._poses[self._n % len(self._poses)] = pose.x_m, pose.y_m, pose.yaw_rad
-        self._n += 1
-
-    def poses(self) -> np.ndarray:
-        """(n, 3) x, y, yaw, oldest first: a copy."""
-        first = self._n % len(self._poses)
-        if self._n <= len(self._poses):
-            return self._poses[: self._n].copy()
-        return np.roll(self._poses, -first, axis=0)
-
-
-def markers_of(
-    frontiers_m: np.ndarray, instances: list[Instance], goal: Goal | None
-) -> list[Marker]:
-    """What there is to draw: frontiers as spheres, things as cubes with their names, the goal."""
-    drawn = []
-    if len(frontiers_m):
-        points = np.zeros((len(frontiers_m), 3))
-        points[:, :2] = frontiers_m
-        drawn.append(
-            Marker("frontiers", 0, markers.SPHERE_LIST, (0.1,) * 3, _FRONTIER, points_m=points)
-        )
-    for i, thing in enumerate(instances):
-        x, y, z = map(float, thing.center_m)
-        colour = _REFUTED if thing.state == "refuted" else _THING
-        at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
-        drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
-        drawn.append(Marker("names", i, markers.TEXT, (0.0, 0.0, 0.2), _WORDS, at, z + 0.4, words))
-    if goal is not None:
-        drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, goal.pose, 0.1))
-    return drawn

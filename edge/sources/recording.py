@@ -1,7 +1,7 @@
-"""Recordings of what the sensors sent, as MCAP: made, and played as if it were live.
+"""Recordings of what goes over the bus, as MCAP: made, and played as if it were live.
 
 The messages are stored as they were on the wire (CDR with `ros2msg` schemas, JSON), so that
-Foxglove and the ROS 2 tools open them. A file appears under its name only when it is complete.
+Foxglove and the ROS 2 tools open them.
 """
 
 from __future__ import annotations
@@ -15,85 +15,31 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 import zenoh
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 
 from edge.bus import topics
 from edge.bus.session import Ring, declare_publisher, open_session, zenoh_session
 from edge.bus.topics import Topic
-from edge.bus.wire import DecodeError, schemas
+from edge.bus.wire import DecodeError
 from edge.bus.wire.cdr import HEADER, STAMP
 from edge.bus.wire.messages import peek_stamp_ns
 from edge.config import Config, Zenoh, load
-from edge.errors import FileError, UnavailableError, UserError
+from edge.errors import UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.files import open_regular
 from edge.host.signals import stop_on_signals
+from edge.recording.channels import of_topic
+from edge.recording.file import McapFile, RecordingError
 from edge.text import one_line
 
-_CHUNK_BYTES = 2 << 20
 _RING = 64
 _PAUSE_S = 0.002
+_SYNC_S = 2.0
 _TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
-_ANY_OBJECT = b'{"type": "object"}'
-
-
-class RecordingError(FileError):
-    """A recording that cannot be written or played; one line."""
-
-
-class McapFile:
-    """Writes one recording: a context manager, complete and in place when it ends without error."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self.messages = 0
-        self._partial = self.path.with_name(self.path.name + ".partial")
-        self._channels: dict[str, int] = {}
-
-    def __enter__(self) -> McapFile:
-        try:
-            self._file = open(self._partial, "wb")
-        except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="edge")
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        with self._file:
-            if kind is None:
-                self._writer.finish()
-        if kind is None:
-            os.replace(self._partial, self.path)
-        else:
-            self._partial.unlink()
-
-    def add(self, topic: Topic, log_ns: int, stamp_ns: int, payload: bytes) -> None:
-        """One message: when it was heard (or made), its stamp, and its bytes."""
-        channel = self._channels.get(topic.key)
-        if channel is None:
-            channel = self._channels[topic.key] = self._register(topic)
-        self._writer.add_message(channel, log_time=log_ns, data=payload, publish_time=stamp_ns)
-        self.messages += 1
-
-    def _register(self, topic: Topic) -> int:
-        if topic.type == "json":
-            schema = self._writer.register_schema(topic.key, "jsonschema", _ANY_OBJECT)
-            return self._writer.register_channel(f"/{topic.key}", "json", schema)
-        name, text = schemas.full_name(topic.type), schemas.schema_text(topic.type)
-        schema = self._writer.register_schema(name, "ros2msg", text.encode())
-        return self._writer.register_channel(f"/{topic.key}", "cdr", schema)
 
 
 def record_messages(
@@ -104,9 +50,9 @@ def record_messages(
     Returns:
         How many messages were written.
     """
-    with McapFile(path) as file:
+    with McapFile(path, "zstd") as file:
         for topic, stamp_ns, payload in messages:
-            file.add(topic, stamp_ns, stamp_ns, payload)
+            file.add(of_topic(topic), stamp_ns, stamp_ns, payload)
     return file.messages
 
 
@@ -121,20 +67,33 @@ def record(
 
     Returns:
         How many messages were written.
+
+    Raises:
+        RecordingError: the file cannot be written. What was heard before is in `NAME.partial`,
+            as it is where this process is killed.
     """
     stop = stop or threading.Event()
     rings = [(topic, Ring(session, config.zenoh.key(topic.key), _RING)) for topic in topics.ALL]
     deadline_s = time.monotonic() + duration_s
+    sync_s = time.monotonic() + _SYNC_S
+    file = McapFile(path, "zstd")
     try:
-        with McapFile(path) as file:
-            while not stop.is_set() and time.monotonic() < deadline_s:
-                for topic, ring in rings:
-                    for sample in ring.take():
-                        now_ns = time.time_ns()
-                        payload = sample.payload.to_bytes()
-                        file.add(topic, now_ns, _stamp_of(topic, payload, now_ns), payload)
-                stop.wait(_PAUSE_S)
+        file.open()
+        while not stop.is_set() and time.monotonic() < deadline_s:
+            for topic, ring in rings:
+                for sample in ring.take():
+                    now_ns = time.time_ns()
+                    payload = sample.payload.to_bytes()
+                    stamp_ns = _stamp_of(topic, payload, now_ns)
+                    file.add(of_topic(topic), now_ns, stamp_ns, payload)
+            if time.monotonic() >= sync_s:
+                sync_s = time.monotonic() + _SYNC_S
+                file.sync()
+            stop.wait(_PAUSE_S)
+        file.finish()
         return file.messages
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
     finally:
         for _, ring in rings:
             ring.close()
@@ -171,7 +130,9 @@ def read(path: str | os.PathLike[str]) -> Iterator[Recorded]:
         raise RecordingError(f"{path}: {error.strerror}") from None
     except (McapError, EOFError, ValueError) as error:
         detail = one_line(error, 120) or type(error).__name__
-        raise RecordingError(f"{path}: not a complete MCAP file: {detail}") from None
+        raise RecordingError(
+            f"{path}: not a complete MCAP file: {detail}; `edge recover` makes one of it"
+        ) from None
 
 
 class Played(NamedTuple):

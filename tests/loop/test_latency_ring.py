@@ -248,3 +248,29 @@ def test_an_abandoned_tick_makes_the_interval_longer_and_is_in_no_histogram():
     found = ring.histograms()
     assert sum(found.tick.counts) == 2
     assert (sum(found.interval.counts), found.interval.sum_s) == (1, pytest.approx(0.06))
+
+
+def test_spans_of_nothing():
+    assert LatencyRing().spans() == []
+
+
+def test_spans_follow_each_other_as_they_ran():
+    ring = LatencyRing(capacity=2)
+    for k in range(3):
+        begin_ns = 1000 * k
+        ring.begin_tick(begin_ns)
+        ring.mark(INGEST, begin_ns + 100)
+        ring.mark(MAP, begin_ns + 300)
+        ring.span(DETECT, 250)
+        ring.mark(LIFT, begin_ns + 350)
+        ring.end_tick(begin_ns + 400)
+    expected = [
+        ("tick", 0, 400, True), ("ingest", 0, 100, True), ("map", 100, 200, True),
+        ("lift", 300, 50, True),
+    ]  # fmt: skip
+    newest = [(name, at + 2000, took, inside) for name, at, took, inside in expected]
+    older = [(name, at + 1000, took, inside) for name, at, took, inside in expected]
+    beside = [("detect", 1300 - 250, 250, False), ("detect", 2300 - 250, 250, False)]
+    assert ring.spans() == older + newest + beside
+    assert ring.spans(after_ns=1300) == newest + beside[1:]
+    assert ring.spans(before_ns=1300) == older + beside[:1]

@@ -75,7 +75,10 @@ def made(sinks: list[object]) -> list[Sink]:
 @pytest.mark.parametrize(
     ("sinks", "said"),
     [
-        (["zenho"], r"sinks\.0\.kind: unknown 'zenho' \(choices: zenoh, ros2, or module:Class\)"),
+        (
+            ["zenho"],
+            r"sinks\.0\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, foxglove, or m",
+        ),
         (["zenoh", "nowhere:Sink"], r"sinks\.1\.kind: 'nowhere:Sink': ModuleNotFoundError: .*PATH"),
         (["edge.sinks:Sinkk"], r"sinks\.0\.kind: 'edge.sinks:Sinkk': AttributeError"),
         ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options: .*'hz'"),

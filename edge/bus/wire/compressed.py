@@ -13,7 +13,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from edge.bus.wire.cdr import DecodeError, Reader
+from edge.bus.wire.cdr import U32, DecodeError, Reader, Writer
 from edge.bus.wire.images import M_PER_MM
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -86,6 +86,14 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
         raise DecodeError(f"compressed image {words[:40]!r} of {bits} bits a channel")
     is_rgb = "compressed rgb" in words
     return CompressedHeader(stamp_ns, frame_id, height, width, content, begin, end, a, b, is_rgb)
+
+
+def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> bytes:
+    """sensor_msgs/CompressedImage of (h, w, 3) uint8 RGB."""
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    _, jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    writer = Writer().header(stamp_ns, frame_id).string("jpeg").write(U32, 4, len(jpeg))
+    return writer.bytes(memoryview(jpeg.reshape(-1)))
 
 
 def _size_of(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""Numba kernels of the decoders. They know arrays only."""
+"""Numba kernels of the codecs. They know arrays only."""
 
 from __future__ import annotations
 
@@ -105,8 +105,25 @@ def scan_points(
     return n
 
 
+@njit(nogil=True, cache=True)
+def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
+    """Whether depth is exactly so many thousandths of a metre everywhere, as a camera's is.
+
+    Args:
+        depth_m: (n,) float32.
+        out_mm: (n,) uint16, so many: times float32(0.001) they are `depth_m`, where it is.
+    """
+    others = 0
+    for i in range(len(depth_m)):  # without a branch it is done eight pixels at a time
+        mm = np.int32(depth_m[i] * np.float32(1000.0) + np.float32(0.5)) & np.int32(0xFFFF)
+        others += np.float32(mm) * np.float32(0.001) != depth_m[i]
+        out_mm[i] = mm
+    return others == 0
+
+
 def warmup() -> None:
-    """Compile both kernels for what the decoders hand them (a payload is read-only)."""
+    """Compile the kernels for what the codecs hand them (a payload is read-only)."""
+    exact_millimetres(np.zeros(1, np.float32), np.zeros(1, np.uint16))
     points_m = np.zeros((2, 3), np.float32)
     ranges_m = np.frombuffer(bytes(8), np.float32)
     cloud = np.frombuffer(bytes(24), np.uint8)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from edge.bus.wire.cdr import HEADER, U32, DecodeError, Reader, Writer
-from edge.geometry import se3_from_quaternion
+from edge.geometry import quaternion_of, se3_from_quaternion
 
 _TRANSFORM = struct.Struct("<7d")
 _SMALLEST = 12 + 1 + _TRANSFORM.size  # bytes of one transform
@@ -33,6 +34,15 @@ def decode_transforms(payload: bytes) -> list[Transform]:
     if count > min(MOST_TRANSFORMS, len(payload) // _SMALLEST):
         raise DecodeError(f"{count} transforms in {len(payload)} bytes")
     return [_read_transform(reader) for _ in range(count)]
+
+
+def encode_transforms(transforms: Sequence[Transform]) -> bytes:
+    """tf2_msgs/TFMessage."""
+    writer = Writer().write(U32, 4, len(transforms))
+    for t in transforms:
+        writer.header(t.stamp_ns, t.parent).string(t.child)
+        writer.write(_TRANSFORM, 8, *t.T[:3, 3], *quaternion_of(t.T))
+    return writer.bytes()
 
 
 def _read_transform(reader: Reader) -> Transform:

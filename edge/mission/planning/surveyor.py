@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +30,10 @@ class Surveyor:
     def __init__(self, inline: bool) -> None:
         self._worker = Worker("surveyor", lambda survey: survey(), inline=inline)
         self._asked_ns: int | None = None
+
+    def through(self, beside: Callable[[str, Any], Any]) -> None:
+        """Let what the worker is asked and finds pass through `beside`."""
+        self._worker = beside("surveyor", self._worker)
 
     def step(
         self,

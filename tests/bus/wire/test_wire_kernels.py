@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from edge.bus.wire import kernels
 
@@ -45,3 +47,32 @@ def test_scan_points(n):
     out = np.zeros((max(n, 1), 3), np.float32)
     kept = kernels.scan_points(ranges, -3.0, 0.01, 0.2, 10.0, out)
     np.testing.assert_allclose(out[:kept], expected, atol=1e-5)
+
+
+def plain_millimetres(depth_m):
+    with np.errstate(invalid="ignore"):
+        mm = np.rint(depth_m.astype(np.float64) * 1000.0)
+        fits = (mm >= 0) & (mm <= 65535)
+        mm = np.where(fits, mm, 0).astype(np.uint16)
+    return bool(np.array_equal(mm * np.float32(0.001), depth_m)), mm
+
+
+def test_every_millimetre_is_exact():
+    mm = np.arange(65536, dtype=np.uint16)
+    out = np.zeros_like(mm)
+    assert kernels.exact_millimetres(np.zeros(0, np.float32), out[:0])
+    assert kernels.exact_millimetres(mm * np.float32(0.001), out)
+    np.testing.assert_array_equal(out, mm)
+
+
+@given(st.lists(st.one_of(
+    st.integers(0, 65535).map(lambda mm: np.float32(mm) * np.float32(0.001)),
+    st.floats(width=32),
+), max_size=8))  # fmt: skip
+def test_millimetres_agree_with_numpy(depth):
+    depth_m = np.array(depth, np.float32)
+    out = np.zeros(len(depth_m), np.uint16)
+    exact, mm = plain_millimetres(depth_m)
+    assert kernels.exact_millimetres(depth_m, out) == exact
+    if exact:
+        np.testing.assert_array_equal(out, mm)

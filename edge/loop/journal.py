@@ -1,0 +1,84 @@
+"""What comes into the loop from beside it, in order.
+
+With the observations it decides all that the loop does: a service that is given the same again
+does the same again (`edge.recording.replay`).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple, Protocol
+
+DETECTOR = "detector"
+_KEPT = 4096  # of what came between two results, the newest
+
+
+class Input(NamedTuple):
+    """One thing that came.
+
+    Attributes:
+        n: counts them from 0, so that a gap is seen.
+        kind: what it is, and with it which `fields` there are: see docs/recording.md.
+    """
+
+    n: int
+    kind: str
+    fields: dict[str, Any]
+
+
+class Beside(Protocol):
+    """What the loop knows of a worker beside it; see `edge.host.worker.Worker`."""
+
+    @property
+    def idle(self) -> bool: ...
+
+    def submit(self, item: Any) -> None: ...
+
+    def poll(self) -> Any: ...
+
+    def forget(self) -> None: ...
+
+    def close(self) -> object: ...
+
+
+class Journal:
+    """Notes all that comes in; for one thread, the loop's.
+
+    Attributes:
+        pending: since the last result; bounded, however long ago that is.
+    """
+
+    def __init__(self) -> None:
+        self.pending: deque[Input] = deque(maxlen=_KEPT)
+        self._n = 0
+
+    def note(self, kind: str, **fields: Any) -> None:
+        """Something came. What is given is kept as it is, and must not change any more."""
+        self.pending.append(Input(self._n, kind, fields))
+        self._n += 1
+
+    def beside(self, name: str, worker: Any) -> Any:
+        """A worker with the same interface, of which is noted when it was asked, and what it found
+        when the loop took it up."""
+        return _Noted(name, worker, self)
+
+
+class _Noted:
+    """See `Journal.beside`."""
+
+    def __init__(self, name: str, worker: Any, journal: Journal) -> None:
+        self._name, self._worker, self._journal = name, worker, journal
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._worker, name)
+
+    def submit(self, item: Any) -> None:
+        if self._name != DETECTOR:  # which is handed every image
+            self._journal.note("asked", worker=self._name)
+        self._worker.submit(item)
+
+    def poll(self) -> Any:
+        found = self._worker.poll()
+        if found is not None:
+            self._journal.note("found", worker=self._name, what=found)
+        return found

@@ -1,0 +1,162 @@
+"""What stands beside the loop in a replay: workers that say what they said, when they said it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from edge.loop.journal import Input, Journal
+from edge.perception.detector import Detector, Health
+from edge.recording import journal
+from edge.recording.file import RecordingError
+from edge.types import Detections, Observation
+
+_MOST_FRAMES = 256  # that wait for their detections
+
+
+class Silent:
+    """Stands where a model was: what it said is in the recording."""
+
+    prompts: tuple[str, ...] = ()
+    invalid_boxes = 0
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def set_prompts(self, prompts: Sequence[str]) -> None:
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation: Observation) -> Detections:
+        raise AssertionError("a replay does not ask")
+
+    look = answer = score = detect
+
+    def health(self) -> Health:
+        return Health()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@dataclass
+class Now:
+    """What was asked and found beside the loop in the tick that is replayed, and what of it is
+    known of earlier ones.
+
+    Attributes:
+        frames: observations that detections may still be of, by number.
+        pictures: of those, whose pictures were recorded.
+    """
+
+    asked: set[str] = field(default_factory=set)
+    found: dict[str, dict[str, Any]] = field(default_factory=dict)
+    frames: dict[int, Observation] = field(default_factory=dict)
+    pictures: set[int] = field(default_factory=set)
+
+    def begin(self, entries: Sequence[Input]) -> None:
+        self.asked = {e.fields["worker"] for e in entries if e.kind == "asked"}
+        self.found = {
+            e.fields["worker"]: e.fields["what"] for e in entries if e.kind == "found"
+        }  # fmt: skip
+
+    def see(self, observation: Observation, picture: bool) -> None:
+        self.frames[observation.seq] = observation
+        if picture:
+            self.pictures.add(observation.seq)
+        if len(self.frames) > _MOST_FRAMES:
+            self._forget(next(iter(self.frames)))
+
+    def frame(self, seq: int) -> Observation:
+        """The one of this number, where no earlier one is asked for any more."""
+        for old in [old for old in self.frames if old < seq]:
+            self._forget(old)
+        if seq not in self.frames:
+            raise RecordingError(f"detections of frame {seq}, which is not in the recording")
+        return self.frames[seq]
+
+    def _forget(self, seq: int) -> None:
+        del self.frames[seq]
+        self.pictures.discard(seq)
+
+
+class _Beside:
+    """Stands for a worker: asked when it was asked, and found when it was found."""
+
+    def __init__(
+        self, name: str, worker: Any, now: Now, take_up: Callable[[dict[str, Any], Any], Any]
+    ) -> None:
+        self._name, self._worker, self._now, self._take_up = name, worker, now, take_up
+        # An answer may come after the next question was asked, in one tick.
+        self._asked: deque[Any] = deque(maxlen=2)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._worker, name)
+
+    @property
+    def idle(self) -> bool:
+        return self._name in self._now.asked
+
+    def submit(self, item: Any) -> None:
+        self._asked.append(item)
+
+    def poll(self) -> Any:
+        said = self._now.found.get(self._name)
+        return None if said is None else self._take_up(said, self._asked)
+
+    def forget(self) -> None:
+        self._asked.clear()
+
+
+class Replayed(Journal):
+    """Puts what was recorded in the place of what runs beside the loop.
+
+    Args:
+        anew: a detector that looks at the recorded pictures instead; None: there is none.
+        own: workers that are to work.
+    """
+
+    def __init__(self, now: Now, anew: Detector | None, own: Sequence[str]) -> None:
+        super().__init__()
+        self.unseen = 0
+        self._now, self._anew, self._own = now, anew, own
+        self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
+            "detector": self._detections,
+            "surveyor": lambda said, asked: journal.distances_of(said),
+            "prior": lambda said, asked: journal.rooms_of(said),
+            "similarity": self._similarity,
+            "choice": self._choice,
+        }
+
+    def beside(self, name: str, worker: Any) -> Any:
+        if name in self._own:
+            return worker
+        return _Beside(name, worker, self._now, self._take_up[name])
+
+    def _detections(self, said: dict[str, Any], asked: Any) -> Detections | None:
+        observation = self._now.frame(said["seq"])
+        if self._anew is None:
+            return journal.detections_of(said, observation)
+        if said["seq"] not in self._now.pictures:
+            self.unseen += 1
+            return None
+        return self._anew.detect(observation)
+
+    def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+        similarity = journal.similarity_of(said)
+        question = _question(asked, similarity.stamp_ns)
+        return None if question is None else (question, similarity)
+
+    def _choice(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
+        """None where the question was another, as other settings may have made it."""
+        choice = journal.choice_of(said)
+        question = _question(asked, choice.stamp_ns)
+        if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
+            return None
+        return question, choice
+
+
+def _question(asked: Iterable[Any], stamp_ns: int) -> Any:
+    """The one about the observation of this stamp; None: it was not asked."""
+    return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)

@@ -1,0 +1,105 @@
+"""What a recording's channels are called, and the schemas that Foxglove and ROS 2 know them by."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+from edge.bus import topics
+from edge.bus.topics import Topic
+from edge.bus.wire import schemas
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel of an MCAP file or of a Foxglove server."""
+
+    topic: str
+    encoding: Literal["cdr", "json"]
+    schema: str
+    schema_encoding: Literal["ros2msg", "jsonschema"]
+    schema_text: str
+
+
+def of_ros(topic: str, type_name: str) -> Channel:
+    """A channel of a ROS 2 message."""
+    text = schemas.schema_text(type_name)
+    return Channel(topic, "cdr", schemas.full_name(type_name), "ros2msg", text)
+
+
+def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
+    """A channel of JSON objects; without a schema, of any."""
+    text = json.dumps({"type": "object"} if schema is None else schema)
+    return Channel(topic, "json", name, "jsonschema", text)
+
+
+@cache
+def of_topic(topic: Topic) -> Channel:
+    """What goes over the bus, as it went."""
+    if topic.type == "json":
+        return of_json(f"/{topic.key}", topic.key)
+    return of_ros(f"/{topic.key}", topic.type)
+
+
+def _object(title: str, **properties: dict[str, Any]) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def _list(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+_INTEGER, _NUMBER, _TEXT = {"type": "integer"}, {"type": "number"}, {"type": "string"}
+_TIME = _object("time", sec=_INTEGER, nsec=_INTEGER)
+_POINT = _object("foxglove.Point2", x=_NUMBER, y=_NUMBER)
+_COLOUR = _object("foxglove.Color", r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_LOG = _object(
+    "foxglove.Log", timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT, file=_TEXT,
+    line=_INTEGER,
+)  # fmt: skip
+_OUTLINE = _object(
+    "foxglove.PointsAnnotation", timestamp=_TIME, type=_INTEGER, points=_list(_POINT),
+    outline_color=_COLOUR, outline_colors=_list(_COLOUR), fill_color=_COLOUR, thickness=_NUMBER,
+)  # fmt: skip
+_WORDS = _object(
+    "foxglove.TextAnnotation", timestamp=_TIME, position=_POINT, text=_TEXT, font_size=_NUMBER,
+    text_color=_COLOUR, background_color=_COLOUR,
+)  # fmt: skip
+_ANNOTATIONS = _object(
+    "foxglove.ImageAnnotations", circles=_list({"type": "object"}), points=_list(_OUTLINE),
+    texts=_list(_WORDS),
+)  # fmt: skip
+_JOURNAL = {
+    **_object(
+        "edge.Journal",
+        entries=_list(_object("edge.Entry", n=_INTEGER, kind=_TEXT)),
+        said=_object("edge.Said"),
+    ),
+    "required": ["entries"],
+    "description": "docs/recording.md",
+}
+
+PICTURE = of_ros("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
+DEPTH = of_topic(topics.DEPTH)
+CAMERA_INFO = of_topic(topics.CAMERA_INFO)
+CLOUD = of_topic(topics.CLOUD)
+ODOMETRY = of_topic(topics.ODOMETRY)
+TF = of_ros("/tf", "tf2_msgs/TFMessage")
+BOXES = of_json("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
+EVENTS = of_json("/events", "foxglove.Log", _LOG)
+GOAL, MAP, STATUS, LATENCY, MISSION, GOAL_STATUS = map(
+    of_topic,
+    (topics.GOAL, topics.MAP, topics.STATUS, topics.LATENCY, topics.MISSION, topics.GOAL_STATUS),
+)
+PATH = of_ros("/path", "nav_msgs/Path")
+MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
+SPANS = of_json("/spans", "edge.Spans")
+TOLD = (
+    PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
+    MISSION, GOAL_STATUS, PATH, MARKERS, SPANS,
+)  # fmt: skip
+"""What people look at; the journal beside them is for the replay."""
+
+JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)

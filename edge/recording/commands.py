@@ -1,0 +1,165 @@
+"""`edge replay`, `edge recover` and `edge trace`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from edge.config import load
+from edge.errors import FAILED, ConfigError, UnavailableError
+from edge.host.credentials import read_token
+from edge.host.files import save
+from edge.loop.latency import LatencyReport, Span
+from edge.loop.warmup import warm_up
+from edge.recording import channels, file
+from edge.recording.file import PARTIAL, RecordingError
+from edge.recording.replay import Outcome
+from edge.recording.replay import replay as replay_session
+from edge.recording.session import Session
+from edge.recording.trace import PAGE, trace_bytes
+from edge.text import aligned, one_line
+
+_PATIENCE_S = 10.0
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Handle `edge replay`; 1 where not the same was said, or not all could be compared.
+
+    Raises:
+        UserError: see `edge.recording.replay.replay`.
+    """
+    session = Session(args.file)
+    config = None if args.config is None else load(args.config)
+    warm_up(config or session.config())
+    outcome = replay_session(session, config, args.detect)
+    print(told(session, outcome))
+    return FAILED if outcome.differing or session.gap or not outcome.ticks else os.EX_OK
+
+
+def told(session: Session, o: Outcome) -> str:
+    """How a replay went, for people."""
+    files = f" and {len(session.files) - 1} more" if len(session.files) > 1 else ""
+    lines = [
+        f"{session.head.path}{files}: {o.ticks} ticks, {o.seconds:.1f} s, recorded by edge "
+        f"{session.head.edge}",
+        f"goals: {o.goals_then} then, {o.goals_now} now; ended {o.phase_then or '-'} then, "
+        f"{o.phase_now or '-'} now",
+    ]
+    if o.unseen:
+        lines.append(f"{o.unseen} images that were looked at then were not recorded: raise rgb_hz")
+    if o.ended:
+        lines.append(f"ends early: {o.ended}")
+    if o.first is None:
+        lines.append("the same, tick for tick" if o.ticks else "nothing in it to compare")
+    else:
+        at = o.first
+        lines.append(
+            f"differs in {o.differing} of {o.ticks} ticks, first in tick {at.tick} (stamp "
+            f"{at.stamp_ns}):"
+        )
+        lines.append(aligned([("", "then", "now"), *_differing(at.then, at.now)]))
+    if o.latency_then is not None and o.latency_now is not None:
+        lines += ["", latencies(o.latency_then, o.latency_now)]
+    return "\n".join(lines)
+
+
+def _differing(
+    then: dict[str, Any] | None, now: dict[str, Any] | None
+) -> Iterator[tuple[str, str, str]]:
+    for key in ("target", "phase", "goal", "sent"):
+        a, b = (None if said is None else said[key] for said in (then, now))
+        if a != b:
+            yield key, _shown(a), _shown(b)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join(map(_shown, value)) or "-"
+    if not isinstance(value, dict):
+        return "-" if value is None else one_line(value)
+    x_m, y_m, yaw_rad = value["pose"]
+    return (
+        f"{value['kind']} {value['id']} of {one_line(value['target'], 40)} at "
+        f"{x_m:.3f} {y_m:.3f} {yaw_rad:.3f}, score {value['score']:.6g}"
+    )
+
+
+def latencies(then: dict[str, Any], now: LatencyReport) -> str:
+    """What each stage took then and takes now; then is of the newest ticks that the ring held."""
+    rows = [("ms", "p50 then", "now", "p95 then", "now", "ratio")]
+    for row in now.rows:
+        before = then["tick"] if row.name == now.tick.name else then["stages"].get(row.name)
+        if before is None or not row.in_tick:
+            continue
+        ratio = f"{row.p50_ms / before['p50_ms']:.2f}" if before["p50_ms"] else "-"
+        cells = (before["p50_ms"], row.p50_ms, before["p95_ms"], row.p95_ms)
+        rows.append((row.name, *(f"{value:.3f}" for value in cells), ratio))
+    return aligned(rows, left=1)
+
+
+def recover(args: argparse.Namespace) -> int:
+    """Handle `edge recover`.
+
+    Raises:
+        RecordingError: it cannot be read, or nothing can be written.
+    """
+    path: Path = args.file
+    out = args.out or path.with_name(path.name.removesuffix(PARTIAL))
+    if args.out is None and out == path:
+        out = path.with_name(f"{path.stem}.recovered.mcap")
+    n, why = file.recover(path, out)
+    print(f"{out}: {n} messages; {path} was {why or 'complete'}")
+    return os.EX_OK
+
+
+def trace(args: argparse.Namespace) -> int:
+    """Handle `edge trace`.
+
+    Raises:
+        UserError: no such recording or service, or the file cannot be written.
+    """
+    if args.source.endswith((".mcap", PARTIAL)):
+        content = trace_bytes(spans_of(Path(args.source)))
+    else:
+        content = _asked(args.source)
+    save(args.out, content)
+    print(f"{args.out}: open it in https://ui.perfetto.dev")
+    return os.EX_OK
+
+
+def spans_of(path: Path) -> list[Span]:
+    """The spans of a recorded run, from this file on.
+
+    Raises:
+        RecordingError: see `edge.recording.session.head_of`; or there are none.
+    """
+    spans: list[Span] = []
+    for m in Session(path).messages():
+        if m.topic == channels.SPANS.topic:
+            spans += (Span(*span) for span in json.loads(m.payload)["spans"])
+    if not spans:
+        raise RecordingError(f"{path}: no tick in it")
+    return spans
+
+
+def _asked(name: str) -> bytes:
+    """The page of the running service of a configuration."""
+    http = load(name).http
+    if http.port is None:
+        raise ConfigError(f"{name}: http.port: not set, so that no service can be asked: set it")
+    headers = {}
+    if http.token_file is not None:
+        headers = read_token("http.token_file", http.token_file).header()
+    where = f"http://{http.host}:{http.port}{PAGE}"
+    try:
+        answer = httpx.get(where, headers=headers, timeout=_PATIENCE_S)
+        answer.raise_for_status()
+    except httpx.HTTPError as error:
+        raise UnavailableError(f"{where}: {one_line(error)}: is the service running?") from None
+    return answer.content

@@ -1,0 +1,289 @@
+"""MCAP files: a power cut costs the last seconds at most, and what is there can be read.
+
+A file appears under its name only when it is complete; until then it is called `NAME.partial`, and
+what it holds can be read all the same.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel as ChannelRecord
+from mcap.records import DataEnd, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from edge.errors import FileError
+from edge.host.files import open_regular, sync
+from edge.recording.channels import Channel
+from edge.text import one_line
+
+CHUNK_BYTES = 1 << 20
+PARTIAL = ".partial"
+_MOST_RECORD_BYTES = 1 << 28
+COMPRESSIONS = {
+    "none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD,
+}  # fmt: skip
+
+
+class RecordingError(FileError):
+    """A recording that cannot be written or read; one line."""
+
+
+class _Whole:
+    """A file of which `write` writes all or raises, and nothing is kept back in a buffer."""
+
+    def __init__(self, path: Path) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        fcntl.flock(self._fd, fcntl.LOCK_SH)  # see `is_written`
+        self._at = 0
+
+    def write(self, data: bytes) -> int:
+        left = memoryview(data)
+        while left:
+            n = os.write(self._fd, left)
+            self._at += n
+            left = left[n:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        """Nothing is kept back."""
+
+    def sync(self) -> None:
+        os.fdatasync(self._fd)
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+
+class McapFile:
+    """Writes one recording: a context manager, complete and in place when it ends without error.
+
+    Args:
+        metadata: of the file, by name.
+
+    Raises:
+        OSError: `add`, `sync` and the end of the block: the disk is full, or gone.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        compression: str = "lz4",
+        metadata: Mapping[str, dict[str, str]] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.messages = 0
+        self._compression = COMPRESSIONS[compression]
+        self._metadata = metadata or {}
+        self._partial = self.path.with_name(self.path.name + PARTIAL)
+        self._channels: dict[Channel, int] = {}
+
+    def __enter__(self) -> McapFile:
+        try:
+            self.open()
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.abandon()
+            self._partial.unlink()
+
+    def open(self) -> None:
+        """Begin the file; raises OSError."""
+        self._file = _Whole(self._partial)
+        try:
+            self._writer = Writer(self._file, CHUNK_BYTES, self._compression)
+            self._writer.start(profile="ros2", library="edge")
+            for name, said in self._metadata.items():
+                self._writer.add_metadata(name, said)
+        except OSError:
+            self.abandon()
+            raise
+
+    def add(
+        self, channel: Channel, log_ns: int, stamp_ns: int, payload: bytes, sequence: int = 0
+    ) -> None:
+        """One message: when it was heard (or made), its stamp, and its bytes."""
+        at = self._channels.get(channel)
+        if at is None:
+            at = self._channels[channel] = self._register(channel)
+        self._writer.add_message(at, max(0, log_ns), payload, max(0, stamp_ns), sequence)
+        self.messages += 1
+
+    @property
+    def bytes(self) -> int:
+        """That were written so far; what is in the chunk at hand is not yet counted."""
+        return self._file.tell()
+
+    def sync(self) -> None:
+        """Have all that was added on the disk."""
+        self._writer.flush()
+        self._file.sync()
+
+    def finish(self) -> None:
+        """Complete the file, and give it its name."""
+        self._writer.finish()
+        self._file.sync()
+        self._file.close()
+        os.replace(self._partial, self.path)
+        sync(self.path.parent)
+
+    def abandon(self) -> None:
+        """Leave the file as far as it was written, under the name that it has so far."""
+        self._file.close()
+
+    def _register(self, channel: Channel) -> int:
+        schema = self._writer.register_schema(
+            channel.schema, channel.schema_encoding, channel.schema_text.encode()
+        )
+        return self._writer.register_channel(channel.topic, channel.encoding, schema)
+
+
+class Recorded(NamedTuple):
+    """One message of a file; `schema` is its name."""
+
+    topic: str
+    schema: str
+    encoding: str
+    log_ns: int
+    stamp_ns: int
+    sequence: int
+    payload: bytes
+
+
+class McapReading:
+    """The messages of a file in the order in which they were written.
+
+    Attributes:
+        metadata: by name, of what was read so far.
+        whole: whether the file's end was read: one that was cut off has none.
+        cut: why reading ended before that; empty while it has not.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, ChannelRecord] = {}
+        self.whole, self.cut = False, ""
+
+    def __iter__(self) -> Iterator[Recorded]:
+        """
+        Raises:
+            RecordingError: there is no such file, or it is no MCAP file.
+        """
+        with _opened(self.path) as file:
+            records = iter(StreamReader(
+                file, validate_crcs=True, record_size_limit=_MOST_RECORD_BYTES
+            ).records)  # fmt: skip
+            begun = False
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except Exception as error:  # whatever a decompressor makes of half a chunk
+                    over = isinstance(error, EndOfFile) or not file.read(1)
+                    why = one_line(error, 120) or type(error).__name__
+                    self._end(begun, "cut off" if over else f"damaged: {why}")
+                    return
+                begun = True
+                if isinstance(record, Schema):
+                    self.schemas[record.id] = record
+                elif isinstance(record, ChannelRecord):
+                    self.channels[record.id] = record
+                elif isinstance(record, Metadata):
+                    self.metadata[record.name] = record.metadata
+                elif isinstance(record, DataEnd):
+                    self.whole = True
+                elif isinstance(record, Message) and record.channel_id in self.channels:
+                    yield self._message(record)
+
+    def _end(self, begun: bool, why: str) -> None:
+        if not begun:
+            raise RecordingError(f"{self.path}: not an MCAP file")
+        if not self.whole:
+            self.cut = why
+
+    def _message(self, m: Message) -> Recorded:
+        channel = self.channels[m.channel_id]
+        schema = self.schemas.get(channel.schema_id)
+        return Recorded(
+            channel.topic, "" if schema is None else schema.name, channel.message_encoding,
+            m.log_time, m.publish_time, m.sequence, m.data,
+        )  # fmt: skip
+
+
+def is_written(path: Path) -> bool:
+    """Whether somebody writes this file now."""
+    with _opened(path) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+@contextmanager
+def _opened(path: Path):  # type: ignore[no-untyped-def]
+    try:
+        file = open_regular(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}") from None
+    with file:
+        yield file
+
+
+def recover(path: Path, out: Path) -> tuple[int, str]:
+    """Write what can be read of a file as a complete one.
+
+    Returns:
+        How many messages that were, and why no more; empty where it was complete.
+
+    Raises:
+        RecordingError: it cannot be read, `out` cannot be written or is there already.
+    """
+    if out.exists():
+        raise RecordingError(f"{out}: is there already; name another file with --out")
+    reading = McapReading(path)
+    messages = iter(reading)
+    first = next(messages, None)  # before anything is made: it may be no recording
+    copy = McapFile(out, "zstd", reading.metadata)
+    try:
+        with copy:
+            known: dict[str, Channel] = {}
+            while first is not None:
+                m, first = first, next(messages, None)
+                if m.topic not in known:
+                    known[m.topic] = _channel_of(reading, m)
+                copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, m.sequence)
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
+    return copy.messages, reading.cut
+
+
+def _channel_of(reading: McapReading, message: Recorded) -> Channel:
+    schema = next(s for s in reading.schemas.values() if s.name == message.schema)
+    return Channel(
+        message.topic, message.encoding, schema.name, schema.encoding, schema.data.decode()
+    )  # fmt: skip

@@ -1,0 +1,335 @@
+"""The journal of a recording, as JSON: what came into the loop, what it saw, what it said.
+
+docs/recording.md has the schema. Numbers come back as they were, to the last bit: arrays go as the
+base64 of their bytes, and JSON's floats are the shortest that mean the same.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from edge.config import Config
+from edge.config.root import parse
+from edge.geometry import SE2, CameraModel, Grid
+from edge.loop.journal import Input
+from edge.loop.prior import Rooms
+from edge.loop.result import TickResult
+from edge.mission import ltl, saved
+from edge.mission.translate import Translation
+from edge.perception.choice.question import Choice
+from edge.policies.base import Similarity
+from edge.text import without_secrets
+from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
+
+FORMAT, VERSION = "edge-recording", 1
+
+
+@dataclass(frozen=True)
+class Page:
+    """One message of the journal.
+
+    Attributes:
+        entries: what came, in order; decoded but for `what` of `found`.
+        observation: what is known of it without its arrays; None: there was none.
+        said: what came of it; None: nothing that is compared.
+    """
+
+    entries: list[Input]
+    observation: dict[str, Any] | None
+    said: dict[str, Any] | None
+
+
+def encode_page(
+    inputs: Iterable[Input], result: TickResult, seen: Observation | None, rig: dict[str, Any]
+) -> bytes:
+    """One message.
+
+    Args:
+        result: the newest of those that the inputs led to.
+        seen: its observation, with those arrays only that are recorded.
+        rig: as it was written last, empty at first; changed in place.
+    """
+    page = {
+        "entries": [
+            {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
+        ],
+        "observation": None if seen is None else _observation(seen, result.observation, rig),
+        "said": said_of(result),
+    }  # fmt: skip
+    return _JSON(page).encode()
+
+
+_JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+
+
+def decode_page(payload: bytes) -> Page:
+    """What `encode_page` made.
+
+    Raises:
+        ValueError, KeyError, TypeError: it did not.
+    """
+    page = json.loads(payload)
+    entries = []
+    for entry in page["entries"]:
+        n, kind = entry.pop("n"), entry.pop("kind")
+        entries.append(Input(n, kind, _DECODE[kind](entry)))
+    return Page(entries, page["observation"], page["said"])
+
+
+def said_of(result: TickResult) -> dict[str, Any] | None:
+    """What a result says, as it is compared; None where nothing came of it."""
+    if result.observation is None and not result.goals:
+        return None
+    return {
+        "target": result.status.target,
+        "phase": result.status.phase,
+        "goal": None if result.goal is None else _goal(result.goal),
+        "sent": [_goal(goal) for goal in result.goals],
+    }
+
+
+def _goal(goal: Goal) -> dict[str, Any]:
+    return {
+        "stamp": goal.stamp_ns, "kind": goal.kind, "id": goal.candidate_id,
+        "target": goal.target, "pose": _pose(goal.pose),
+        "candidate_xy_m": [float(v) for v in goal.candidate_xy_m], "score": float(goal.score),
+    }  # fmt: skip
+
+
+# -- observations ----------------------------------------------------------------------------------
+
+
+def _observation(
+    seen: Observation, whole: Observation | None, rig: dict[str, Any]
+) -> dict[str, Any]:
+    said = {
+        "seq": seen.seq,
+        "stamp_ns": seen.stamp_ns,
+        "T_map_base": _array(seen.T_map_base),
+        "rgb_hw": None if whole is None or whole.rgb is None else list(whole.rgb.shape[:2]),
+        "depth": whole is not None and whole.depth_m is not None,
+        "cloud": whole is not None and whole.cloud_m is not None,
+    }
+    now = {
+        "camera": seen.camera,
+        "T_base_camera": seen.T_base_camera.tobytes(),
+        "T_base_lidar": seen.T_base_lidar.tobytes(),
+    }
+    if now != rig:
+        rig.update(now)
+        said["rig"] = {
+            "camera": None if seen.camera is None else asdict(seen.camera),
+            "T_base_camera": _array(seen.T_base_camera),
+            "T_base_lidar": _array(seen.T_base_lidar),
+        }
+    return said
+
+
+def observation_of(
+    said: dict[str, Any],
+    rig: dict[str, Any],
+    rgb: np.ndarray | None,
+    depth_m: np.ndarray | None,
+    cloud_m: np.ndarray | None,
+) -> Observation:
+    """An observation again, with the arrays that were recorded beside it.
+
+    Args:
+        rig: as it was read last; changed in place.
+    """
+    rig.update(said.get("rig", {}))
+    camera = rig["camera"]
+    return Observation(
+        said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
+        None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
+        cloud_m, _array_of(rig["T_base_lidar"]),
+    )  # fmt: skip
+
+
+# -- entries --------------------------------------------------------------------------------------
+
+
+def _array(array: np.ndarray) -> dict[str, Any]:
+    array = np.ascontiguousarray(array)
+    data = base64.b64encode(array.tobytes()).decode()
+    return {"dtype": array.dtype.str, "shape": list(array.shape), "base64": data}
+
+
+def _array_of(said: dict[str, Any]) -> np.ndarray:
+    data = base64.b64decode(said["base64"])
+    return np.frombuffer(data, np.dtype(said["dtype"])).reshape(said["shape"]).copy()
+
+
+def _pose(pose: SE2 | None) -> list[float] | None:
+    return None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad]
+
+
+def _translation(t: Translation) -> dict[str, str]:
+    return {
+        "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
+        "backend": t.backend,
+    }  # fmt: skip
+
+
+def _translation_of(said: dict[str, str]) -> Translation:
+    return Translation(
+        said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"]
+    )
+
+
+def _start(fields: dict[str, Any]) -> dict[str, Any]:
+    kept = fields["saved"]
+    return {
+        **fields,
+        "translation": _translation(fields["translation"]),
+        "saved": None if kept is None else saved.encode(kept).decode(),
+    }
+
+
+def _start_of(said: dict[str, Any]) -> dict[str, Any]:
+    kept = said["saved"]
+    return {
+        **said,
+        "translation": _translation_of(said["translation"]),
+        "saved": None if kept is None else saved.decode(kept.encode()),
+    }
+
+
+def _boxes(found: Detections) -> dict[str, Any]:
+    c = found.context
+    return {
+        "seq": found.observation.seq,
+        "xyxy_px": _array(found.xyxy_px), "score": _array(found.score),
+        "class_id": _array(found.class_id), "prompts": list(found.prompts),
+        "rival": None if found.rival is None else _array(found.rival),
+        "context": None if c is None else {
+            "xyxy_px": _array(c.xyxy_px), "score": _array(c.score),
+            "class_id": _array(c.class_id), "words": list(c.words),
+        },
+        "model": found.model, "latency_ns": found.latency_ns,
+    }  # fmt: skip
+
+
+def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
+    """Detections again, of this observation."""
+    c = said["context"]
+    return Detections(
+        observation, _array_of(said["xyxy_px"]), _array_of(said["score"]),
+        _array_of(said["class_id"]), tuple(said["prompts"]),
+        None if said["rival"] is None else _array_of(said["rival"]),
+        None if c is None else ContextBoxes(
+            _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
+            tuple(c["words"]),
+        ),
+        said["model"], said["latency_ns"],
+    )  # fmt: skip
+
+
+def _rooms(r: Rooms) -> dict[str, Any]:
+    return {
+        "cells": _array(r.grid.cells), "origin_xy_m": list(map(float, r.grid.origin_xy_m)),
+        "resolution_m": r.grid.resolution_m, "wall": _array(r.wall), "label": _array(r.label),
+        "n": int(r.n), "border": _array(r.border),
+    }  # fmt: skip
+
+
+def rooms_of(said: dict[str, Any]) -> Rooms:
+    """See `edge.loop.prior.Rooms`."""
+    origin = said["origin_xy_m"]
+    grid = Grid(_array_of(said["cells"]), (origin[0], origin[1]), said["resolution_m"])
+    wall, label = _array_of(said["wall"]), _array_of(said["label"])
+    return Rooms(grid, wall, label, said["n"], _array_of(said["border"]))
+
+
+def _similarity(found: tuple[Any, Similarity]) -> dict[str, Any]:
+    said = found[1]
+    return {
+        "stamp_ns": said.stamp_ns, "pose": _pose(said.pose), "targets": list(said.targets),
+        "score": _array(said.score),
+    }  # fmt: skip
+
+
+def similarity_of(said: dict[str, Any]) -> Similarity:
+    """A similarity scorer's answer."""
+    targets, score = tuple(said["targets"]), _array_of(said["score"])
+    return Similarity(said["stamp_ns"], SE2(*said["pose"]), targets, score)
+
+
+def _choice(found: tuple[Any, Choice]) -> dict[str, Any]:
+    said = found[1]
+    return {
+        "stamp_ns": said.stamp_ns, "target": said.target, "ids": [int(i) for i in said.ids],
+        "p": _array(said.p), "elsewhere": float(said.elsewhere), "scene": float(said.scene),
+    }  # fmt: skip
+
+
+def choice_of(said: dict[str, Any]) -> Choice:
+    """A choice scorer's answer."""
+    return Choice(
+        said["stamp_ns"], said["target"], tuple(said["ids"]), _array_of(said["p"]),
+        said["elsewhere"], said["scene"],
+    )  # fmt: skip
+
+
+_FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "detector": _boxes, "surveyor": lambda found: {"distance_m": _array(found)}, "prior": _rooms,
+    "similarity": _similarity, "choice": _choice,
+}  # fmt: skip
+
+
+def distances_of(said: dict[str, Any]) -> np.ndarray:
+    """A survey's driving distances; see `edge.mission.planning.distances`."""
+    return _array_of(said["distance_m"])
+
+
+def _answer_of(said: dict[str, Any]) -> dict[str, Any]:
+    blocked = said.pop("blocked")
+    return {"answer": GoalStatus(**said, blocked=None if blocked is None else tuple(blocked))}
+
+
+def config_text(config: Config) -> dict[str, Any]:
+    """A configuration without what may be secret."""
+    return without_secrets(config.model_dump(mode="json"))
+
+
+def config_of(said: dict[str, Any]) -> Config:
+    """A configuration again; raises ConfigError."""
+    path = said.pop("path", "<recording>")
+    return parse(said, path)
+
+
+_SAME = dict
+_ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "start": _start,
+    "tick": _SAME,
+    "images": lambda fields: {"done": fields["done"]},
+    "asked": _SAME,
+    "found": lambda fields: {
+        "worker": fields["worker"], "what": _FOUND[fields["worker"]](fields["what"])
+    },
+    "idle": lambda fields: {"now_ns": fields["now_ns"], "pose": _pose(fields["pose"])},
+    "answer": lambda fields: asdict(fields["answer"]),
+    "mission": lambda fields: {
+        **fields, "translation": _translation(fields["translation"])
+    },
+    "pause": _SAME,
+    "fail": _SAME,
+    "config": lambda fields: {"config": config_text(fields["config"])},
+    "jump": _SAME,
+}  # fmt: skip
+_DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    **dict.fromkeys(_ENCODE, _SAME),
+    "start": _start_of,
+    "answer": _answer_of,
+    "mission": lambda said: {**said, "translation": _translation_of(said["translation"])},
+    "config": lambda said: {"config": config_of(said["config"])},
+    "idle": lambda said: {
+        "now_ns": said["now_ns"], "pose": None if said["pose"] is None else SE2(*said["pose"])
+    },
+}  # fmt: skip

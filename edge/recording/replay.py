@@ -1,0 +1,309 @@
+"""A recorded run again, through the real service, tick for tick.
+
+Whatever runs beside the loop is not run: what it found comes when it came. With another
+configuration the loop goes other ways, and what the map alone decides, a survey or the cut into
+rooms, is worked out anew; what a detector or a scorer said stays what they said then.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter_ns
+from typing import Any
+
+from edge.config import ChoiceCooccurrence, Config
+from edge.errors import UserError
+from edge.loop.faults import TICK
+from edge.loop.journal import Input
+from edge.loop.keeper import Keeper
+from edge.loop.latency import LatencyReport
+from edge.loop.result import TickResult
+from edge.loop.scorers import Scorers, make_scorers
+from edge.loop.service import INGEST, Service
+from edge.loop.stages import STAGES
+from edge.mission import checkpoint
+from edge.mission.brief import brief_of
+from edge.mission.saved import Saved
+from edge.perception.detector import Detector
+from edge.perception.factory import make_detector
+from edge.perception.worker import DetectorWorker
+from edge.policies import make_policy
+from edge.recording.beside import Now, Replayed, Silent
+from edge.recording.file import RecordingError
+from edge.recording.journal import said_of
+from edge.recording.session import Moment, Session
+from edge.types import Observation
+
+_BY_THE_MAP = ("surveyor", "prior")
+
+
+class ReplayError(UserError):
+    """A recording that cannot be replayed as it is asked for; one line."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A tick in which not the same was said.
+
+    Attributes:
+        tick: counts from 1; 0: before the first.
+        then, now: see `edge.recording.journal.said_of`; None: nothing.
+    """
+
+    tick: int
+    stamp_ns: int
+    then: dict[str, Any] | None
+    now: dict[str, Any] | None
+
+
+@dataclass
+class Outcome:
+    """How a replay went.
+
+    Attributes:
+        ticks: that were replayed; `differing`: of these, in which not the same was said.
+        goals_then, goals_now: how many were sent.
+        unseen: images that the detector was to be run on and that were not recorded.
+        ended: why it ended before the run did; empty where it did not.
+        latency_then: as the run said last, JSON; None: it said nothing.
+    """
+
+    ticks: int = 0
+    differing: int = 0
+    first: Difference | None = None
+    goals_then: int = 0
+    goals_now: int = 0
+    unseen: int = 0
+    ended: str = ""
+    phase_then: str = ""
+    phase_now: str = ""
+    seconds: float = 0.0
+    latency_then: dict[str, Any] | None = None
+    latency_now: LatencyReport | None = None
+
+
+class Said:
+    """The sink of a replay: what results said, as it is compared."""
+
+    def __init__(self) -> None:
+        self.said: list[dict[str, Any]] = []
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        if (said := said_of(result)) is not None:
+            self.said.append(said)
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+class _Run:
+    """A service that is given what was recorded.
+
+    Args:
+        config: another one than was recorded; None: the same.
+        detect: run the detector on the recorded pictures.
+    """
+
+    def __init__(
+        self, session: Session, config: Config | None, detect: bool, stack: ExitStack
+    ) -> None:
+        self._other = config is not None
+        given = session.config() if config is None else config
+        loop = given.loop.model_copy(update={"lockstep": True})
+        mission = given.mission.model_copy(update={"checkpoint": None})
+        self.config = given.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
+        self._detect, self._stack = detect, stack
+        self._now, self.sink = Now(), Said()
+        self._journal: Replayed | None = None
+        self._failed: Observation | None = None  # what a tick failed on
+        self.service: Service | None = None
+        self._worker: DetectorWorker | None = None
+
+    @property
+    def unseen(self) -> int:
+        return 0 if self._journal is None else self._journal.unseen
+
+    def do(self, moment: Moment) -> None:
+        """Give the service what came."""
+        if moment.observation is not None:
+            self._now.see(moment.observation, moment.picture)
+        for action, entries in _actions(moment.page.entries):
+            self._now.begin(entries)
+            if self._worker is not None:
+                self._count_images(entries)
+            if action.kind == "start":
+                self._start(**action.fields)
+            elif self.service is None:
+                raise RecordingError("a journal that does not begin with the start")
+            else:
+                _DO[action.kind](self, moment.observation, **action.fields)
+
+    def _start(self, translation: Any, saved: Saved | None, idle: bool) -> None:
+        config, keeper = self.config, None
+        brief = brief_of(config.mission, translation)
+        if saved is not None:
+            folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-replay-"))
+            path = Path(folder) / "checkpoint.json"
+            checkpoint.save(path, saved)
+            keeper = Keeper(config, path, None)
+            self._stack.callback(keeper.close)
+        detector: Detector = Silent("replay")
+        if self._detect:
+            if config.perception.detector.kind == "sim":
+                raise ReplayError(
+                    "--detect: perception.detector.kind: sim finds nothing in pictures: name a "
+                    "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
+                )
+            detector = make_detector(config.perception, brief.targets)
+        self._worker = worker = DetectorWorker(detector, inline=True)
+        self._stack.callback(worker.close)
+        scorers = self._scorers(brief.targets)
+        own = ()
+        if self._other:
+            by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
+            own = (*_BY_THE_MAP, *(["choice"] if by_prior else []))
+        self._journal = Replayed(self._now, detector if self._detect else None, own)
+        policy = make_policy(config.policy, config.path)
+        self.service = Service(
+            config, brief, worker, policy, [self.sink], keeper, scorers,
+            idle=idle, journal=self._journal,
+        )  # fmt: skip
+        self._stack.callback(self.service.close)
+
+    def _count_images(self, entries: Sequence[Input]) -> None:
+        """So many the detector had looked at when the loop asked."""
+        for entry in entries:
+            if entry.kind == "images":
+                self._worker.stats.done = entry.fields["done"]
+
+    def _scorers(self, targets: Sequence[str]) -> Scorers | None:
+        scorers = make_scorers(
+            self.config, targets,
+            make_similarity=lambda card, *_: Silent(card.name),
+            make_choice=lambda choice: Silent(choice.kind),
+        )  # fmt: skip
+        if scorers is not None:
+            self._stack.callback(scorers.close)
+        return scorers
+
+    # -- what came, by kind ------------------------------------------------------------------------
+
+    def _tick(self, observation: Observation, now_ns: int) -> None:
+        """As `edge.loop.runner` does it."""
+        service = self.service
+        service.latency.begin_tick(perf_counter_ns())
+        service.latency.mark(INGEST, perf_counter_ns())
+        self._failed = None
+        try:
+            service.tick(observation, now_ns)
+        except Exception as error:
+            self._failed = observation
+            service.latency.abandon_tick(service.stage)
+            service.faults.caught(TICK, error, now_ns, where=STAGES[service.stage].name)
+        else:
+            service.latency.end_tick(perf_counter_ns())
+
+    def _idle(self, observation: Observation | None, now_ns: int, pose: Any) -> None:
+        failed, self._failed = self._failed, None
+        self.service.idle(now_ns, pose, failed)
+
+    def _begin(
+        self, observation: Observation | None, translation: Any, id: str, now_ns: int
+    ) -> None:
+        self.service.begin(brief_of(self.config.mission, translation), now_ns, id)
+
+    def _reconfigure(self, observation: Observation | None, config: Config) -> None:
+        """Not with another configuration, which then holds for the whole run."""
+        if not self._other:
+            service = self.service
+            same = config.policy == service.config.policy
+            policy = service.policy if same else make_policy(config.policy, config.path)
+            service.reconfigure(config, policy)
+
+
+_DO: dict[str, Callable[..., None]] = {
+    "tick": _Run._tick,
+    "idle": _Run._idle,
+    "answer": lambda run, _, answer: run.service.goal_answered(answer),
+    "mission": _Run._begin,
+    "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
+    "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
+    "config": _Run._reconfigure,
+    "jump": lambda run, _, now_ns: run.service.forget_places(now_ns),
+}
+
+
+def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
+    """What came, each with what was asked and found beside the loop while it was dealt with."""
+    action, beside = None, []
+    for entry in entries:
+        if entry.kind in ("asked", "found", "images"):
+            beside.append(entry)
+            continue
+        if action is not None:
+            yield action, beside
+        action, beside = entry, []
+    if action is not None:
+        yield action, beside
+
+
+def replay(
+    session: Session,
+    config: Config | None = None,
+    detect: bool = False,
+    each: Callable[[Outcome], None] = lambda outcome: None,
+) -> Outcome:
+    """Feed a recorded run through a service, and compare what it says.
+
+    Args:
+        config: another configuration than was recorded; the mission is the recorded one.
+        detect: run the detector on the recorded pictures, in the place of what it found then.
+        each: called after every page.
+
+    Raises:
+        RecordingError: the recording does not begin with the run, or is malformed.
+        ReplayError: there is nothing to detect with.
+        UserError: configuration, mission or model cannot be used.
+    """
+    if session.head.part:
+        raise RecordingError(
+            f"{session.head.path}: begins in the middle of a run (file {session.head.part + 1} of "
+            "it): replay its first file, which goes on with those beside it"
+        )
+    outcome, first_ns = Outcome(), None
+    with ExitStack() as stack:
+        run = _Run(session, config, detect, stack)
+        for moment in session.moments():
+            run.do(moment)
+            _compare(outcome, moment, run.sink.said)
+            run.sink.said.clear()
+            if moment.observation is not None:
+                first_ns = moment.observation.stamp_ns if first_ns is None else first_ns
+                outcome.seconds = (moment.observation.stamp_ns - first_ns) * 1e-9
+            each(outcome)
+        outcome.unseen, outcome.ended = run.unseen, session.gap or session.cut
+        outcome.latency_then = session.latency
+        if run.service is not None:
+            outcome.latency_now = run.service.latency.report()
+    return outcome
+
+
+def _compare(outcome: Outcome, moment: Moment, now: list[dict[str, Any]]) -> None:
+    then = [] if moment.page.said is None else [moment.page.said]
+    outcome.ticks += sum(entry.kind == "tick" for entry in moment.page.entries)
+    outcome.goals_then += sum(len(said["sent"]) for said in then)
+    outcome.goals_now += sum(len(said["sent"]) for said in now)
+    outcome.phase_then = then[-1]["phase"] if then else outcome.phase_then
+    outcome.phase_now = now[-1]["phase"] if now else outcome.phase_now
+    if then != now:
+        outcome.differing += 1
+        if outcome.first is None:
+            stamp_ns = 0 if moment.observation is None else moment.observation.stamp_ns
+            outcome.first = Difference(
+                outcome.ticks, stamp_ns, then[-1] if then else None, now[-1] if now else None
+            )

@@ -1,0 +1,208 @@
+"""A recorded run, whatever files it lies in: the journal page by page, with what was seen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.bus.wire import DecodeError, compressed, messages
+from edge.config import Config
+from edge.errors import ConfigError
+from edge.recording import channels, journal
+from edge.recording.file import McapReading, Recorded, RecordingError
+from edge.recording.journal import FORMAT, VERSION, Page
+from edge.recording.rolling import files_of
+from edge.text import one_line
+from edge.types import Observation
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a file says of itself: `part` is its number among the files of its session."""
+
+    path: Path
+    session: str
+    part: int
+    edge: str
+    config: dict
+
+
+class Moment(NamedTuple):
+    """One page of the journal.
+
+    Attributes:
+        observation: with what was recorded of its arrays; None: there was none.
+        picture: whether `rgb` is what the camera saw; else it is black, or None as it was.
+        lacks: what of the observation was not recorded though it was there.
+    """
+
+    page: Page
+    observation: Observation | None
+    picture: bool
+    lacks: tuple[str, ...]
+
+
+def head_of(path: Path) -> Head:
+    """
+    Raises:
+        RecordingError: no file, no MCAP file, not a recording of a run, or one of another version.
+    """
+    reading = McapReading(path)
+    next(iter(reading), None)
+    said = reading.metadata.get(FORMAT)
+    if said is None:
+        raise RecordingError(
+            f"{path}: an MCAP file, but not of the sink `mcap`: it has no journal to replay"
+        )
+    if said.get("version") != str(VERSION):
+        raise RecordingError(
+            f"{path}: recorded by edge {one_line(said.get('edge', '?'), 40)} in version "
+            f"{one_line(said.get('version', '?'), 20)} of the format, this one reads {VERSION}"
+        )
+    try:
+        config = json.loads(said["config"])
+        return Head(path, said["session"], int(said["part"]), said["edge"], config)
+    except (KeyError, ValueError):
+        raise RecordingError(f"{path}: damaged: what it says of itself cannot be read") from None
+
+
+class Session:
+    """The files of one run from `path` on.
+
+    Attributes:
+        head: of the first.
+        files: of the session that follow it without a gap, itself included.
+        cut: what is missing where it ends, in one line; empty where nothing is.
+        gap: why it ends before its files do; likewise.
+        latency: as the run said last; None before it has.
+
+    Raises:
+        RecordingError: see `head_of`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.head = head_of(path)
+        self.files = _from(self.head)
+        self.cut = self.gap = ""
+        self.latency: dict[str, Any] | None = None
+
+    def config(self) -> Config:
+        """The configuration that was recorded with; what was secret in it is not there.
+
+        Raises:
+            RecordingError: this version of edge cannot use it.
+        """
+        try:
+            return journal.config_of(dict(self.head.config))
+        except ConfigError as error:
+            first = str(error).splitlines()[0]
+            raise RecordingError(
+                f"{self.head.path}: its configuration is of edge {self.head.edge} and cannot be "
+                f"used: {first}; give one with --config"
+            ) from None
+
+    def messages(self) -> Iterator[Recorded]:
+        """Of all files, in the order in which they were written."""
+        for path in self.files:
+            reading = McapReading(path)
+            yield from reading
+            if reading.cut:
+                self.cut = f"{path}: {reading.cut}"
+
+    def moments(self) -> Iterator[Moment]:
+        """Every page of the journal, up to the first gap in it.
+
+        Raises:
+            RecordingError: it is malformed.
+        """
+        beside: dict[str, Recorded] = {}
+        rig: dict[str, Any] = {}
+        n = 0
+        for m in self.messages():
+            if m.topic != channels.JOURNAL.topic:
+                if m.topic in _BESIDE:
+                    beside[m.topic] = m
+                elif m.topic == channels.LATENCY.topic:
+                    self.latency = json.loads(m.payload)
+                continue
+            try:
+                page = journal.decode_page(m.payload)
+                moment = _moment(page, beside, rig)
+            except (ValueError, KeyError, TypeError, DecodeError) as error:
+                raise RecordingError(
+                    f"{self.head.path}: damaged journal: {type(error).__name__}: "
+                    f"{one_line(error, 120)}"
+                ) from None
+            beside.clear()
+            numbers = [entry.n for entry in page.entries]
+            if numbers != list(range(n, n + len(numbers))):
+                self.gap = "what follows was dropped when it was recorded"
+                return
+            n += len(numbers)
+            if moment.lacks:
+                lacks = " and ".join(moment.lacks)
+                self.gap = f"the next frame's {lacks} was dropped when it was recorded"
+                return
+            yield moment
+
+
+def _from(head: Head) -> list[Path]:
+    files, part = [head.path], head.part
+    there = {}
+    for path in files_of(head.path.resolve().parent):
+        try:
+            other = head_of(path)
+        except RecordingError:
+            continue
+        if other.session == head.session:
+            there[other.part] = path
+    while (part := part + 1) in there:
+        files.append(there[part])
+    return files
+
+
+_BESIDE = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
+
+
+def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Moment:
+    said = page.observation
+    if said is None:
+        return Moment(page, None, False, ())
+    depth_m, cloud_m, rgb = _depth(beside), _cloud(beside), _picture(beside)
+    picture = rgb is not None
+    if rgb is None and said["rgb_hw"] is not None:
+        rgb = np.zeros((*said["rgb_hw"], 3), np.uint8)
+    arrays = {"depth": depth_m, "cloud": cloud_m}
+    lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
+    observation = journal.observation_of(said, rig, rgb, depth_m, cloud_m)
+    return Moment(page, observation, picture, lacks)
+
+
+def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := beside.get(channels.DEPTH.topic)) is None:
+        return None
+    header = messages.decode_image_header(m.payload)
+    out = np.empty((header.height, header.width), np.float32)
+    messages.decode_image_into(m.payload, header, out)
+    return out
+
+
+def _cloud(beside: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := beside.get(channels.CLOUD.topic)) is None:
+        return None
+    out = np.empty((len(m.payload) // 12, 3), np.float32)
+    return out[: messages.decode_point_cloud_into(m.payload, out)].copy()
+
+
+def _picture(beside: dict[str, Recorded]) -> np.ndarray | None:
+    if (m := beside.get(channels.PICTURE.topic)) is None:
+        return None
+    header = compressed.decode_compressed_header(m.payload)
+    out = np.empty((header.height, header.width, 3), np.uint8)
+    compressed.decode_compressed_into(m.payload, header, out)
+    return out

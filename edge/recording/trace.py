@@ -1,0 +1,76 @@
+"""Spans of the latency ring in the trace event format, which Perfetto and Chrome open.
+
+https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU is its definition.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from http import HTTPStatus
+from typing import Any
+
+from edge.host.pages import Page, Pages, json_page
+from edge.loop.latency import Span
+
+PAGE = "/trace"
+PID, LOOP = 1, 1
+_US = 1e-3
+
+
+def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
+    """Complete events in microseconds since the first: the loop's thread with ticks and their
+    stages, and a thread for each stage beside it.
+
+    Of what ran beside the loop only the time at which it was taken up is known, so that one span
+    may seem to begin before the last one ended: it is then shown to begin there.
+    """
+    ordered = sorted(spans, key=lambda s: (s.begin_ns, -s.took_ns))
+    first_ns = min((span.begin_ns for span in ordered), default=0)
+    threads = {"loop": LOOP}
+    free_ns: dict[int, int] = {}
+    events = []
+    for name, begin_ns, took_ns, in_tick in ordered:
+        thread = LOOP
+        if not in_tick:
+            thread = threads.setdefault(name, LOOP + len(threads))
+            end_ns = begin_ns + took_ns
+            begin_ns = max(begin_ns, free_ns.get(thread, begin_ns))
+            took_ns = max(0, end_ns - begin_ns)
+            free_ns[thread] = begin_ns + took_ns
+        events.append({
+            "name": name, "cat": "tick" if in_tick else "beside", "ph": "X",
+            "ts": (begin_ns - first_ns) * _US, "dur": took_ns * _US, "pid": PID, "tid": thread,
+        })  # fmt: skip
+    return {"traceEvents": [*_names(threads), *events], "displayTimeUnit": "ms"}
+
+
+def _names(threads: dict[str, int]) -> Iterable[dict[str, Any]]:
+    names = [("process_name", LOOP, "edge")]
+    names += [("thread_name", thread, name) for name, thread in threads.items()]
+    for kind, thread, name in names:
+        yield {"name": kind, "ph": "M", "pid": PID, "tid": thread, "args": {"name": name}}
+
+
+def trace_bytes(spans: Iterable[Span]) -> bytes:
+    """`trace_of` as JSON."""
+    return json.dumps(trace_of(spans), separators=(",", ":"), allow_nan=False).encode()
+
+
+class TracePage:
+    """`/trace`: what the ring of the running service holds.
+
+    Attributes:
+        spans: see `edge.loop.latency.LatencyRing.spans`; None: there is no service yet.
+    """
+
+    def __init__(self) -> None:
+        self.spans: Callable[[], list[Span]] | None = None
+
+    def pages(self) -> Pages:
+        return {PAGE: self._page}
+
+    def _page(self) -> Page:
+        if self.spans is None:
+            return json_page({"error": "starting"}, HTTPStatus.SERVICE_UNAVAILABLE)
+        return Page(trace_bytes(self.spans()), "application/json")

@@ -1,0 +1,111 @@
+"""What a recording would hold, live to Foxglove: a WebSocket server of `foxglove-sdk`.
+
+Only what somebody has subscribed to is copied and encoded, on a thread of the sink's own. Nobody
+is asked who they are: whoever reaches the port sees what the robot sees.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from edge.config import Config
+from edge.errors import ConfigError, UnavailableError
+from edge.host.ports import is_loopback
+from edge.host.worker import Worker
+from edge.loop.result import TickResult
+from edge.recording import channels
+from edge.recording.channels import Channel
+from edge.sinks.telling import Moment, Teller
+from edge.text import one_line
+
+log = logging.getLogger("edge.sinks.foxglove")
+
+_CLOSE_S = 1.0
+_BACKLOG = 256  # messages that wait for a client; the oldest give way
+
+
+class FoxgloveSink:
+    """Serves the channels of `edge.recording.channels`; no method blocks.
+
+    Args:
+        host: others than this machine can reach any but a loopback address.
+        port: 0 takes a free one.
+        rgb_hz: of pictures, as JPEG.
+
+    Attributes:
+        port: that is listened on.
+
+    Raises:
+        ConfigError: `foxglove-sdk` is not there.
+        UnavailableError: it cannot be listened on.
+    """
+
+    def __init__(
+        self, config: Config, host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0
+    ) -> None:
+        foxglove = _sdk()
+        self._context = context = foxglove.Context()  # channels do not keep it alive
+        self._channels = {
+            channel: foxglove.Channel(
+                channel.topic,
+                schema=foxglove.Schema(
+                    name=channel.schema, encoding=channel.schema_encoding,
+                    data=channel.schema_text.encode(),
+                ),
+                message_encoding=channel.encoding,
+                context=context,
+            )
+            for channel in channels.TOLD
+        }  # fmt: skip
+        try:
+            self._server = foxglove.start_server(
+                name="edge", host=host, port=port, context=context, message_backlog_size=_BACKLOG
+            )
+        except Exception as error:  # the SDK has a class of its own for it
+            raise UnavailableError(
+                f"sinks: foxglove: cannot listen on {one_line(host)} port {port}: "
+                f"{one_line(error)}; set another port in its options"
+            ) from None
+        self.port = self._server.port
+        if not is_loopback(host):
+            log.warning("foxglove: whoever reaches %s port %d sees what the robot sees", host,
+                        self.port)  # fmt: skip
+        self._teller = Teller(config, rgb_hz, self._wanted)
+        self._worker: Worker[Moment, None] = Worker("foxglove-sink", self._send)
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        moment = self._teller.take(result)
+        if moment.messages:
+            self._worker.queue(moment)
+
+    def status(self) -> dict[str, Any]:
+        """For the status message."""
+        stats = self._worker.stats
+        return {
+            "port": self.port, "dropped": stats.replaced, "failed": stats.failed,
+            "problem": stats.last_error,
+        }  # fmt: skip
+
+    def close(self) -> None:
+        """Let all clients go."""
+        self._worker.close(_CLOSE_S)
+        self._server.stop()
+
+    def _wanted(self, channel: Channel) -> bool:
+        return bool(self._channels[channel].has_sinks())
+
+    def _send(self, moment: Moment) -> None:
+        for told in self._teller.tell(moment):
+            self._channels[told.channel].log(told.payload, log_time=max(0, moment.now_ns))
+
+
+def _sdk() -> Any:
+    try:
+        import foxglove
+    except ImportError:
+        raise ConfigError(
+            "sinks: foxglove: foxglove-sdk is not installed: pip install 'edge-vln[foxglove]'"
+        ) from None
+    return foxglove

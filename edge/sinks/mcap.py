@@ -1,0 +1,213 @@
+"""Records a run: what the service saw and said, and all that is needed to replay it.
+
+The loop only copies; files are written on a thread of the sink's own, from a queue of bounded size.
+What does not fit is dropped, pictures, depth and clouds first, and counted.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import threading
+import uuid
+from typing import Any, NamedTuple
+
+from edge import __version__
+from edge.config import Config
+from edge.errors import ConfigError
+from edge.host import resources
+from edge.host.files import make_writable
+from edge.host.worker import Worker
+from edge.loop.journal import Input
+from edge.loop.result import TickResult
+from edge.recording import channels, journal
+from edge.recording.file import COMPRESSIONS
+from edge.recording.rolling import Limits, Rolling
+from edge.sinks.telling import Moment, Teller
+from edge.text import one_line
+
+PAGE_NS = 500_000_000  # a page is not held back for longer
+BATCH = 8
+"""Moments that are written at once, after a tick: in one go that costs half as much as one by one,
+and the loop rests meanwhile."""
+_CLOSE_S = 5.0
+
+
+class _Item(NamedTuple):
+    """What waits to be written; `bytes` of it are arrays."""
+
+    moment: Moment
+    inputs: tuple[Input, ...]
+    result: TickResult
+    bytes: int
+
+
+class McapSink:
+    """Writes MCAP files into a folder; no method blocks.
+
+    Args:
+        folder: made if need be; `~` is the home directory.
+        max_mb, max_s, keep_mb, sync_s: see `edge.recording.rolling.Limits`.
+        rgb_hz: of pictures, as JPEG; 0: none.
+        compression: `none`, `lz4` or `zstd`.
+        pending_mb: of arrays that wait to be written.
+
+    Raises:
+        ConfigError: an option cannot be used.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        folder: str,
+        max_mb: float = 256.0,
+        max_s: float = 600.0,
+        keep_mb: float = 4096.0,
+        sync_s: float = 2.0,
+        rgb_hz: float = 2.0,
+        compression: str = "lz4",
+        pending_mb: float = 64.0,
+    ) -> None:
+        _check(max_mb, max_s, keep_mb, sync_s, rgb_hz, compression, pending_mb)
+        where = resources.expand(folder)
+        try:
+            make_writable(where)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):  # there may be room later
+                why = f"{one_line(folder)}: {error.strerror}"
+                raise ConfigError(f"sinks: mcap: folder: {why}") from None
+        self._config = config
+        self._session = uuid.uuid4().hex
+        self._files = Rolling(
+            where, Limits(max_mb, max_s, keep_mb, sync_s), compression,
+            self._metadata,
+        )  # fmt: skip
+        self._teller = Teller(config, rgb_hz)
+        self._inputs: list[Input] = []
+        self._page_ns: int | None = None  # when the page at hand was begun
+        self._held_back: TickResult | None = None  # the last of it
+        self._rig: dict[str, Any] = {}  # as it was written last
+        self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
+        self._hand = threading.Lock()  # on what is pending
+        self._dropped = {"arrays": 0, "moments": 0}
+        # In lockstep time stands still until all is written, so that nothing is dropped.
+        self._lockstep = config.loop.lockstep
+        self._failed, self._problem = 0, ""
+        self._batch: list[_Item] = []
+        self._worker: Worker[list[_Item], None] = Worker(
+            "mcap-sink", self._write, inline=self._lockstep, drop=self._drop, finishes=True,
+            beat=self._files.sync,
+        )  # fmt: skip
+
+    # -- on the loop's thread -------------------------------------------------------------------
+
+    def tick(self, result: TickResult) -> None:
+        """See `edge.loop.result.Sink`."""
+        self._inputs += result.inputs
+        if self._page_ns is None:
+            self._page_ns = result.now_ns
+        waits = 0 <= result.now_ns - self._page_ns < PAGE_NS
+        if waits and result.observation is None and not (result.goals or result.events):
+            self._held_back = result
+        else:
+            self._queue(result)
+
+    def _queue(self, result: TickResult) -> None:
+        room = self._pending_bytes < self._most_bytes
+        moment = self._teller.take(result, arrays=room)
+        self._dropped["arrays"] += result.observation is not None and not room
+        size = moment.bytes
+        with self._hand:
+            self._pending_bytes += size
+        self._batch.append(_Item(moment, tuple(self._inputs), result, size))
+        self._inputs, self._page_ns, self._held_back = [], None, None
+        if len(self._batch) >= BATCH:
+            self._flush()
+
+    def _flush(self) -> None:
+        batch, self._batch = self._batch, []
+        self._worker.queue(batch)
+
+    def status(self) -> dict[str, Any]:
+        """For the status message."""
+        return {
+            "file": self._files.name,
+            "messages": self._files.messages,
+            "lost": self._files.lost,
+            "dropped": dict(self._dropped),
+            "failed": self._failed,
+            "problem": self._files.problem or self._problem,
+        }
+
+    def close(self) -> None:
+        """Write what is left, and complete the file."""
+        if self._held_back is not None:
+            self._queue(self._held_back)
+        self._flush()
+        if self._worker.close(_CLOSE_S):
+            self._files.close()
+
+    def _drop(self, batch: list[_Item]) -> None:
+        self._dropped["moments"] += len(batch)
+        self._let_go(sum(item.bytes for item in batch))
+
+    def _let_go(self, size: int) -> None:
+        with self._hand:
+            self._pending_bytes -= size
+
+    # -- on the worker's thread ------------------------------------------------------------------
+
+    def _write(self, batch: list[_Item]) -> None:
+        for item in batch:
+            try:
+                self._write_one(*item)
+            except Exception as error:  # costs what it was at, and not what follows
+                self._problem = one_line(f"{type(error).__name__}: {error}")
+                self._failed += 1
+        self._files.sync()
+
+    def _write_one(
+        self, moment: Moment, inputs: tuple[Input, ...], result: TickResult, size: int
+    ) -> None:
+        files, now_ns = self._files, moment.now_ns
+        try:
+            files.ready()
+            for told in self._teller.tell(moment):
+                files.add(told.channel, now_ns, told.stamp_ns, told.payload, told.sequence)
+        finally:  # what cannot be shown must not cost what is needed to replay it
+            self._let_go(size)
+            page = journal.encode_page(inputs, result, moment.seen, self._rig)
+            files.add(channels.JOURNAL, now_ns, now_ns, page)
+
+    def _metadata(self, part: int) -> dict[str, dict[str, str]]:
+        config = json.dumps(journal.config_text(self._config))
+        said = {
+            "version": str(journal.VERSION), "edge": __version__, "session": self._session,
+            "part": str(part), "config": config,
+        }  # fmt: skip
+        return {journal.FORMAT: said}
+
+
+def _check(
+    max_mb: float,
+    max_s: float,
+    keep_mb: float,
+    sync_s: float,
+    rgb_hz: float,
+    compression: str,
+    pending_mb: float,
+) -> None:
+    numbers = {"max_mb": max_mb, "max_s": max_s, "sync_s": sync_s, "pending_mb": pending_mb}
+    for name, value in numbers.items():
+        if not value > 0:
+            raise ConfigError(f"sinks: mcap: {name}: must be more than 0, got {value}")
+    if not rgb_hz >= 0:
+        raise ConfigError(f"sinks: mcap: rgb_hz: must be 0 or more, got {rgb_hz}")
+    if not keep_mb >= 2 * max_mb:
+        raise ConfigError(
+            f"sinks: mcap: keep_mb: {keep_mb:g} is less than two files of {max_mb:g} MB: "
+            "raise it, or lower max_mb"
+        )
+    if compression not in COMPRESSIONS:
+        choices = ", ".join(COMPRESSIONS)
+        raise ConfigError(f"sinks: mcap: compression: unknown {compression!r} ({choices})")

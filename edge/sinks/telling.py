@@ -1,0 +1,277 @@
+"""What the service saw and said, as messages that Foxglove and ROS 2 know.
+
+A `Teller` takes what is needed from a result on the loop's thread, and makes messages of it on
+another. A recording and a live view have the same channels.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge.bus.wire import compressed, markers, messages, transforms
+from edge.bus.wire.kernels import exact_millimetres
+from edge.bus.wire.messages import BASE_FRAME, MAP_FRAME
+from edge.bus.wire.transforms import Transform
+from edge.config import Config
+from edge.loop.result import TickResult
+from edge.loop.status import status_of
+from edge.recording import channels
+from edge.recording.channels import Channel
+from edge.sinks.drawings import Way, markers_of
+from edge.sinks.pace import Pace
+from edge.text import one_line
+from edge.types import Detections, Observation
+
+STATUS_HZ = LATENCY_HZ = DRAWN_HZ = 1.0
+SHOWN_HZ = 10.0
+"""Of pose, transforms and boxes: as often as people can follow."""
+QUALITY = 85
+CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+_SPARE = 16
+_NO_DEPTH = np.zeros((0, 0), np.uint16)
+_NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
+_INFO = 2  # of foxglove.Log
+_LINE_LOOP = 2  # of foxglove.PointsAnnotation
+_BOX = {"r": 1.0, "g": 0.6, "b": 0.1, "a": 1.0}
+_DARK = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.6}
+_NOTHING = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
+
+
+class Told(NamedTuple):
+    """One message; `stamp_ns` is what it is about, `sequence` the observation's number."""
+
+    channel: Channel
+    stamp_ns: int
+    payload: bytes
+    sequence: int = 0
+
+
+class _Later(NamedTuple):
+    """A message that is yet to be made, by any thread."""
+
+    channel: Channel
+    stamp_ns: int
+    encode: Callable[[], bytes]
+    sequence: int = 0
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is to be told of a result.
+
+    Attributes:
+        seen: the observation without its arrays; None: there was none.
+        arrays: copies of those that are wanted, by the observation's fields; depth as uint16
+            millimetres where these say exactly the same.
+    """
+
+    now_ns: int
+    seen: Observation | None
+    arrays: dict[str, np.ndarray]
+    messages: list[_Later]
+
+    @property
+    def bytes(self) -> int:
+        """Of the arrays."""
+        return sum(array.nbytes for array in self.arrays.values())
+
+
+class Teller:
+    """See the module; `take` is for the loop's thread, `tell` for another.
+
+    Args:
+        rgb_hz: of pictures, as JPEG; depth and clouds are told of every observation.
+        wanted: whether anybody wants what comes over a channel; may be called by any thread.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        rgb_hz: float,
+        wanted: Callable[[Channel], bool] = lambda channel: True,
+    ) -> None:
+        self._rgb_hz, self._wanted = rgb_hz, wanted
+        rates = {"map": config.report.map_hz, "status": STATUS_HZ, "latency": LATENCY_HZ}
+        shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
+        self._pace = Pace(rgb=max(rgb_hz, 1e-9), **shown, **rates)
+        self._way = Way()
+        self._mission: tuple[str, str, str] | None = None
+        self._spans_ns = 0  # told up to here
+        self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # for depth, of both threads
+
+    def take(self, result: TickResult, arrays: bool = True) -> Moment:
+        """What is to be told of a result; copies what the source will write over.
+
+        Args:
+            arrays: False: without pictures, depth and clouds.
+        """
+        if result.pose is not None:
+            self._way.add(result.pose)
+        told: list[_Later] = []
+        seen, kept = result.observation, {}
+        if seen is not None:
+            kept = self._arrays(seen, result.now_ns) if arrays else {}
+            seen = replace(seen, slot=None, **_NO_ARRAYS)
+            if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
+                told += _of_pose(seen, "cloud_m" in kept)
+            told += _of_arrays(seen, kept)
+        if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
+            told.append(_of_detections(result.detections))
+        told += self._of_result(result, result.now_ns)
+        return Moment(result.now_ns, seen, kept, told)
+
+    def _arrays(self, seen: Observation, now_ns: int) -> dict[str, np.ndarray]:
+        """See `Moment.arrays`."""
+        there = {
+            "rgb": (seen.rgb, channels.PICTURE),
+            "depth_m": (seen.depth_m, channels.DEPTH),
+            "cloud_m": (seen.cloud_m, channels.CLOUD),
+        }
+        if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
+            del there["rgb"]
+        return {
+            name: self._depth(array) if name == "depth_m" else array.copy()
+            for name, (array, channel) in there.items()
+            if array is not None and self._wanted(channel)
+        }
+
+    def _depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """A copy: as millimetres half the bytes, and they shrink more. It costs no more here, where
+        the map has just read it, than to copy it."""
+        mm = self._spare.pop() if self._spare else _NO_DEPTH
+        if mm.shape != depth_m.shape:
+            mm = np.empty(depth_m.shape, np.uint16)
+        if exact_millimetres(depth_m.reshape(-1), mm.reshape(-1)):
+            return mm
+        self._spare.append(mm)
+        return depth_m.copy()
+
+    def _of_result(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
+        for goal in result.goals:
+            encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
+            yield _Later(channels.GOAL, goal.stamp_ns, encode)
+        for answer in result.answers:
+            said = {"stamp": answer.stamp_ns, "state": answer.state, "reason": answer.reason}
+            yield _Later(channels.GOAL_STATUS, now_ns, partial(json_bytes, said))
+        for event in result.events:
+            yield _Later(channels.EVENTS, event.now_ns, partial(_log, *event))
+        status = result.status
+        if (status.target, status.phase, status.reason) != self._mission:
+            self._mission = (status.target, status.phase, status.reason)
+            yield _Later(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
+        if self._pace.is_due("status", now_ns):
+            yield _Later(channels.STATUS, now_ns, partial(json_bytes, status_of(result)))
+        if self._pace.is_due("latency", now_ns):
+            yield _Later(channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict()))
+            yield _Later(channels.SPANS, now_ns, partial(self._spans, result))
+        if self._pace.is_due("map", now_ns):
+            yield _Later(
+                channels.MAP, now_ns,
+                lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
+            )  # fmt: skip
+        if self._pace.is_due("drawings", now_ns):
+            way, drawn = self._way.poses(), (result.frontiers(), result.instances(), result.goal)
+            path = partial(transforms.encode_path, now_ns, MAP_FRAME, way)
+            yield _Later(channels.PATH, now_ns, path)
+            yield _Later(
+                channels.MARKERS, now_ns,
+                lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
+            )  # fmt: skip
+
+    def _spans(self, result: TickResult) -> bytes:
+        """Those that came since the last were told."""
+        spans = result.spans(self._spans_ns)
+        ends_ns = [s.begin_ns + (0 if s.in_tick else s.took_ns) for s in spans]
+        self._spans_ns = max(ends_ns, default=self._spans_ns)
+        return json_bytes({"spans": spans})
+
+    def tell(self, moment: Moment) -> Iterator[Told]:
+        """The messages of a moment, in the order in which things happened."""
+        for channel, stamp_ns, encode, sequence in moment.messages:
+            if self._wanted(channel):
+                yield Told(channel, stamp_ns, encode(), sequence)
+        depth = moment.arrays.pop("depth_m", None)
+        if depth is not None and depth.dtype == np.uint16:
+            self._spare.append(depth)
+
+
+def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
+    """Pose, camera, and where all sensors are."""
+    stamp_ns, T, camera = seen.stamp_ns, seen.T_map_base, seen.camera
+    yield _Later(
+        channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
+    )
+    tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
+    if camera is not None:
+        tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
+        info = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
+        yield _Later(channels.CAMERA_INFO, stamp_ns, info)
+    if cloud:
+        tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
+    yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
+
+
+def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:
+    """What the sensors measured."""
+    stamp_ns, n = seen.stamp_ns, seen.seq & 0xFFFFFFFF
+    for name, array in arrays.items():
+        channel, frame, encode = _ENCODERS[name]
+        yield _Later(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
+
+
+_ENCODERS: dict[str, tuple[Channel, str, Callable[[int, str, np.ndarray], bytes]]] = {
+    "cloud_m": (channels.CLOUD, LIDAR_FRAME, messages.encode_point_cloud),
+    "depth_m": (channels.DEPTH, CAMERA_FRAME, messages.encode_image),
+    "rgb": (channels.PICTURE, CAMERA_FRAME, partial(compressed.encode_jpeg, quality=QUALITY)),
+}
+
+
+def _of_detections(found: Detections) -> _Later:
+    stamp_ns = found.observation.stamp_ns
+    return _Later(channels.BOXES, stamp_ns, partial(_boxes, stamp_ns, found))
+
+
+def _boxes(stamp_ns: int, found: Detections) -> bytes:
+    """foxglove.ImageAnnotations."""
+    at = _time(stamp_ns)
+    outlines, words = [], []
+    for (x0, y0, x1, y1), score, k in zip(
+        found.xyxy_px.tolist(), found.score.tolist(), found.class_id.tolist(), strict=True
+    ):
+        corners = [{"x": x, "y": y} for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+        outlines.append({
+            "timestamp": at, "type": _LINE_LOOP, "points": corners, "outline_color": _BOX,
+            "outline_colors": [], "fill_color": _NOTHING, "thickness": 2.0,
+        })  # fmt: skip
+        words.append({
+            "timestamp": at, "position": corners[0], "text": f"{found.prompts[k]} {score:.2f}",
+            "font_size": 12.0, "text_color": _BOX, "background_color": _DARK,
+        })  # fmt: skip
+    return json_bytes({"circles": [], "points": outlines, "texts": words})
+
+
+def _log(now_ns: int, text: str) -> bytes:
+    """foxglove.Log."""
+    return json_bytes({
+        "timestamp": _time(now_ns), "level": _INFO, "message": one_line(text, 1000),
+        "name": "edge", "file": "", "line": 0,
+    })  # fmt: skip
+
+
+def _time(stamp_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"sec": seconds, "nsec": nanoseconds}
+
+
+def json_bytes(said: Any) -> bytes:
+    return _JSON(said).encode()
+
+
+_JSON = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode

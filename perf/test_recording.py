@@ -1,0 +1,84 @@
+"""What recording a tick costs: the loop's thread, and all that is written of it."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.sinks.mcap import McapSink
+from edge.sinks.telling import Teller
+
+TICKS = 32
+
+
+class Kept:
+    """Keeps results, with copies of what the simulator writes over."""
+
+    def __init__(self) -> None:
+        self.results = []
+
+    def tick(self, result) -> None:
+        self.results.append(result)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Of a second of the demo's loop, its depth in whole millimetres as cameras send it."""
+    lockstep = {"lockstep": True}
+    perception = {"detector": {"kind": "sim"}}
+    kept = Kept()
+    closed = ClosedLoop(
+        parse({"loop": lockstep, "sim": {**lockstep, "step_s": 1 / 30}, "perception": perception}),
+        sinks=[kept],
+    )
+    look = closed.rig.look
+
+    def look_in_millimetres(pose) -> None:
+        look(pose)
+        depth_m = closed.rig.depth_m
+        mm = np.nan_to_num(depth_m * 1000.0).clip(0, 65535).astype(np.uint16)
+        np.multiply(mm, np.float32(0.001), out=depth_m)
+
+    closed.rig.look = look_in_millimetres
+    for _ in range(TICKS):
+        closed.step()
+    yield closed.config, kept.results
+    closed.close()
+
+
+def test_record_a_tick_in_the_loop(benchmark, results):
+    """What the loop's own thread does: depth as millimetres, pictures now and then."""
+    config, ticks = results
+    teller = Teller(config, rgb_hz=2.0)
+
+    def one_pass():
+        for result in ticks:
+            teller.take(result)
+
+    benchmark.extra_info["budget"] = "record_take_32"
+    benchmark(one_pass)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_record_a_tick(benchmark, against, results, tmp_path, compression):
+    """All of it, in one thread; against zlib on as much depth as one second has."""
+    config, ticks = results
+    sink = McapSink(config, str(tmp_path), compression=compression)
+
+    def write():
+        for result in ticks:
+            sink.tick(result)
+
+    depth = (ticks[0].observation.depth_m * 1000.0).astype(np.uint16).tobytes()
+    benchmark.extra_info["budget"] = f"record_32_{compression}"
+    against(lambda: [zlib.compress(depth, 1) for _ in range(TICKS)])
+    benchmark(write)
+    assert sink.status()["failed"] == 0
+    sink.close()

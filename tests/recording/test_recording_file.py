@@ -1,0 +1,149 @@
+"""MCAP files: whole or cut anywhere, what is there is read, by this program and by `mcap`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from edge.bus import topics
+from edge.recording.channels import of_topic
+from edge.recording.file import McapFile, McapReading, RecordingError, is_written, recover
+
+STATUS = of_topic(topics.STATUS)
+
+
+def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
+    with McapFile(path, compression, metadata) as file:
+        for k in range(n):
+            file.add(STATUS, k, k, b'{"k": %d, "noise": "%s"}' % (k, os.urandom(40).hex().encode()))
+            if k % 5 == 4:
+                file.sync()
+
+
+def test_an_empty_file_is_whole(tmp_path):
+    write(tmp_path / "a.mcap", 0)
+    reading = McapReading(tmp_path / "a.mcap")
+    assert list(reading) == []
+    assert reading.whole
+    assert reading.cut == ""
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_what_is_written_is_read(tmp_path, compression):
+    path = tmp_path / "a.mcap"
+    write(path, 12, compression, {"edge": {"a": "1"}})
+    reading = McapReading(path)
+    read = list(reading)
+    assert [m.log_ns for m in read] == list(range(12))
+    assert {(m.topic, m.schema, m.encoding) for m in read} == {("/status", "status", "json")}
+    assert reading.metadata == {"edge": {"a": "1"}}
+    with open(path, "rb") as file:
+        theirs = [message.data for _, _, message in make_reader(file).iter_messages()]
+    assert [m.payload for m in read] == theirs
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "a.mcap"
+    write(path, 40)
+    return path.read_bytes()
+
+
+@given(share=st.floats(0, 1))
+def test_wherever_it_is_cut_the_beginning_is_read(tmp_path_factory, whole, share):
+    path = tmp_path_factory.mktemp("cut") / "a.mcap"
+    size = int(share * (len(whole) - 1))
+    path.write_bytes(whole[:size])
+    reading = McapReading(path)
+    if size < 40:  # shorter than the magic and the header
+        with suppress(RecordingError):
+            assert list(reading) == []
+        return
+    n = len(list(reading))
+    assert n % 5 == 0
+    assert n >= 40 * (size / len(whole)) - 25
+    assert reading.whole or reading.cut == "cut off"
+
+
+def test_what_is_damaged_is_read_up_to_there(tmp_path, whole):
+    path = tmp_path / "a.mcap"
+    broken = bytearray(whole)
+    broken[len(whole) // 3] ^= 0xFF
+    path.write_bytes(broken)
+    reading = McapReading(path)
+    assert 0 < len(list(reading)) < 40
+    assert reading.cut.startswith("damaged: ")
+
+
+@pytest.mark.parametrize("content", [b"", b"junk" * 100, b"\x89MCAP1\r\n" + b"0" * 100])
+def test_what_is_no_recording(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"a\.mcap: not an MCAP file"):
+        list(McapReading(path))
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        recover(path, tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(RecordingError, match="No such file"):
+        list(McapReading(tmp_path / "a.mcap"))
+
+
+WRITER = """
+import time
+from pathlib import Path
+from edge.bus import topics
+from edge.recording.channels import of_topic
+from edge.recording.rolling import Limits, Rolling
+files = Rolling(Path({folder!r}), Limits(sync_s=0.05), "lz4", lambda part: {{}})
+k = 0
+while True:
+    files.ready()
+    files.add(of_topic(topics.STATUS), k, k, b"%d" % k)
+    files.sync()
+    k += 1
+    if k % 50 == 0:
+        print(k, time.monotonic(), flush=True)
+    time.sleep(0.001)
+"""
+
+
+def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
+    script = WRITER.format(folder=str(tmp_path))
+    writer = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    told = [int(writer.stdout.readline().split()[0]) for _ in range(8)]
+    (path,) = tmp_path.glob("*.partial")
+    assert is_written(path)
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+    assert not is_written(path)
+    reading = McapReading(path)
+    read = [int(m.payload) for m in reading]
+    assert read == list(range(len(read)))
+    assert len(read) >= told[-1] - 150  # 50 ms of syncing, and as much of writing, on a slow disk
+    assert reading.cut == "cut off"
+    theirs = []
+    with open(path, "rb") as file, suppress(EndOfFile):
+        for record in StreamReader(file).records:
+            theirs += [record] if isinstance(record, Message) else []
+    assert [int(m.data) for m in theirs] == read
+    n, why = recover(path, tmp_path / "whole.mcap")
+    assert (n, why) == (len(read), "cut off")
+    with open(tmp_path / "whole.mcap", "rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == n
+    with pytest.raises(RecordingError, match="is there already"):
+        recover(path, tmp_path / "whole.mcap")
+    writer.stdout.close()

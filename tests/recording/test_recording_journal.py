@@ -1,0 +1,156 @@
+"""The journal's JSON: exact, complete, and as its page says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from recordings import small
+from results import result
+
+import edge
+from edge.errors import ConfigError
+from edge.geometry import SE2, CameraModel, Grid
+from edge.loop.journal import Input, Journal
+from edge.loop.prior import Rooms
+from edge.mission.brief import prepare
+from edge.perception.choice.question import Choice
+from edge.policies.base import Similarity
+from edge.recording import journal
+from edge.recording.journal import decode_page, encode_page
+from edge.types import ContextBoxes, Detections, GoalStatus, Observation
+
+ROOT = Path(edge.__file__).parents[1]
+NOTED = re.compile(r"\.note\(\s*\"(\w+)\"")
+
+
+def again(*inputs: Input) -> list[Input]:
+    return decode_page(encode_page(inputs, result(), None, {})).entries
+
+
+def test_an_empty_page():
+    page = decode_page(encode_page([], result(), None, {}))
+    assert (page.entries, page.observation, page.said) == ([], None, None)
+
+
+def test_all_that_the_loop_notes_is_written_and_documented():
+    noted = set()
+    for path in (ROOT / "edge" / "loop").glob("*.py"):
+        noted |= set(NOTED.findall(path.read_text(encoding="utf-8")))
+    page = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    table = page[page.index("| kind |") :].splitlines()[2:]
+    told = {kind for row in table for kind in re.findall(r"`(\w+)`", row.split("|")[1])}
+    assert noted == set(journal._ENCODE) == told
+
+
+def test_numbers_count_what_was_noted():
+    notes = Journal()
+    for _ in range(5000):
+        notes.note("jump", now_ns=1)
+    assert [entry.n for entry in notes.pending] == list(range(5000 - 4096, 5000))
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        ("tick", {"now_ns": 1}),
+        ("images", {"done": 7}),
+        ("asked", {"worker": "choice"}),
+        ("idle", {"now_ns": 1, "pose": SE2(0.1, 0.2, 0.3)}),
+        ("idle", {"now_ns": 1, "pose": None}),
+        ("answer", {"answer": GoalStatus(1, "failed", "stuck\n", (0.1, 0.2))}),
+        ("answer", {"answer": GoalStatus(1, "reached")}),
+        ("pause", {"paused": True, "now_ns": 1}),
+        ("fail", {"reason": "because", "now_ns": 1}),
+        ("jump", {"now_ns": 1}),
+        ("config", {"config": small()}),
+        ("mission", {"translation": prepare(small().mission).translation, "id": "a", "now_ns": 1}),
+        (
+            "start",
+            {"translation": prepare(small().mission).translation, "saved": None, "idle": False},
+        ),
+    ],
+)
+def test_an_entry_comes_back(kind, fields):
+    if "translation" in fields:
+        assert again(Input(3, kind, fields))[0].fields["translation"].formula == (
+            fields["translation"].formula
+        )
+    else:
+        assert again(Input(3, kind, fields)) == [Input(3, kind, fields)]
+
+
+FLOATS = arrays(np.float32, st.integers(0, 4), elements=st.floats(width=32))
+
+
+@given(FLOATS, st.sampled_from([None, "rival"]))
+def test_detections_come_back_to_the_last_bit(score, rival):
+    n = len(score)
+    boxes, labels = np.outer(score, np.ones(4, np.float32)), np.arange(n, dtype=np.int32)
+    context = ContextBoxes(boxes, score, labels, ("rug",) * n)
+    seen = Observation(5, 7, np.eye(4))
+    found = Detections(
+        seen, boxes, score, labels, ("bed", "sofa"), rival and score, context, "model", 9
+    )
+    (entry,) = again(Input(0, "found", {"worker": "detector", "what": found}))
+    back = journal.detections_of(entry.fields["what"], seen)
+    for name in ("xyxy_px", "score", "class_id"):
+        for one, other in ((found, back), (found.context, back.context)):
+            assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+            assert getattr(one, name).dtype == getattr(other, name).dtype
+    assert (back.prompts, back.context.words) == (found.prompts, context.words)
+    assert (back.model, back.latency_ns) == ("model", 9)
+    assert (back.rival is None) == (rival is None)
+
+
+def test_what_was_found_beside_the_loop_comes_back():
+    values = np.array([0.1, np.inf, np.nan], np.float32)
+    cells = np.arange(6, dtype=np.uint8).reshape(2, 3)
+    rooms = Rooms(Grid(cells, (0.1, -0.2), 0.1), cells > 2, cells.astype(np.int16), 3, cells * 1)
+    pose, stamp = SE2(0.1, 0.2, 0.3), 5
+    what = {
+        "surveyor": values,
+        "prior": rooms,
+        "similarity": ("asked", Similarity(stamp, pose, ("a", "b"), values[:2])),
+        "choice": ("asked", Choice(stamp, "a", (3, 1), values[:2], 0.25, 0.5)),
+    }
+    entries = again(
+        *(Input(i, "found", {"worker": w, "what": f}) for i, (w, f) in enumerate(what.items()))
+    )
+    back = {entry.fields["worker"]: entry.fields["what"] for entry in entries}
+    assert journal.distances_of(back["surveyor"]).tobytes() == values.tobytes()
+    again_rooms = journal.rooms_of(back["prior"])
+    assert again_rooms.grid.origin_xy_m == (0.1, -0.2)
+    for one, other in zip(rooms[1:], again_rooms[1:], strict=True):
+        np.testing.assert_array_equal(one, other)
+    similarity = journal.similarity_of(back["similarity"])
+    assert (similarity.stamp_ns, similarity.pose, similarity.targets) == (stamp, pose, ("a", "b"))
+    choice = journal.choice_of(back["choice"])
+    assert (choice.ids, choice.elsewhere, choice.scene) == ((3, 1), 0.25, 0.5)
+    assert choice.p.tobytes() == values[:2].tobytes()
+
+
+def test_where_the_sensors_are_is_told_when_it_changes():
+    camera = CameraModel(40, 30, 30.0, 31.0, 20.0, 15.0)
+    written: dict = {}
+    read: dict = {}
+    told = []
+    for k, mount in enumerate((np.eye(4), np.eye(4), 2.0 * np.eye(4))):
+        seen = Observation(k, k, np.eye(4) / 3.0, camera=camera, T_base_camera=mount)
+        page = decode_page(encode_page([], result(observation=seen), seen, written))
+        told.append("rig" in page.observation)
+        back = journal.observation_of(page.observation, read, None, None, None)
+        assert back.T_map_base.tobytes() == seen.T_map_base.tobytes()
+        assert back.T_base_camera.tobytes() == mount.tobytes()
+        assert back.camera == camera
+    assert told == [True, False, True]
+
+
+def test_a_configuration_of_another_kind_of_key_is_refused():
+    with pytest.raises(ConfigError):
+        journal.config_of({"nonsense": 1})

@@ -1,0 +1,368 @@
+"""A recorded run replays to the same, tick for tick, whatever came into it; and what does not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from patience import eventually
+from recordings import Recording, small
+
+from edge.eval.closed_loop import ClosedLoop
+from edge.geometry import SE2
+from edge.loop.goal import GoalTracker
+from edge.loop.keeper import Keeper
+from edge.loop.scorers import Scorers
+from edge.loop.service import Service
+from edge.mission.brief import prepare
+from edge.perception.choice.question import Choice
+from edge.policies import make_policy
+from edge.recording import commands
+from edge.recording.channels import DEPTH, JOURNAL, of_json
+from edge.recording.file import McapFile, McapReading, RecordingError
+from edge.recording.replay import ReplayError, replay
+from edge.recording.rolling import files_of
+from edge.recording.session import Session
+from edge.sinks.mcap import McapSink
+from edge.types import GoalStatus, Observation
+
+
+def same(path: Path, ticks: int) -> None:
+    session = Session(path)
+    outcome = replay(session)
+    assert (outcome.first, outcome.differing, outcome.ticks) == (None, 0, ticks)
+    assert outcome.goals_then == outcome.goals_now
+    assert (session.gap, session.cut) == ("", "")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    """Thirty ticks with a picture each, in a chunk of its own each."""
+    recording = Recording(tmp_path_factory.mktemp("drive"), rgb_hz=100.0, sync_s=1e-9)
+    return recording.steps(30).close()
+
+
+def test_a_run_without_a_tick(tmp_path):
+    recording = Recording(tmp_path)
+    recording.service.idle(1, None)
+    path = recording.close()
+    same(path, 0)
+    assert commands.replay(argparse.Namespace(file=path, config=None, detect=False)) == 1
+
+
+def test_a_drive(drive, capsys):
+    same(drive, 30)
+    args = argparse.Namespace(file=drive, config=None, detect=False)
+    assert commands.replay(args) == 0
+    told = capsys.readouterr().out
+    assert "30 ticks" in told
+    assert "the same, tick for tick" in told
+    assert "select" in told
+
+
+def test_all_that_can_come_into_the_loop(tmp_path):
+    """Requests, answers, idle beats, a jump, a reload, a tick that fails, in one run."""
+    recording = Recording(tmp_path).steps(5)
+    service, closed = recording.service, recording.closed
+    now_ns = closed.drive.motion.stamp_ns
+    service.pause(True, now_ns)
+    recording.steps(2)
+    service.idle(now_ns + 1, SE2(0.0, 0.0, 0.0))
+    service.pause(False, now_ns)
+    recording.steps(3)
+    service.goal_answered(GoalStatus(service.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
+    recording.steps(3)
+    service.begin(prepare(service.config.mission, formula="F sofa & F bed"), now_ns)
+    recording.steps(5)
+    service.forget_places(closed.drive.motion.stamp_ns)
+    recording.steps(4)
+    for k in range(12):  # nothing to be seen, until no one drives on
+        service.idle(closed.drive.motion.stamp_ns + k * 200_000_000, SE2(0.1, 0.2, 0.3))
+    other = small(policy={"kind": "nearest_frontier"}, perception={"tau_det": 0.5})
+    service.reconfigure(other, make_policy(other.policy))
+    recording.steps(5)
+    broken = Observation(1000, now_ns, np.full((4, 4), np.nan), depth_m=np.ones((3, 5), np.float32),
+                         camera=closed.rig.model)  # fmt: skip
+    with pytest.raises((ValueError, IndexError)):
+        service.tick(broken, now_ns)
+    service.idle(now_ns, None, broken)
+    service.fail("cancelled", now_ns)
+    recording.steps(2)
+    kinds = {entry.kind for m in Session(recording.close()).moments() for entry in m.page.entries}
+    assert kinds >= {
+        "start",
+        "tick",
+        "idle",
+        "answer",
+        "mission",
+        "pause",
+        "fail",
+        "config",
+        "jump",
+    }
+    same(files_of(tmp_path)[0], 30)
+
+
+URL = "http://127.0.0.1:9/v1"
+
+
+def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
+    """How many images the detector had been through counts for a search that is given up."""
+    judge, images = GoalTracker.judge, []
+
+    def spy(self, grid, pose, mission, done, now_ns):
+        images.append(done)
+        return judge(self, grid, pose, mission, done, now_ns)
+
+    monkeypatch.setattr(GoalTracker, "judge", spy)
+    path = Recording(tmp_path, small(loop={"lockstep": True, "detect_every": 3})).steps(10).close()
+    then, images[:] = tuple(images), []
+    same(path, 10)
+    assert tuple(images) == then
+    assert 3 <= then[-1] < 10
+
+
+class Thinks:
+    """A choice scorer that answers when it is told to."""
+
+    name = "thinks"
+
+    def __init__(self) -> None:
+        self.told = threading.Semaphore(0)
+        self.answered = 0
+
+    def look(self, view):
+        return view
+
+    def answer(self, view):
+        self.told.acquire()
+        self.answered += 1
+        n = len(view.marks)
+        p = np.linspace(1.0, 2.0, n, dtype=np.float32) / np.float32(2.0 * n)
+        ids = tuple(mark.id for mark in view.marks)
+        return Choice(view.observation.stamp_ns, view.target, ids, p, 1.0 - float(p.sum()), 0.7)
+
+    def close(self):
+        self.told.release()
+
+
+def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
+    """On threads: a scorer, the survey for the planner, the cut into rooms."""
+    config = small(
+        loop={"lockstep": False},
+        policy={"kind": "directional"},
+        perception={"prior": "rooms", "choice": {"kind": "openai", "url": URL, "model": "m"}},
+        mission={"instruction": "F bed & F sofa", "translator": {"kind": "ltl"},
+                 "planner": {"kind": "vitl", "weights": "distance"}},
+    )  # fmt: skip
+    thinks = Thinks()
+    monkeypatch.setattr(
+        "edge.eval.closed_loop.make_scorers",
+        lambda config, targets: Scorers(None, thinks, feeds=config.value_source),
+    )
+    recording = Recording(tmp_path, config, pending_mb=500.0)
+    for k in range(40):
+        recording.steps(1)
+        if k % 7 == 3:
+            thinks.told.release()
+            eventually(lambda k=k: thinks.answered > k // 7)
+    workers = [
+        entry.fields["worker"]
+        for moment in Session(recording.close()).moments()
+        for entry in moment.page.entries
+        if entry.kind == "found"
+    ]
+    assert workers.count("choice") >= 2
+    assert {"detector", "surveyor", "prior", "choice"} <= set(workers)
+    same(files_of(tmp_path)[0], 40)
+
+
+def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
+    path = tmp_path / "checkpoint.json"
+    config = small(mission={"target": "bed", "checkpoint": str(path)})
+    first = ClosedLoop(config)
+    first.service.keeper = Keeper(config, path, None)
+    for _ in range(25):
+        first.step()
+    first.service.keeper.close()
+    before = first.service.status
+    first.close()
+
+    keeper = Keeper(config, path, None)
+    assert keeper.saved is not None
+    assert keeper.saved.path_m > 0.0
+    sink = McapSink(config, str(tmp_path / "run"))
+    second = ClosedLoop(config)
+    second.service = Service(
+        config, keeper.brief(), second.worker, make_policy(config.policy), [second.notes, sink],
+        keeper,
+    )  # fmt: skip
+    for _ in range(10):
+        second.step()
+    assert second.service.status.path_m > before.path_m
+    second.close()
+    sink.close()
+    keeper.close()
+    same(files_of(tmp_path / "run")[0], 10)
+
+
+def test_a_run_in_several_files(tmp_path):
+    recording = Recording(tmp_path, max_s=1e-9).steps(4)
+    recording.close()
+    files = files_of(tmp_path)
+    assert len(files) == 4
+    Recording(tmp_path / "other").steps(1).close()
+    assert Session(files[0]).files == files
+    same(files[0], 4)
+    with pytest.raises(RecordingError, match=r"begins in the middle of a run \(file 3 of it\)"):
+        replay(Session(files[2]))
+    files[2].unlink()
+    assert Session(files[0]).files == files[:2]
+    same(files[0], 2)
+
+
+def test_a_run_that_was_cut_off(drive, tmp_path):
+    path = tmp_path / "edge-a.mcap.partial"
+    path.write_bytes(drive.read_bytes()[: drive.stat().st_size // 2])
+    session = Session(path)
+    outcome = replay(session)
+    assert 0 < outcome.ticks < 30
+    assert outcome.first is None
+    assert outcome.ended == f"{path}: cut off"
+
+
+def copied(path: Path, out: Path, change) -> Path:
+    """A recording again, with each message as `change` makes it of (topic, payload); None: none."""
+    reading = McapReading(path)
+    messages = list(reading)
+    with McapFile(out, "lz4", reading.metadata) as file:
+        for m in messages:
+            payload = change(m.topic, m.payload)
+            if payload is not None:
+                channel = of_json(m.topic, m.schema) if m.encoding == "json" else DEPTH
+                file.add(channel, m.log_ns, m.stamp_ns, payload, m.sequence)
+    return out
+
+
+def only(*topics):
+    return lambda topic, payload: payload if topic in topics else None
+
+
+def page(change):
+    def changed(topic, payload):
+        if topic != JOURNAL.topic:
+            return payload if topic == DEPTH.topic else None
+        told = json.loads(payload)
+        return None if change(told) is False else json.dumps(told).encode()
+
+    return changed
+
+
+def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
+    seen = []
+
+    def change(told):
+        seen.append(told)
+        if len(seen) == 8:
+            told["said"]["goal"]["pose"][0] += 1e-12
+
+    path = copied(drive, tmp_path / "edge-a.mcap", page(change))
+    outcome = replay(Session(path))
+    assert (outcome.differing, outcome.first.tick) == (1, 8)
+    args = argparse.Namespace(file=path, config=None, detect=False)
+    assert commands.replay(args) == 1
+    assert "differs in 1 of 30 ticks, first in tick 8 (stamp" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "ticks", "why"),
+    [
+        (only(JOURNAL.topic), 0, "the next frame's depth was dropped when it was recorded"),
+        (page(lambda told: told["entries"][0]["n"] not in range(20, 30)), None,
+         "what follows was dropped when it was recorded"),
+    ],
+)  # fmt: skip
+def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, why):
+    path = copied(drive, tmp_path / "edge-a.mcap", change)
+    session = Session(path)
+    outcome = replay(session)
+    assert outcome.ended == session.gap == why
+    assert outcome.ticks < 10
+    assert ticks is None or outcome.ticks == ticks
+    assert outcome.differing == 0
+    assert commands.replay(argparse.Namespace(file=path, config=None, detect=False)) == 1
+
+
+@pytest.mark.parametrize(
+    ("metadata", "payload", "why"),
+    [
+        ({}, b"{}", "an MCAP file, but not of the sink `mcap`"),
+        ({"edge-recording": {"version": "2", "edge": "9.0"}}, b"{}",
+         "recorded by edge 9.0 in version 2 of the format, this one reads 1"),
+        ({"edge-recording": {"version": "1", "edge": "1"}}, b"{}", "damaged"),
+        ({"edge-recording": {"version": "1", "edge": "1", "session": "a", "part": "0",
+                             "config": '{"nonsense": 1}'}}, b"{}",
+         "its configuration is of edge 1 and cannot be used"),
+        ("good", b'{"entries": [{"n": 0, "kind": "spell"}]}', "damaged journal: KeyError"),
+        ("good", b"[]", "damaged journal: TypeError"),
+        ("good", b'{"entries": [{"n": 0, "kind": "jump", "now_ns": 1}], "observation": null, '
+                 b'"said": null}', "does not begin with the start"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):
+    if metadata == "good":
+        reading = McapReading(drive)
+        next(iter(reading))
+        metadata = reading.metadata
+    path = tmp_path / "edge-a.mcap"
+    with McapFile(path, "lz4", metadata) as file:
+        file.add(JOURNAL, 0, 0, payload)
+    with pytest.raises(RecordingError, match=re.escape(why)) as caught:
+        replay(Session(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(RecordingError, match="No such file"):
+        Session(tmp_path / "a.mcap")
+
+
+def test_another_configuration_goes_other_ways(drive):
+    outcome = replay(Session(drive), small(policy={"kind": "nearest_frontier"}))
+    assert outcome.ticks == 30
+    assert outcome.first is not None
+
+
+def test_the_same_configuration_given_is_no_other(drive):
+    """What the map alone decides is then worked out anew, and in lockstep comes out the same."""
+    assert replay(Session(drive), small()).first is None
+
+
+def test_detecting_anew(drive, tmp_path):
+    with pytest.raises(ReplayError, match="sim finds nothing in pictures"):
+        replay(Session(drive), detect=True)
+    onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
+    other = small(perception={"detector": onnx})
+    outcome = replay(Session(drive), other, detect=True)
+    assert (outcome.ticks, outcome.unseen) == (30, 0)
+    without = Recording(tmp_path, rgb_hz=0.0).steps(3).close()
+    assert replay(Session(without), other, detect=True).unseen == 3
+
+
+def test_a_recording_holds_no_secret(tmp_path):
+    config = small(zenoh={"endpoint": "tcp/127.0.0.1:7447#a=hush"},
+                   perception={"choice": {"kind": "openai", "url": "http://me:hush@h/v1?k=hush",
+                                          "model": "m"}})  # fmt: skip
+    sink = McapSink(config, str(tmp_path), compression="none")
+    closed = ClosedLoop(small(), sinks=[sink])
+    closed.step()
+    closed.close()
+    sink.close()
+    content = files_of(tmp_path)[0].read_bytes()
+    assert b"7447" in content
+    assert b"hush" not in content

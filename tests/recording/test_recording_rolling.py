@@ -1,0 +1,167 @@
+"""Files of limited size and age, a folder of limited size, a disk that is full for a while."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from edge.bus import topics
+from edge.recording.channels import of_topic
+from edge.recording.file import PARTIAL, McapReading
+from edge.recording.rolling import Limits, Rolling, files_of, make_room
+
+STATUS = of_topic(topics.STATUS)
+NOISE = os.urandom(100_000)  # does not get smaller
+
+
+class Clock:
+    s = 100.0
+
+    def __call__(self) -> float:
+        return self.s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def rolling(folder, clock, **limits: float) -> Rolling:
+    return Rolling(folder, Limits(**limits), "lz4", lambda n: {"t": {"part": str(n)}}, clock)
+
+
+def put(files: Rolling, n: int = 1, payload: bytes = b"{}") -> None:
+    for _ in range(n):
+        files.ready()
+        files.add(STATUS, 0, 0, payload)
+        files.sync()
+
+
+def test_nothing_written_is_no_file(tmp_path, clock):
+    rolling(tmp_path / "new", clock).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_has_its_name_when_it_is_complete(tmp_path, clock):
+    files = rolling(tmp_path / "new", clock)
+    put(files)
+    (path,) = files_of(tmp_path / "new")
+    assert path.name == files.name + PARTIAL
+    files.close()
+    (path,) = files_of(tmp_path / "new")
+    assert path.suffix == ".mcap"
+    assert path.name.startswith("edge-2")
+
+
+def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
+    files = rolling(tmp_path, clock, max_s=10.0)
+    for _ in range(3):
+        put(files, 2)
+        clock.s += 11.0
+    files.close()
+    parts = []
+    for path in files_of(tmp_path):
+        reading = McapReading(path)
+        assert len(list(reading)) == 2
+        parts.append(reading.metadata["t"]["part"])
+    assert parts == ["0", "1", "2"]
+
+
+def test_a_file_that_is_large_is_followed_by_the_next(tmp_path, clock):
+    files = rolling(tmp_path, clock, max_mb=1.0, sync_s=0.0)
+    put(files, 25, NOISE)
+    files.close()
+    sizes = [path.stat().st_size for path in files_of(tmp_path)]
+    assert len(sizes) == 3
+    assert max(sizes) < 1_200_000
+
+
+def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, clock):
+    other = rolling(tmp_path, clock)
+    put(other, 5, NOISE)
+    written = files_of(tmp_path)[0]
+    foreign = tmp_path / "holiday.mcap"
+    foreign.write_bytes(NOISE)
+    files = rolling(tmp_path, clock, max_mb=1.0, keep_mb=3.0, sync_s=0.0)
+    put(files, 60, NOISE)
+    files.close()
+    left = files_of(tmp_path)
+    assert left[0] == written
+    assert foreign.exists()
+    assert sum(path.stat().st_size for path in left) <= 3_300_000
+    parts = []
+    for path in left[1:]:
+        reading = McapReading(path)
+        list(reading)
+        parts.append(int(reading.metadata["t"]["part"]))
+    assert parts == list(range(6 - len(parts), 6))
+    other.close()
+
+
+def test_room_is_made_of_nothing(tmp_path):
+    make_room(tmp_path, 0)
+
+
+def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, clock, caplog):
+    folder = tmp_path / "folder"
+    folder.write_bytes(b"in the way")
+    files = rolling(folder, clock)
+    for _ in range(3):
+        put(files, 2)
+        clock.s += 6.0
+    assert (files.messages, files.lost) == (0, 6)
+    assert files.problem == "File exists"
+    folder.unlink()
+    put(files, 2)
+    assert (files.messages, files.problem) == (2, "")
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 2
+    assert said[0].endswith("nothing can be recorded: File exists; goes on as soon as it can")
+    assert said[1].endswith("; 6 messages are lost")
+    files.close()
+
+
+FULL = """
+import logging, resource, sys
+from pathlib import Path
+from edge.bus import topics
+from edge.recording.channels import of_topic
+from edge.recording.rolling import Limits, Rolling
+logging.basicConfig(format="%(message)s")
+now = [0.0]
+files = Rolling(Path(sys.argv[1]), Limits(sync_s=0.0), "none", lambda n: {}, lambda: now[0])
+def put(n):
+    for _ in range(n):
+        now[0] += 0.1
+        files.ready(); files.add(of_topic(topics.STATUS), 0, 0, bytes(10_000)); files.sync()
+most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+resource.setrlimit(resource.RLIMIT_FSIZE, (105_000, most))
+put(15)
+assert files.problem == "File too large" and files.lost, files.problem
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+put(60)
+assert files.problem == ""
+files.close()
+print(files.messages, files.lost)
+"""
+
+
+def test_a_disk_that_is_full_for_a_while(tmp_path):
+    """A limit on a file's size is what any process may set, and fails as a full disk does."""
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    told = done.stderr.splitlines()
+    assert len(told) == 2
+    assert told[0].endswith("nothing can be recorded: File too large; goes on as soon as it can")
+    messages, lost = map(int, done.stdout.split())
+    assert messages + lost == 75
+    first, second = files_of(tmp_path)
+    assert first.name.endswith(PARTIAL)
+    read = len(list(McapReading(first))), len(list(McapReading(second)))
+    assert read[0] == 10
+    assert sum(read) == messages

@@ -1,0 +1,213 @@
+"""What the sink `mcap` writes: messages that ROS 2 knows, exact depth, in bounded memory."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from patience import eventually
+from recordings import Recording, small
+from results import result
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from edge.errors import ConfigError
+from edge.geometry import SE2, CameraModel
+from edge.loop.result import Event
+from edge.recording import channels
+from edge.recording.file import McapReading
+from edge.recording.rolling import files_of
+from edge.recording.session import Session
+from edge.sinks import find_sinks
+from edge.sinks.mcap import McapSink
+from edge.types import Goal, Observation
+
+CAMERA = CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0)
+
+
+def seen(seq: int, depth_m: np.ndarray | None = None, **fields) -> Observation:
+    return Observation(
+        seq, seq * 10**8, SE2(1.0, 2.0, 0.5).matrix(), depth_m=depth_m, camera=CAMERA, **fields
+    )
+
+
+def tick(observation: Observation, **fields):
+    return result(observation.stamp_ns, observation=observation, **fields)
+
+
+@pytest.fixture
+def make(tmp_path):
+    made: list[McapSink] = []
+
+    def sink(lockstep: bool = True, **options) -> McapSink:
+        made.append(McapSink(small(loop={"lockstep": lockstep}), str(tmp_path), **options))
+        return made[-1]
+
+    yield sink
+    for one in made:
+        one.close()
+
+
+def test_nothing_to_say_is_no_file(make, tmp_path):
+    make().close()
+    assert files_of(tmp_path) == []
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A drive in two rooms, with a camera and a LiDAR."""
+    config = small(sensors={"camera": {"width_px": 80, "height_px": 64},
+                            "lidar": {"rings": 4, "columns": 90}})  # fmt: skip
+    return Recording(tmp_path_factory.mktemp("run"), config, rgb_hz=100.0).steps(15).close()
+
+
+def test_the_schemas_say_what_every_message_is(run):
+    with open(run, "rb") as file:
+        newest = {c.topic: (s, m.data) for s, c, m in make_reader(file).iter_messages()}
+    read = {}
+    for topic, (schema, payload) in newest.items():
+        if schema.encoding == "ros2msg":
+            store = get_typestore(Stores.EMPTY)
+            store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            read[topic] = store.deserialize_cdr(payload, schema.name)
+    assert read.keys() == {
+        "/camera/rgb/compressed", "/camera/depth", "/camera/info", "/lidar/points", "/odom", "/tf",
+        "/goal", "/map", "/path", "/markers",
+    }  # fmt: skip
+    assert [t.child_frame_id for t in read["/tf"].transforms] == [
+        "base_link", "camera_optical", "lidar",
+    ]  # fmt: skip
+    picture = cv2.imdecode(read["/camera/rgb/compressed"].data, cv2.IMREAD_COLOR)
+    assert picture.shape == (64, 80, 3)
+    assert read["/odom"].pose.pose.orientation.w != 0.0
+    assert len(read["/path"].poses) >= 1
+    assert {m.ns for m in read["/markers"].markers} >= {"frontiers"}
+    assert read["/map"].info.resolution > 0.0
+
+
+def test_json_says_what_foxglove_asks_for(run):
+    said: dict[str, dict] = {}
+    schemas = {}
+    for m in McapReading(run):
+        if m.encoding == "json":
+            said[m.topic], schemas[m.topic] = json.loads(m.payload), m.schema
+    assert schemas["/events"] == "foxglove.Log"
+    assert schemas["/detections"] == "foxglove.ImageAnnotations"
+    for channel in (channels.EVENTS, channels.BOXES):
+        known = json.loads(channel.schema_text)["properties"]
+        assert said[channel.topic].keys() == known.keys()
+    assert said["/status"]["phase"] == "searching"
+    assert said["/latency"]["tick"]["n"] > 0
+
+
+def test_pictures_have_their_colours(make, tmp_path):
+    rgb = np.zeros((30, 40, 3), np.uint8)
+    rgb[..., 0], rgb[..., 2] = 200, 40
+    sink = make(rgb_hz=10.0)
+    sink.tick(tick(seen(1, rgb=rgb)))
+    sink.close()
+    (moment,) = Session(files_of(tmp_path)[0]).moments()
+    assert moment.picture
+    assert np.abs(moment.observation.rgb.astype(int) - rgb).max() <= 4
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "encoding"),
+    [
+        (np.zeros((30, 40), np.float32), b"16UC1"),
+        (np.arange(1200, dtype=np.uint16).reshape(30, 40) * np.float32(0.001), b"16UC1"),
+        (np.full((30, 40), 65.535, np.float32), b"16UC1"),
+        (np.full((30, 40), 65.536, np.float32), b"32FC1"),
+        (np.full((30, 40), np.pi, np.float32), b"32FC1"),
+        (np.full((30, 40), np.nan, np.float32), b"32FC1"),
+        (np.full((30, 40), -0.001, np.float32), b"32FC1"),
+    ],
+)
+def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
+    sink = make()
+    sink.tick(tick(seen(1, depth_m)))
+    sink.close()
+    path = files_of(tmp_path)[0]
+    (payload,) = [m.payload for m in McapReading(path) if m.topic == "/camera/depth"]
+    assert encoding in payload
+    (moment,) = Session(path).moments()
+    np.testing.assert_array_equal(moment.observation.depth_m, depth_m)
+    assert moment.observation.T_map_base.tobytes() == seen(1).T_map_base.tobytes()
+    assert moment.observation.camera == CAMERA
+
+
+def test_what_the_source_writes_over_was_copied(make, tmp_path):
+    sink, depth_m = make(lockstep=False), np.ones((30, 40), np.float32)
+    for k in range(1, 4):
+        depth_m[:] = k
+        sink.tick(tick(seen(k, depth_m)))
+    depth_m[:] = 0.0
+    sink.close()
+    moments = Session(files_of(tmp_path)[0]).moments()
+    assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
+
+
+def test_pictures_come_at_their_rate(make, tmp_path):
+    sink, rgb = make(rgb_hz=2.0), np.zeros((30, 40, 3), np.uint8)
+    for k in range(1, 31):  # three seconds
+        sink.tick(tick(seen(k, rgb=rgb)))
+    sink.close()
+    topics = [m.topic for m in McapReading(files_of(tmp_path)[0])]
+    assert topics.count("/camera/rgb/compressed") == 6
+    assert topics.count("/odom") == 30
+
+
+def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
+    sink = make(lockstep=False, pending_mb=0.05)
+    gate, add = threading.Event(), sink._files.add
+    sink._files.add = lambda *told: (gate.wait(20.0), add(*told))
+    depth_m = np.ones((30, 40), np.float32)  # 2400 bytes as millimetres
+    for k in range(1, 31):
+        sink.tick(tick(seen(k, depth_m)))
+    assert sink.status()["dropped"]["arrays"] == 9
+    assert sink._pending_bytes <= 55_000
+    gate.set()
+    eventually(lambda: sink._pending_bytes == 0)
+    sink.tick(tick(seen(31, depth_m)))
+    sink.close()
+    session = Session(files_of(tmp_path)[0])
+    assert len(list(session.moments())) == 21
+    assert session.gap == "the next frame's depth was dropped when it was recorded"
+    written = [m.sequence for m in session.messages() if m.topic == "/camera/depth"]
+    assert written == [*range(1, 22), 31]
+
+
+def test_moments_between_observations_are_told_together(make, tmp_path):
+    sink = make()
+    for k in range(100):
+        sink.tick(result(k * 10**7))
+    sink.tick(result(10**9, events=(Event(10**9, "look"),)))
+    goal = Goal(5, SE2(1.0, 2.0, 0.5), "frontier", 7, (1.0, 2.5), 0.4, "chair")
+    sink.tick(result(10**9 + 1, goals=(goal,)))
+    sink.close()
+    topics = [m.topic for m in McapReading(files_of(tmp_path)[0])]
+    assert topics.count("/journal") == 3
+    assert (topics.count("/events"), topics.count("/goal")) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"max_mb": 0}, "max_mb: must be more than 0, got 0"),
+        ({"sync_s": -1}, "sync_s: must be more than 0"),
+        ({"rgb_hz": -1}, "rgb_hz: must be 0 or more"),
+        ({"keep_mb": 100}, "keep_mb: 100 is less than two files of 256 MB"),
+        ({"compression": "gzip"}, r"compression: unknown 'gzip' \(none, lz4, zstd\)"),
+        ({"color": "red"}, "options: got an unexpected keyword argument 'color'"),
+        ({"folder": "/proc/nowhere"}, "folder: /proc/nowhere: No such file"),
+    ],
+)
+def test_options_that_cannot_be_used(tmp_path, options, why):
+    config = small()
+    sinks = ({"kind": "mcap", "options": {"folder": str(tmp_path), **options}},)
+    config = type(config).model_validate({**config.model_dump(), "sinks": sinks})
+    with pytest.raises(ConfigError, match=why):
+        [make(config=config, session=None) for make in find_sinks(config)]
