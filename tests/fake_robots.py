@@ -23,6 +23,7 @@ from edge.config import Mission, Zenoh
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.loop import requests
+from edge.loop.journal import Journal
 from edge.loop.service import Service
 from edge.mission.brief import Brief, prepare
 from edge.mission.run import MissionRun
@@ -52,6 +53,7 @@ class FakeService:
         )  # fmt: skip
         self.swapper = None
         self.events: list[str] = []
+        self._journal = Journal()
         self.begun = 0
 
     @property
@@ -68,6 +70,8 @@ class FakeService:
 
     def event(self, text: str, now_ns: int) -> None:
         self.events.append(text)
+
+    pause, fail = Service.pause, Service.fail
 
 
 class FakeRobot:
