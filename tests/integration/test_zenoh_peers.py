@@ -22,6 +22,7 @@ from edge.bus.wire import messages
 from edge.config import Config, Zenoh
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host.ports import free_port
+from edge.recording.channels import Channel
 from edge.sinks.zenoh import ZenohSink
 from edge.sources import recording
 from edge.sources.zenoh import ZenohSource
@@ -163,9 +164,9 @@ def record(session, config: Config, path: Path, enough: set[str]) -> None:
     stop, heard = threading.Event(), []
 
     class File(recording.McapFile):
-        def add(self, topic: topics.Topic, *message: object) -> None:
-            super().add(topic, *message)
-            heard.append(topic.key)
+        def add(self, channel: Channel, *message: object) -> None:
+            super().add(channel, *message)
+            heard.append(channel.topic.lstrip("/"))
             if len(heard) >= 30 and enough <= set(heard):
                 stop.set()
 

@@ -372,7 +372,7 @@ def test_edge_run_says_in_one_line_why_it_cannot_detect(
     path = tmp_path / "robot.yaml"
     path.write_text(f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n")
     monkeypatch.setattr(cli, "setup", lambda *_: None)
-    monkeypatch.setattr(cli, "stop_on_signals", lambda: None)
+    monkeypatch.setattr(cli, "stop_on_signals", lambda *_: None)
     assert cli.main(["run", str(path)]) == code
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert message in line
