@@ -152,7 +152,7 @@ def test_where_the_detector_looked(benchmark):
         m.coverage.look(next(views), 3.0, 3)
 
     benchmark.pedantic(step, rounds=500, warmup_rounds=20)
-    assert m.coverage._looks.any()
+    assert m.coverage.looks.any()
 
 
 def test_step_of_the_search_for_a_view(benchmark):
