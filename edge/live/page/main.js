@@ -64,8 +64,9 @@ async function story() {
   const told = await get("live/story");
   if (!told || !state.now) return;
   const { now } = state;
-  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment) });
-  automaton.show(told.automaton);
+  const idle = now.moment?.phase === "idle";
+  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment), idle });
+  automaton.show(idle ? automaton.NONE : told.automaton);
   panels.latency(told.latency);
   panels.log({ events: told.events, n_events: told.n_events });
   panels.health({ service: now.service, health: told.health, controlled: now.moment?.controlled ?? false });

@@ -60,10 +60,11 @@ function pairs(id, rows) {
   ]));
 }
 
-export const mission = once(({ mission: m, steps, done }) => {
-  say("english", m.english);
-  say("formula", m.formula);
-  say("translated", `state ${m.state} of ${m.states}, by ${m.translated_by}`);
+// While none was given, there is one that the detector was made ready for; it is not to be done.
+export const mission = once(({ mission: m, steps, done, idle }) => {
+  say("english", idle ? "The robot stands until it is given a mission." : m.english);
+  say("formula", idle ? "" : m.formula);
+  say("translated", idle ? "" : `state ${m.state} of ${m.states}, by ${m.translated_by}`);
   const rows = done ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
   if (m.reached.length) rows.push(["reached", m.reached.join(", "), "ok"]);
   if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
