@@ -186,6 +186,20 @@ def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):
     page.until("document.getElementById('banner').hidden")
 
 
+def test_an_error_that_is_answered_is_told_apart_from_no_answer(page, monkeypatch):
+    def broken(*args):
+        raise ValueError("<b>broken</b>")
+
+    for part, phase in (("story", "SEARCHING"), ("now", "ERROR")):
+        with monkeypatch.context() as breaking:
+            breaking.setattr(f"edge.live.view.{part}_of", broken)
+            why = f"/live/{part} failed: ValueError: <b>broken</b>"
+            page.says("#banner", f"answered with an error: {why}")
+            page.says("#phase", phase)
+        page.until("document.getElementById('banner').hidden")
+        page.says("#phase", "SEARCHING")
+
+
 def test_a_service_that_has_gone_was_last_seen(tab):
     with open_house(token=None) as house:
         tab.open(house.url)
