@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from socketserver import ThreadingMixIn
@@ -159,6 +160,7 @@ class _Server(ThreadingMixIn, HTTPServer):
         self.site = site
         self._open: dict[socket.socket, None] = {}
         self._hand = threading.Lock()
+        self._faulty: set[str] = set()
         family, *_, address = socket.getaddrinfo(site.host, port, type=socket.SOCK_STREAM)[0]
         self.address_family = family
         super().__init__(address[:2], _Handler)
@@ -194,6 +196,15 @@ class _Server(ThreadingMixIn, HTTPServer):
         """Whoever goes away in the middle of an answer is no fault of ours."""
         log.debug("a request failed", exc_info=True)
 
+    def tell_once(self, path: str, fault: str) -> None:
+        """Log why a page cannot be made: the first time, since many ask again and again."""
+        with self._hand:
+            told = path in self._faulty
+            self._faulty.add(path)
+        if not told:
+            log.warning("%s", fault)
+        log.debug("%s", fault, exc_info=True)
+
 
 class _RefusedError(Exception):
     """Why a request is not answered as it was meant."""
@@ -222,9 +233,9 @@ class _Handler(BaseHTTPRequestHandler):
         stranger = self._stranger()
         if stranger is None or (path in site.public and stranger.status != _ELSEWHERE):
             make = site.pages.get(path)
-            self._answer(self._nothing() if make is None else make())
+            self._answer(self._nothing() if make is None else self._made(path, make))
         elif path in site.probes:
-            self._answer(replace(site.pages[path](), body=b""))
+            self._answer(replace(self._made(path, site.pages[path]), body=b""))
         else:
             self._refuse(stranger)
 
@@ -238,7 +249,16 @@ class _Handler(BaseHTTPRequestHandler):
         except _RefusedError as refused:
             self._refuse(refused, close=True)
         else:
-            self._answer(take(body))
+            self._answer(self._made(path, partial(take, body)))
+
+    def _made(self, path: str, make: Callable[[], Page]) -> Page:
+        """What is to be answered; a fault of whoever makes it is told to who asks."""
+        try:
+            return make()
+        except Exception as error:
+            said = f"{path} failed: {type(error).__name__}: {one_line(error)}"
+            self.server.tell_once(path, said)
+            return _page(f"{said}; see the service's log", HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _form(self, path: str) -> Callable[[bytes], Page]:
         """What takes a post there, from whoever may."""

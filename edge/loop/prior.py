@@ -6,7 +6,9 @@ What stands near the place in sight (`cooccurrence`), and which kind of room it 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ from edge.geometry import SE2, Grid
 from edge.host.worker import Worker
 from edge.mapping import regions
 from edge.mapping.grid import RollingMap
+from edge.mapping.layers import read_only
 from edge.mapping.points import TALL
 from edge.mapping.view import MapView
 from edge.perception.prior import cooccurrence, rooms
@@ -32,6 +35,8 @@ REGION_M = 0.7
 SURE = 0.15
 """A sighting of this confidence counts in full: its mean includes looks from afar."""
 LEAST, MOST = 0.25, 4.0
+DRAWN_M, MOST_DRAWN = 0.3, 20_000
+"""Side of a cell of `Prior.layer`, and of how many cells it is at most; then they are larger."""
 
 
 class Rooms(NamedTuple):
@@ -48,6 +53,20 @@ class Rooms(NamedTuple):
     label: np.ndarray
     n: int
     border: np.ndarray
+
+
+class Things(NamedTuple):
+    """What was seen.
+
+    Attributes:
+        xyz_m: (n, 3) float32 in `map`.
+        row: (n,) int32 of the table; -1: of none that counts.
+        weight: (n,) float32 in [0, 1], how surely it is there.
+    """
+
+    xyz_m: np.ndarray
+    row: np.ndarray
+    weight: np.ndarray
 
 
 class Prior:
@@ -76,6 +95,8 @@ class Prior:
         self._near = np.zeros((0, len(table.things)), np.float32)
         self._kind = np.zeros((0, len(table.kinds)))
         self._lifts: dict[str, np.ndarray] = {}
+        self._layers: dict[str, Callable[[], Grid]] = {}
+        self._drawn = (-1, -1)
 
     def through(self, beside: Callable[[str, Any], Any]) -> None:
         """Let what the worker is asked and finds pass through `beside`."""
@@ -114,8 +135,41 @@ class Prior:
             return
         self._look_at(self._sightings, xy_m[:n])
         if target not in self._lifts:
-            self._lifts[target] = self._lift(row)
+            self._lifts[target] = self._lift(row, self._near, self._kind)
         out[:n] = self._lifts[target]
+
+    def layer(self, target: str) -> Callable[[], Grid]:
+        """What draws `lift` over the open part of the map, as all stands now.
+
+        Returns:
+            What may be called at any time, by any thread; it gives uint8 cells: 0 where there is no
+            opinion, else 1 (`LEAST`) … 128 (as elsewhere) … 255 (`MOST`), by the logarithm.
+        """
+        s, rooms, row = self._sightings, self._rooms, self._words.row(target)
+        if s is None or s.n == 0 or row < 0:
+            return lambda: _NOWHERE.grid
+        if self._drawn != (s.generation, self._version):
+            self._drawn = s.generation, self._version
+            self._layers.clear()
+        if target not in self._layers:
+            things = self._things(s)
+            things = things._replace(xyz_m=read_only(things.xyz_m.copy()))
+            self._layers[target] = cache(lambda: self._draw(row, things, rooms))
+        return self._layers[target]
+
+    def _draw(self, row: int, things: Things, rooms: Rooms) -> Grid:
+        """See `layer`; on any thread."""
+        grid = rooms.grid
+        step = max(
+            round(DRAWN_M / grid.resolution_m), math.ceil(math.sqrt(grid.cells.size / MOST_DRAWN))
+        )
+        open_ = grid.cells[step // 2 :: step, step // 2 :: step] == regions.OPEN
+        drawn = Grid(np.zeros(open_.shape, np.uint8), grid.origin_xy_m, step * grid.resolution_m)
+        xy_m = drawn.to_metres(np.argwhere(open_)[:, ::-1] + 0.5).astype(np.float32)
+        lift = self._lift(row, *self._surroundings(things, rooms, xy_m))
+        share = np.log(lift / LEAST) / math.log(MOST / LEAST)
+        drawn.cells[open_] = np.where(lift == 1.0, 0, np.round(1 + 254 * share))
+        return drawn
 
     def forget(self) -> None:
         """The map begins anew."""
@@ -126,14 +180,14 @@ class Prior:
         """Begin nothing more."""
         self._worker.close()
 
-    def _lift(self, row: int) -> np.ndarray:
-        """Of the places looked at, (n,) float32."""
-        lift = np.ones(len(self._xy_m), np.float32)
+    def _lift(self, row: int, near: np.ndarray, kind: np.ndarray) -> np.ndarray:
+        """Of places with these surroundings, (n,) float32."""
+        lift = np.ones(len(near), np.float32)
         if self._by != "rooms":
-            cooccurrence.lift(self._table, row, self._near, lift)
+            cooccurrence.lift(self._table, row, near, lift)
         if self._by != "cooccurrence":
             power = self._table.room_power[self._by == "both"]
-            lift *= rooms.lift(self._chance, self._average, row, self._kind) ** power
+            lift *= rooms.lift(self._chance, self._average, row, kind) ** power
         return np.clip(lift, LEAST, MOST, out=lift)
 
     def _look_at(self, s: Sightings, xy_m: np.ndarray) -> None:
@@ -144,37 +198,49 @@ class Prior:
         self._seen, self._places = s.generation, (self._version, len(xy_m))
         self._xy_m = np.array(xy_m, np.float32)
         self._lifts.clear()
+        self._near, self._kind = self._surroundings(self._things(s), self._rooms, self._xy_m)
+
+    def _things(self, s: Sightings) -> Things:
         if len(s.words) != len(self._row):
             self._row = np.array([self._words.row(word) for word in s.words], np.int32)
-        row = self._row[s.word[: s.n]]
         weight = np.minimum(s.confidence[: s.n] / np.float32(SURE), np.float32(1.0))
-        n, m = len(xy_m), len(self._table.things)
-        grid, (x0_m, y0_m) = self._rooms.grid, self._rooms.grid.origin_xy_m
-        if self._by != "rooms":
-            self._near = np.empty((n, m), np.float32)
-            nearby(
-                self._rooms.wall, x0_m, y0_m, grid.resolution_m, self._xy_m, n,
-                s.xyz_m, row, weight, s.n, NEAR_M, self._near,
-            )  # fmt: skip
-        if self._by != "cooccurrence":
-            self._kind = self._kinds(s, row, weight)
+        return Things(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
 
-    def _kinds(self, s: Sightings, row: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def _surroundings(
+        self, things: Things, known: Rooms, xy_m: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How surely each thing is near each place, (n, things) float32; and what kind of room
+        each is in, see `_kinds`. What is not gone by is 0."""
+        n = len(xy_m)
+        near = np.zeros((n, len(self._table.things)), np.float32)
+        if self._by != "rooms":
+            grid = known.grid
+            nearby(
+                known.wall, *grid.origin_xy_m, grid.resolution_m, xy_m, n,
+                things.xyz_m, things.row, things.weight, len(things.row), NEAR_M, near,
+            )  # fmt: skip
+        if self._by == "cooccurrence":
+            return near, np.zeros((n, len(self._table.kinds)))
+        return near, self._kinds(things, known, xy_m)
+
+    def _kinds(self, things: Things, known: Rooms, xy_m: np.ndarray) -> np.ndarray:
         """What the places would show: P(kind), (n, kinds) float64."""
-        held = np.zeros((self._rooms.n + 1, len(self._table.things)), np.float32)
-        at = self._regions(s.xyz_m, s.n)
-        counts = (at > 0) & (row >= 0)
-        np.maximum.at(held, (at[counts], row[counts]), weight[counts])
-        next_to = rooms.neighbours(self._rooms.border, held)
-        here = self._regions(self._xy_m, len(self._xy_m))
+        held = np.zeros((known.n + 1, len(self._table.things)), np.float32)
+        at = _regions(known, things.xyz_m)
+        counts = (at > 0) & (things.row >= 0)
+        np.maximum.at(held, (at[counts], things.row[counts]), things.weight[counts])
+        next_to = rooms.neighbours(known.border, held)
+        here = _regions(known, xy_m)
         return rooms.at_places(self._table, self._chance, held[here], held[next_to[here]])
 
-    def _regions(self, xy_m: np.ndarray, n: int) -> np.ndarray:
-        grid, out = self._rooms.grid, np.empty(n, np.int16)
-        regions.regions_at(
-            self._rooms.label, *grid.origin_xy_m, grid.resolution_m, xy_m, n, REGION_M, out
-        )
-        return out
+
+def _regions(known: Rooms, xy_m: np.ndarray) -> np.ndarray:
+    """The region that each place is in, (n,) int16; see `regions.regions_at`."""
+    grid, out = known.grid, np.empty(len(xy_m), np.int16)
+    regions.regions_at(
+        known.label, *grid.origin_xy_m, grid.resolution_m, xy_m, len(xy_m), REGION_M, out
+    )
+    return out
 
 
 _NOWHERE = Rooms(

@@ -603,4 +603,7 @@ class Service:
         valued = self.mission.brief.targets if self.config.value_source is not None else ()
         values, coverage = self.grid.values, self.grid.coverage
         of_targets = {f"value of {target}": partial(values.snapshot, target) for target in valued}
+        if self._prior is not None and not self.mission.idle:
+            layer = self._prior.layer
+            of_targets |= {f"likely place of {x}": layer(x) for x in self.mission.brief.targets}
         return {"looked at": coverage.snapshot, **of_targets}

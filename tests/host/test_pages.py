@@ -38,7 +38,6 @@ def test_pages_are_made_when_they_are_asked_for():
     pages = {
         "/count": lambda: json_page({"n": next(counted)}),
         "/down": lambda: Page(b"no", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
-        "/broken": lambda: 1 // 0,
     }
     with serve(pages, HERE, 0) as port:
         assert [json.loads(ask(port, "/count?x=1")[1])["n"] for _ in range(2)] == [0, 1]
@@ -47,11 +46,22 @@ def test_pages_are_made_when_they_are_asked_for():
         assert ask(port, "/down", "POST")[0] == 405
         status, text = ask(port, "/else")
         assert (status, b"/count" in text) == (404, True)
-        with pytest.raises(OSError, match=r"closed|reset"):  # RemoteDisconnected is one
-            ask(port, "/broken")
-        assert ask(port, "/down")[0] == 503
     with pytest.raises(ConnectionRefusedError):
         ask(port, "/down")
+
+
+def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
+    def broken(*args: bytes) -> Page:
+        raise ValueError("two\nlines")
+
+    told = b"failed: ValueError: two lines; see the service's log\n"
+    with serve({"/page": broken}, HERE, 0, Token(b"right"), ("/page",), {"/form": broken}) as port:
+        for _ in range(3):
+            assert ask(port, "/page") == (500, b"")
+            assert ask(port, "/page", Authorization="Bearer right") == (500, b"/page " + told)
+            assert post(port) == (500, b"/form " + told)
+    warned = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert warned == [f"{path} failed: ValueError: two lines" for path in ("/page", "/form")]
 
 
 @pytest.mark.parametrize(

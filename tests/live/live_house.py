@@ -107,6 +107,8 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     vitals = Vitals(ServiceManager({}))
     view, brittle = LiveView(config, vitals), Brittle()
     closed = ClosedLoop(config, sinks=(view.sink, brittle))
+    if config.mission.on_request:
+        closed.service.mission.wait()
     queues = {
         key: RequestQueue(key, verbs, handle)
         for key, (verbs, handle) in requests.served(

@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 import pytest
 from chromium import Tab, open_chromium
 from live_house import HERE, TOKEN, House, open_house
+from patience import eventually
 from simulated import simulated
 
 from edge.host.pages import serve
@@ -64,7 +65,7 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     for canvas in ("map", "camera"):
         page.until(f"document.getElementById('{canvas}').width > 300")
     assert painted(page, "map") > 20
-    assert painted(page, "camera") > 100
+    eventually(lambda: painted(page, "camera") > 100)
     assert {urlsplit(url).netloc for url in page.asked} - {""} == {f"127.0.0.1:{house.port}"}
     assert page.complaints == []
 
@@ -129,6 +130,26 @@ def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
     assert house.service.mission.brief.targets == ("bed",)
 
 
+def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
+    with open_house(mission={"target": "bed", "on_request": True}, robot=SLOWLY) as house:
+        tab.open(house.url)
+        tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
+        tab.open(house.url)
+        tab.says("#phase", "IDLE")
+        assert tab.text("#reason") == "waiting for a mission"
+        assert "idle" in tab.run("document.title")
+        tab.says("#english", "until it is given a mission")
+        for part in ("#formula", "#automaton", "#plan", "#note"):
+            assert tab.text(part) == ""  # of the mission that it was made ready for
+        assert tab.run("document.getElementById('pause').disabled")
+        tab.click("#new")
+        tab.type("#words", "find the sofa")
+        tab.click("#new-ok")
+        tab.says("#phase", "SEARCHING")
+        tab.says("#formula", "F sofa")
+        tab.until("document.querySelectorAll('#automaton circle').length >= 3")
+
+
 def test_cancelling_takes_two_clicks(page, house):
     page.click("#cancel")
     page.says("#cancel", "Really?")
@@ -163,6 +184,20 @@ def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):
     assert page.run("document.querySelectorAll('#banner b, #log b, #health b').length") == 0
     house.brittle.broken = False
     page.until("document.getElementById('banner').hidden")
+
+
+def test_an_error_that_is_answered_is_told_apart_from_no_answer(page, monkeypatch):
+    def broken(*args):
+        raise ValueError("<b>broken</b>")
+
+    for part, phase in (("story", "SEARCHING"), ("now", "ERROR")):
+        with monkeypatch.context() as breaking:
+            breaking.setattr(f"edge.live.view.{part}_of", broken)
+            why = f"/live/{part} failed: ValueError: <b>broken</b>"
+            page.says("#banner", f"answered with an error: {why}")
+            page.says("#phase", phase)
+        page.until("document.getElementById('banner').hidden")
+        page.says("#phase", "SEARCHING")
 
 
 def test_a_service_that_has_gone_was_last_seen(tab):

@@ -12,7 +12,7 @@ from simulated import simulated
 from edge.config import DetectorSim, Mapping
 from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
-from edge.loop.prior import LEAST, MOST, PERIOD_NS, Prior, make_prior
+from edge.loop.prior import DRAWN_M, LEAST, MOST, PERIOD_NS, Prior, make_prior
 from edge.mapping.grid import RollingMap
 from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.view import MapView
@@ -174,6 +174,55 @@ def test_beside_the_loop_too():
 
     eventually(hidden)
     p.close()
+
+
+@pytest.mark.parametrize("by", BY)
+def test_a_layer_of_it_says_what_it_says_of_each_place(by):
+    p = prior(by)
+    assert p.layer("toilet")().cells.size == 0
+    room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
+    things = seen(("toilet paper", 3.5, 2.5), ("sink", 3.5, -2.5), ("bed", 0.0, 2.5))
+    p.step(room, things, 0)
+    assert p.layer("zeppelin")().cells.size == 0
+    grid = p.layer("toilet")()
+    drawn = np.argwhere(grid.cells)
+    assert len(drawn) > 50
+    told = LEAST * (MOST / LEAST) ** ((grid.cells[grid.cells > 0] - 1.0) / 254)
+    for (y, x), lift in list(zip(drawn, told, strict=True))[::7]:
+        place = grid.to_metres(np.array([x + 0.5, y + 0.5]))
+        assert lifts(p, "toilet", place) == [pytest.approx(lift, rel=0.01)]
+    assert grid.cells.max() > 128
+
+
+def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
+    """As another thread may call for it, while the loop goes on."""
+    p, view = prior("both"), walls((2, -2, 2, 2))
+    things = seen(("toilet paper", 1, 0))
+    p.step(view, things, 0)
+    at = (0.5, 0.5)
+    before, (looked_at, kept) = lifts(p, "toilet", at), (p._xy_m, p._lifts["toilet"])
+    early, same = p.layer("toilet"), p.layer("toilet")
+    assert early is same  # nothing has changed: it is drawn once
+    things.xyz_m[:], things.confidence[:] = 99.0, 0.0
+    things.n, things.generation = 0, things.generation + 1
+    drawn = early()
+    assert drawn.cells.max() > 128
+    assert p._xy_m is looked_at
+    assert p._lifts["toilet"] is kept
+    assert before == kept.tolist()
+    assert not p.layer("toilet")().cells.size
+
+
+def test_a_layer_of_a_large_map_is_coarser():
+    p = prior("both")
+    p.step(walls((14, -14, 14, 14), (-14, -14, -14, 14)), seen(("toilet", 1, 0)), 0)
+    fine = p.layer("toilet")()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("edge.loop.prior.MOST_DRAWN", fine.cells.size // 4)
+        p._layers.clear()
+        coarse = p.layer("toilet")()
+    assert coarse.cells.size <= fine.cells.size // 3
+    assert coarse.resolution_m > fine.resolution_m >= DRAWN_M * 0.9
 
 
 def settings(by: str) -> dict:

@@ -356,7 +356,7 @@ def test_the_steady_tick_allocates_no_large_arrays(watched):
     assert max(peaks) < 300_000, peaks
 
 
-def test_a_result_tells_of_candidates_the_way_and_layers():
+def test_a_result_tells_of_candidates_the_way():
     loop = ClosedLoop(config(mission={"target": "bed"}))
     nothing = loop.service.result()
     assert (len(nothing.candidates().score), len(nothing.way())) == (0, 0)
@@ -367,9 +367,26 @@ def test_a_result_tells_of_candidates_the_way_and_layers():
     assert goal.candidate_id in there.id
     assert {len(part) for part in there} == {loop.service.pool.candidates.n}
     assert goal.pose.distance_to(*map(float, way[-1])) < 0.05
-    assert list(told.layers()) == ["looked at"]
-    assert told.layers()["looked at"]().cells.max() > 0
     before = there.xy_m.copy()
     for _ in range(20):
         loop.step()
     assert (told.candidates().xy_m == before).all()
+
+
+@pytest.mark.parametrize(
+    ("prior", "idle", "layers"),
+    [
+        ("none", False, ["looked at"]),
+        ("both", True, ["looked at"]),
+        ("both", False, ["looked at", "likely place of bed"]),
+    ],
+)
+def test_where_a_target_may_be_is_a_layer_where_a_prior_tells(prior, idle, layers):
+    loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}))
+    if idle:
+        loop.service.mission.wait()
+    for _ in range(10):
+        loop.step()
+    told = loop.service.result().layers()
+    assert list(told) == layers
+    assert told[layers[-1]]().cells.max() > 0

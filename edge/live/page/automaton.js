@@ -3,6 +3,7 @@
 import { $, make, once, say } from "./dom.js";
 
 const [COLUMN, ROW, RADIUS] = [118, 62, 14];
+export const NONE = { nodes: [], arrows: [], note: "" };
 
 export const show = once(({ nodes, arrows, note }) => {
   say("note", nodes.length < 2 ? "" : `The graph: ${note}`);

@@ -10,6 +10,7 @@ import * as panels from "./panels.js";
 
 const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
 const state = { seen_ms: 0, now: null, layers: [] };
+const failed = new Map(); // by round, what was answered in place of what it asked for
 
 // One round after the other, never two at a time; none while the page is hidden.
 function every(period_ms, round) {
@@ -19,8 +20,9 @@ function every(period_ms, round) {
     if (!document.hidden && !controls.asking()) {
       try {
         await round();
+        failed.delete(round);
       } catch (error) {
-        lost(error);
+        lost(error, round);
         rest = GONE_MS;
       }
     }
@@ -29,15 +31,15 @@ function every(period_ms, round) {
   again();
 }
 
-function lost(error) {
+function lost(error, round) {
   if (error instanceof Refused && error.status === 401) {
     // An answer to the token before this one asks for no other.
     if (error.bearer === token.get()) controls.askForToken(error.bearer !== null);
   } else if (error instanceof Refused) {
-    panels.banner("bad", error.message);
+    failed.set(round, error.message);
+    panels.faulty(error.message, round === now);
   } else if (error instanceof TypeError || error.name === "TimeoutError") {
     // No connection, or no answer.
-    document.body.classList.add("gone");
     panels.gone(state.seen_ms);
   } else {
     throw error;
@@ -48,12 +50,16 @@ async function now() {
   const told = await get("live/now");
   state.now = told;
   state.seen_ms = Date.now();
-  document.body.classList.remove("gone");
   panels.header(told);
-  panels.tellState(told);
+  failed.delete(now);
+  panels.tellState(told, [...failed.values()][0]);
   controls.show(told);
   map.update({ now: told.moment, radius_m: told.radius_m });
-  if (told.shot !== null && told.shot !== camera.seq()) {
+}
+
+async function shots() {
+  const newest = state.now?.shot ?? 0;
+  if (newest !== 0 && newest !== camera.seq()) {
     const shot = await get("live/camera");
     if (shot) await camera.show(shot);
   }
@@ -64,8 +70,9 @@ async function story() {
   const told = await get("live/story");
   if (!told || !state.now) return;
   const { now } = state;
-  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment) });
-  automaton.show(told.automaton);
+  const idle = now.moment?.phase === "idle";
+  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment), idle });
+  automaton.show(idle ? automaton.NONE : told.automaton);
   panels.latency(told.latency);
   panels.log({ events: told.events, n_events: told.n_events });
   panels.health({ service: now.service, health: told.health, controlled: now.moment?.controlled ?? false });
@@ -119,5 +126,6 @@ scheme();
 new ResizeObserver(camera.draw).observe($("camera"));
 
 every(NOW_MS, now);
+every(NOW_MS, shots);
 every(STORY_MS, story);
 every(MAP_MS, maps);

@@ -17,6 +17,7 @@ export function banner(kind, text) {
 }
 
 export function header({ robot, moment, service }) {
+  document.body.classList.remove("gone");
   say("robot", robot);
   document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
   if (!moment) return badge("", service.state);
@@ -35,10 +36,11 @@ function duration(s) {
 }
 
 // What a person has to know first, in order of weight.
-export function tellState({ service, silent_s, moment }) {
+export function tellState({ service, silent_s, moment }, fault) {
   const why = service.why.join("; ");
   const unseen = service.why.includes("nothing to be seen");
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
+  if (fault) return faulty(fault, false);
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
   if (silent_s !== null && silent_s > 3) return banner("bad", `The loop has been silent for ${silent_s.toFixed(0)} s.`);
   if (unseen) return banner("warn", `Not ready: ${why}. Check camera, depth or LiDAR, and odometry.`);
@@ -48,8 +50,19 @@ export function tellState({ service, silent_s, moment }) {
   banner("", "");
 }
 
+// It answers, but not with what it was asked for; `blind`: nothing is known of now.
+export function faulty(why, blind) {
+  if (blind) stale("error");
+  banner("bad", `The service answered with an error: ${why}`);
+}
+
+function stale(text) {
+  document.body.classList.add("gone");
+  badge("gone", text);
+}
+
 export function gone(since_ms) {
-  badge("gone", "no answer");
+  stale("no answer");
   const s = Math.round((Date.now() - since_ms) / 1000);
   banner("bad", since_ms ? `The service does not answer: last seen ${clock(since_ms / 1000)}, ${s} s ago. Trying again…` : "The service does not answer. Trying again…");
 }
@@ -60,10 +73,11 @@ function pairs(id, rows) {
   ]));
 }
 
-export const mission = once(({ mission: m, steps, done }) => {
-  say("english", m.english);
-  say("formula", m.formula);
-  say("translated", `state ${m.state} of ${m.states}, by ${m.translated_by}`);
+// While none was given, there is one that the detector was made ready for; it is not to be done.
+export const mission = once(({ mission: m, steps, done, idle }) => {
+  say("english", idle ? "The robot stands until it is given a mission." : m.english);
+  say("formula", idle ? "" : m.formula);
+  say("translated", idle ? "" : `state ${m.state} of ${m.states}, by ${m.translated_by}`);
   const rows = done ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
   if (m.reached.length) rows.push(["reached", m.reached.join(", "), "ok"]);
   if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
