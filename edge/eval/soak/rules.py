@@ -59,6 +59,14 @@ def _unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
     return watch.checkpoint
 
 
+def _places_unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
+    return watch.places
+
+
+def _recorded_badly(stage: Stage, watch: Watch, sample: Sample) -> str:
+    return watch.recordings.problem
+
+
 def _floods(stage: Stage, watch: Watch, sample: Sample) -> str:
     lines = sample["log_a_minute"]
     return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
@@ -86,6 +94,13 @@ RULES: tuple[Rule, ...] = (
     Rule("service answers", f"`/healthz` is never other than 200 for over {SILENT_S:g} s", _hung),
     Rule("loop beats", f"never {SILENT_S:g} s without a beat, where it can be heard", _silent),
     Rule("checkpoint", "the file is whole at every look", _unreadable),
+    Rule("map", "so is the one beside it, of all that is bound to `map`", _places_unreadable),
+    Rule(
+        "recordings",
+        "the `mcap` library reads each file once it is complete, all that its index "
+        "tells of; together they are no larger than `keep_mb`",
+        _recorded_badly,
+    ),
     Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
     Rule("missions end", f"none goes on {_SPARE_S:g} s past `mission.time_limit_s`", _endless),
     Rule("missions say why", "each that fails has a reason", _unsaid),

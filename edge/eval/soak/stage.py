@@ -26,6 +26,7 @@ from edge.bus.session import zenoh_session
 from edge.config import Config, DetectorOnnx, WorldGenerated, Zenoh
 from edge.config.loop import Sink
 from edge.errors import UserError
+from edge.eval.soak import recordings
 from edge.eval.soak.log import Log
 from edge.eval.soak.relay import Relay
 from edge.host import resources
@@ -64,7 +65,7 @@ def staged(config: Config, out: Path) -> Config:
             "zenoh": config.zenoh.model_copy(update=zenoh),
             "http": config.http.model_copy(update=http),
             "mission": config.mission.model_copy(update=checkpoint),
-            "sinks": (*config.sinks, BEAT),
+            "sinks": (*recordings.below(config.sinks, out), BEAT),
         }
     )
 
