@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from edge.config import Config
@@ -98,7 +97,7 @@ class Recordings:
                 read = sum(1 for _ in reader.iter_messages(log_time_order=False))
         except FileNotFoundError:  # the oldest go
             return
-        except (McapError, ValueError, OSError) as error:
+        except Exception as error:  # whatever a decompressor makes of what is damaged
             self._tell(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
             return
         told = summary and summary.statistics and summary.statistics.message_count
