@@ -124,6 +124,8 @@ def check_jetson(config: Config) -> Iterator[Finding]:
 
 
 def check_shared_memory(config: Config) -> Iterator[Finding]:
+    if not config.zenoh.shared_memory:
+        return
     if not SHM.is_dir():
         yield Finding("warn", f"{SHM} is not there", "Zenoh then copies images over TCP")
         return

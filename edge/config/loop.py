@@ -30,13 +30,15 @@ class Zenoh(Section):
     `file` is a configuration file of Zenoh's own (JSON5): TLS, users, access control and whatever
     else Zenoh knows, for the service; `client_file` the one of all that connects to it, by default
     the same. `edge.bus.zenoh_file` says how the settings here are laid over it.
+
+    `shared_memory` is off since Zenoh keeps that of every sender that has gone (zenoh#2787).
     """
 
     endpoint: str = "tcp/127.0.0.1:7447"
     prefix: Key = "edge"
     topics: dict[TopicName, Key] = Field(default_factory=dict)
     mode: Literal["peer", "client"] = "peer"
-    shared_memory: bool = True
+    shared_memory: bool = False
     file: FilePath | None = None
     client_file: FilePath | None = None
 

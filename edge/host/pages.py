@@ -176,8 +176,10 @@ class _Server(ThreadingMixIn, HTTPServer):
         with self._hand:
             self._open[request] = None
             if len(self._open) > MOST_OPEN:
+                oldest = next(iter(self._open))
+                del self._open[oldest]  # the next of a burst makes room of another
                 with suppress(OSError):  # it may have been closed by now
-                    next(iter(self._open)).shutdown(socket.SHUT_RDWR)
+                    oldest.shutdown(socket.SHUT_RDWR)
         super().process_request(request, client_address)
 
     def hang_up(self) -> None:

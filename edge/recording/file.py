@@ -109,7 +109,7 @@ class McapFile:
             self._partial.unlink()
 
     def open(self) -> None:
-        """Begin the file; raises OSError."""
+        """Begin the file; raises OSError, and there is none then."""
         self._file = _Whole(self._partial)
         try:
             self._writer = Writer(self._file, CHUNK_BYTES, self._compression)
@@ -118,6 +118,7 @@ class McapFile:
                 self._writer.add_metadata(name, said)
         except OSError:
             self.abandon()
+            self._partial.unlink()
             raise
 
     def add(

@@ -42,7 +42,7 @@ def value(config: zenoh.Config, key: str):
 )
 def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects):
     endpoint = "tcp/127.0.0.1:17447"
-    settings = Zenoh(endpoint=endpoint, mode=mode, shared_memory=False)
+    settings = Zenoh(endpoint=endpoint, mode=mode)
     config = bus.session_config(settings, role)
     assert value(config, "mode") == zenoh_mode
     assert value(config, "listen/endpoints") == [endpoint] * listens

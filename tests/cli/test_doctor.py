@@ -161,6 +161,8 @@ def test_jetson(monkeypatch, tmp_path, release, probed, settings, expected):
 
 
 def test_shared_memory(monkeypatch, tmp_path):
+    assert list(machine_checks.check_shared_memory(SIM)) == []
+    used = simulated({"zenoh": {"shared_memory": True}})
     usage = machine_checks.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(machine_checks, "SHM", tmp_path)
     for size_mb, level in ((63, "warn"), (64, "ok")):
@@ -168,9 +170,9 @@ def test_shared_memory(monkeypatch, tmp_path):
         monkeypatch.setattr(
             machine_checks.shutil, "disk_usage", lambda _, t=total: usage._replace(total=t)
         )
-        assert levels(machine_checks.check_shared_memory) == [level]
+        assert levels(machine_checks.check_shared_memory, used) == [level]
     monkeypatch.setattr(machine_checks, "SHM", tmp_path / "none")
-    assert levels(machine_checks.check_shared_memory) == ["warn"]
+    assert levels(machine_checks.check_shared_memory, used) == ["warn"]
 
 
 def test_a_cache_that_cannot_be_written(cache):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from http.client import HTTPConnection
 
@@ -13,6 +13,7 @@ import pytest
 from patience import PATIENCE_S
 
 from edge.errors import UnavailableError
+from edge.host import pages
 from edge.host.credentials import Token
 from edge.host.pages import MOST_BYTES, MOST_OPEN, Page, json_page, serve
 
@@ -99,6 +100,21 @@ def test_those_who_keep_connections_open_lock_nobody_out():
         assert ask(port, "/") == (200, b"here")
         for sock in idle:
             sock.close()
+
+
+def test_of_a_burst_of_connections_the_newest_are_kept(monkeypatch):
+    monkeypatch.setattr(pages._Handler, "timeout", None)  # nothing else ends one
+    with serve({}, HERE, 0) as port, ExitStack() as opened:
+        burst = [
+            opened.enter_context(socket.create_connection((HERE, port), PATIENCE_S))
+            for _ in range(3 * MOST_OPEN)
+        ]
+        for sock in burst[:-MOST_OPEN]:
+            assert sock.recv(1) == b""
+        for sock in burst[-MOST_OPEN:]:
+            sock.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                sock.recv(1)
 
 
 @pytest.mark.parametrize(

@@ -138,6 +138,11 @@ def put(n):
         now[0] += 0.1
         files.ready(); files.add(of_topic(topics.STATUS), 0, 0, bytes(10_000)); files.sync()
 most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))
+put(120)
+assert (files.messages, files.lost) == (0, 120)
+assert not list(Path(sys.argv[1]).iterdir()), "what cannot be begun leaves nothing"
+now[0] += 6.0
 resource.setrlimit(resource.RLIMIT_FSIZE, (105_000, most))
 put(15)
 assert files.problem == "File too large" and files.lost, files.problem
@@ -156,10 +161,10 @@ def test_a_disk_that_is_full_for_a_while(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     told = done.stderr.splitlines()
-    assert len(told) == 2
+    assert len(told) == 4
     assert told[0].endswith("nothing can be recorded: File too large; goes on as soon as it can")
     messages, lost = map(int, done.stdout.split())
-    assert messages + lost == 75
+    assert messages + lost == 195
     first, second = files_of(tmp_path)
     assert first.name.endswith(PARTIAL)
     read = len(list(McapReading(first))), len(list(McapReading(second)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from edge.errors import UserError
 
@@ -23,6 +23,8 @@ class When(NamedTuple):
 Hold = Callable[["Stage", "Watch", When], str]
 """Why something does not hold; empty where it does."""
 
+LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
+"""What the live page asks for while it is open."""
 _OF_USUAL = 0.5  # a beat that is back, on a machine that has other work as well
 
 
@@ -69,6 +71,32 @@ def checkpoint_written(stage: Stage, watch: Watch, when: When) -> str:
     if watch.status_s > when.ended_s and not told.get("problem"):
         return ""
     return f"the checkpoint is not written: {told.get('problem')}"
+
+
+def recording_fails(stage: Stage, watch: Watch, when: When) -> str:
+    """status says that nothing is recorded."""
+    if all(told["problem"] for told in _recorders(watch)) and watch.status_s > when.began_s:
+        return ""
+    return "status says nothing of a recording that cannot be written"
+
+
+def recording_goes_on(stage: Stage, watch: Watch, when: When) -> str:
+    """recording goes on."""
+    if watch.status_s <= when.ended_s:
+        return "status was not heard since"
+    stopped = [told for told in _recorders(watch) if told["problem"] or not told["file"]]
+    return f"nothing is recorded: {stopped[0]['problem']}" if stopped else ""
+
+
+def _recorders(watch: Watch) -> list[dict[str, Any]]:
+    """What the sinks that write files say of themselves; none where none records."""
+    return [told for told in (watch.status.get("sinks") or {}).values() if "file" in told]
+
+
+def page_answers(stage: Stage, watch: Watch, when: When) -> str:
+    """the live page is served."""
+    silent = [path for path in LIVE_PAGES if not stage.text(path)]
+    return f"{silent[0]}: no answer" if silent else ""
 
 
 def answers(stage: Stage, watch: Watch, when: When) -> str:

@@ -42,19 +42,20 @@ class Missions:
 
     def step(self) -> dict[str, Any] | None:
         """Give the next, if it is time for one; the end of the last, if that was seen now."""
-        status, now_s = self._watch.status, time.monotonic()
+        status = self._watch.status
         fresh = self._watch.status_s > self._asked_s + _AGAIN_S
         if not fresh or status.get("phase") not in _OVER:
             return None
         end = {
             key: status[key] for key in ("instruction", "phase", "reason", "elapsed_s", "path_m")
         }
-        self._asked_s = now_s
         try:
             self._stage.mission(do="new", instruction=self._next())
         except RequestError as error:  # a fault is under way: it is given again
             log.debug("%s", error)
             return None
+        finally:  # to be understood may take as long as status comes again
+            self._asked_s = time.monotonic()
         self.ended.append(end)
         return end
 

@@ -18,6 +18,7 @@ from edge.report.document import data_url, document
 from edge.text import one_line
 
 NAME = "soak.html"
+_AT_ONCE = "two at once"
 _STYLE = """
 table { font-size: 14px; } td { vertical-align: top; overflow-wrap: anywhere; }
 th, td { text-align: left; } td:last-child { white-space: normal; }
@@ -113,7 +114,7 @@ def _growth(rows: Sequence[Row]) -> Table:
 def _faults(rows: Sequence[Row]) -> Table:
     named: dict[str, list[Row]] = {}
     for row in of(rows, "fault"):
-        named.setdefault(row["name"], []).append(row)
+        named.setdefault(_AT_ONCE if " + " in row["name"] else row["name"], []).append(row)
     return Table("faults", "Faults", ["fault", "times", "recovered in s, p50", "longest", "broke"],
                  list(_by_fault(named)), "From its end until all held that must.")  # fmt: skip
 
@@ -121,8 +122,12 @@ def _faults(rows: Sequence[Row]) -> Table:
 def _by_fault(named: dict[str, list[Row]]) -> Iterator[list[str]]:
     for name, found in sorted(named.items()):
         times_s = [row["recovered_s"] for row in found]
-        broke = "; ".join(dict.fromkeys(row["broken"] for row in found if row["broken"]))
+        broke = "; ".join(dict.fromkeys(_broke(row) for row in found if row["broken"]))
         yield [name, f"{len(found)}", f"{np.median(times_s):.1f}", f"{max(times_s):.1f}", broke]
+
+
+def _broke(row: Row) -> str:
+    return f"{row['name']}: {row['broken']}" if " + " in row["name"] else str(row["broken"])
 
 
 def _missions(rows: Sequence[Row]) -> Table:

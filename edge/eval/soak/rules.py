@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from edge.eval.soak.stage import Stage
     from edge.eval.soak.watch import Watch
 
-SILENT_S = 10.0
+SILENT_S = OLD_S = 10.0
 LOG_A_MINUTE = 120
 _SPARE_S = 30.0  # of a mission's limit
 _WARM_UP_S = 120.0  # a model fills its arenas in some thousand images
@@ -59,6 +59,17 @@ def _unreadable(stage: Stage, watch: Watch, sample: Sample) -> str:
     return watch.checkpoint
 
 
+def _places_lost(stage: Stage, watch: Watch, sample: Sample) -> str:
+    age_s = sample["places_age_s"]
+    if watch.calm and age_s is not None and age_s > OLD_S:
+        return f"written {age_s:.0f} s ago"
+    return watch.places
+
+
+def _recorded_badly(stage: Stage, watch: Watch, sample: Sample) -> str:
+    return watch.recordings.problem
+
+
 def _floods(stage: Stage, watch: Watch, sample: Sample) -> str:
     lines = sample["log_a_minute"]
     return f"{lines} lines in a minute" if lines > LOG_A_MINUTE else ""
@@ -86,6 +97,18 @@ RULES: tuple[Rule, ...] = (
     Rule("service answers", f"`/healthz` is never other than 200 for over {SILENT_S:g} s", _hung),
     Rule("loop beats", f"never {SILENT_S:g} s without a beat, where it can be heard", _silent),
     Rule("checkpoint", "the file is whole at every look", _unreadable),
+    Rule(
+        "map",
+        "so is the one beside it, of all that is bound to `map`, and without a fault it is no "
+        f"older than {OLD_S:g} s",
+        _places_lost,
+    ),
+    Rule(
+        "recordings",
+        "the `mcap` library reads each file once it is complete, all that its index "
+        "tells of; together they are no larger than `keep_mb`",
+        _recorded_badly,
+    ),
     Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
     Rule("missions end", f"none goes on {_SPARE_S:g} s past `mission.time_limit_s`", _endless),
     Rule("missions say why", "each that fails has a reason", _unsaid),

@@ -7,20 +7,21 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
 from edge.config import load
-from edge.errors import FAILED, FileError, Stopped, UserError
+from edge.errors import FAILED, FileError, Stopped
 from edge.eval.soak import page
 from edge.eval.soak.faults import Fault, chosen
-from edge.eval.soak.holds import When, recovered
+from edge.eval.soak.holds import When, recovered, says
 from edge.eval.soak.missions import Missions
 from edge.eval.soak.record import Record, of, verdict
 from edge.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
+from edge.eval.soak.schedule import Drawn, Steps, make, rounds
 from edge.eval.soak.stage import Stage, staged
 from edge.eval.soak.watch import Watch
 from edge.host.machine import describe, summary
@@ -73,10 +74,6 @@ def make_empty(folder: Path) -> None:
             raise FileError(f"--out {folder}: there is something in it; name another folder")
     except OSError as error:
         raise FileError(f"--out {folder}: {error.strerror}") from None
-
-
-Steps = Generator[None, None, str]
-"""What is done a step at a time, and what came of it."""
 
 
 class Soak:
@@ -136,15 +133,14 @@ class Soak:
     # -- faults ---------------------------------------------------------------------------------
 
     def _all_faults(self, ends_s: float) -> Steps:
-        """Round after round of all faults, each round in another order; a step each time that the
-        next is asked for."""
+        """A step each time that the next is asked for."""
         yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
-        while True:
-            for k in self._drawn.permutation(len(self._faults)):
-                yield from self._one(self._faults[k])
-                yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
-                if time.monotonic() >= ends_s:
-                    return ""
+        for drawn in rounds(self._faults, self._drawn):
+            yield from self._one(drawn)
+            yield from self._pause(float(self._drawn.uniform(*_CALM_S)))
+            if time.monotonic() >= ends_s:
+                return ""
+        return ""
 
     def _pause(self, lasts_s: float) -> Steps:
         until_s = time.monotonic() + lasts_s
@@ -152,46 +148,38 @@ class Soak:
             yield
         return ""
 
-    def _one(self, fault: Fault) -> Steps:
-        """Make a fault, end it, wait until all is well again."""
+    def _one(self, drawn: Sequence[Drawn]) -> Steps:
+        """Make a fault, or one within another, and wait until all is well again."""
         watch, began_s = self._watch, time.monotonic()
-        lasts_s = float(self._drawn.uniform(*fault.lasts_s))
-        log.info("fault: %s: %s, for %.0f s", fault.name, fault.what, lasts_s)
-        watch.calm, watch.mutes = False, fault.mutes
-        why = yield from self._makes(fault, When(began_s, began_s), began_s + lasts_s)
+        faults = [fault for fault, _ in drawn]
+        name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
+        watch.calm = False
+        why = yield from make(drawn, self._stage, watch, self._chance)
         watch.mutes, ended_s = False, time.monotonic()
-        why = why or (yield from self._recovers(fault, When(began_s, ended_s)))
+        why = why if alone else ""
+        why = why or (yield from self._recovers(faults, When(began_s, ended_s)))
         self._record.add(
-            "fault", name=fault.name, began_s=round(began_s - self._record.began_s, 2),
+            "fault", name=name, began_s=round(began_s - self._record.began_s, 2),
             lasted_s=round(ended_s - began_s, 2),
             recovered_s=round(time.monotonic() - ended_s, 2), broken=why,
         )  # fmt: skip
         if why:
-            self._break(f"fault {fault.name}", why)
+            self._break(f"fault {name}", why)
         yield from self._pause(_SETTLES_S)
         watch.calm = True
 
-    def _makes(self, fault: Fault, when: When, until_s: float) -> Steps:
-        """What it did not show while it lasted, or why it could not be made; empty if neither."""
-        unshown = list(fault.shows)
-        try:
-            with closing(fault.make(self._stage, self._chance)) as making:
-                while time.monotonic() < until_s:
-                    next(making)
-                    unshown = [hold for hold in unshown if hold(self._stage, self._watch, when)]
-                    yield
-                return "; ".join(hold(self._stage, self._watch, when) for hold in unshown)
-        except UserError as error:
-            return f"it could not be made, or ended: {error}"
-
-    def _recovers(self, fault: Fault, when: When) -> Steps:
-        """What does not hold in time after a fault, the first of it; empty once all holds."""
+    def _recovers(self, faults: Sequence[Fault], when: When) -> Steps:
+        """What does not hold in time after them, the first of it; empty once all holds."""
+        holds = [recovered, *(hold for fault in faults for hold in fault.after)]
+        if len(faults) == 1 and faults[0].says:
+            holds.append(says(faults[0].says))
+        within_s = sum(fault.within_s for fault in faults)
         while True:
-            every = (hold(self._stage, self._watch, when) for hold in (recovered, *fault.after))
+            every = (hold(self._stage, self._watch, when) for hold in holds)
             if not (why := next(filter(None, every), "")):
                 return ""
-            if time.monotonic() - when.ended_s > fault.within_s:
-                return f"{fault.within_s:g} s after: {why}"
+            if time.monotonic() - when.ended_s > within_s:
+                return f"{within_s:g} s after: {why}"
             yield
 
     # -- the end --------------------------------------------------------------------------------
@@ -215,6 +203,10 @@ class Soak:
         code = self._stage.stop_service()
         if code != os.EX_OK:
             self._break("service ends", "not within its time" if code is None else f"with {code}")
+        recorded = self._watch.recordings.judge()
+        self._record.add("recordings", **recorded)
+        if why := self._watch.recordings.problem:
+            self._break("recordings", why)
         if left := self._stage.orphans():
             names = ", ".join(process.command[:60] for process in left)
             self._break("no child is left", f"{len(left)} of the service's: {names}")

@@ -26,6 +26,7 @@ from edge.bus.session import zenoh_session
 from edge.config import Config, DetectorOnnx, WorldGenerated, Zenoh
 from edge.config.loop import Sink
 from edge.errors import UserError
+from edge.eval.soak import recordings
 from edge.eval.soak.log import Log
 from edge.eval.soak.relay import Relay
 from edge.host import resources
@@ -41,7 +42,7 @@ TWIN, BROKEN = "soak-twin", "soak-broken"
 """Models: the configuration's own under another name, and one that cannot be loaded."""
 ANSWER_S = 5.0
 STOP_S = 30.0
-START_S = 300.0
+START_S = 900.0  # kernels are compiled at the first start, on a machine that may be busy
 _HTTP_S = 2.0
 _LOOK_S = 0.1
 _ELSEWHERE_M = 60.0  # houses lie so far apart: no robot could have come from one to the other
@@ -64,7 +65,7 @@ def staged(config: Config, out: Path) -> Config:
             "zenoh": config.zenoh.model_copy(update=zenoh),
             "http": config.http.model_copy(update=http),
             "mission": config.mission.model_copy(update=checkpoint),
-            "sinks": (*config.sinks, BEAT),
+            "sinks": (*recordings.below(config.sinks, out), BEAT),
         }
     )
 

@@ -18,10 +18,13 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from edge.bus import topics
 from edge.eval.soak import beat
+from edge.eval.soak.recordings import Recordings
 from edge.eval.soak.stage import Stage
 from edge.host.processes import usage
+from edge.loop import place_file
+from edge.loop.place_keeper import SUFFIX
 from edge.loop.vitals import PROBES
-from edge.mission.saved import MAX_BYTES, decode
+from edge.mission import saved
 from edge.text import read_json_object
 
 log = logging.getLogger("edge.eval.soak")
@@ -43,7 +46,9 @@ class Watch:
         ready: what `/readyz` says is amiss, where `/healthz` was 200; `ready_s`: since when so.
         alive_s: when `/healthz` was 200 last.
         counts: goals, the controller's answers by state, missions by how they ended.
-        checkpoint: why it cannot be read; empty while it can.
+        checkpoint, places: why the mission's, and that of the map beside it, cannot be read; empty
+            while they can.
+        recordings: what is recorded.
         calm: there is no fault; may be set.
         mutes: a fault keeps all that is published from being heard; may be set. `muted_s`: when one
             did so last.
@@ -59,7 +64,8 @@ class Watch:
         self.ready: tuple[str, ...] = ()
         self.is_ready = False
         self.counts: Counter[str] = Counter()
-        self.checkpoint = ""
+        self.checkpoint = self.places = ""
+        self.recordings = Recordings(stage.config, stage.out)
         self.calm = True
         self.mutes = False
         self.muted_s = self.began_s
@@ -146,7 +152,11 @@ class Watch:
         self.seen_s = now_s
         if self.mutes:
             self.muted_s = now_s
-        self.checkpoint = _unreadable(Path(stage.config.mission.checkpoint))
+        mission = Path(stage.config.mission.checkpoint)
+        self.checkpoint = _unreadable(mission, saved.MAX_BYTES, saved.decode)
+        places = mission.with_name(mission.name + SUFFIX)
+        self.places = _unreadable(places, place_file.MAX_BYTES, place_file.decode)
+        self.recordings.look()
         stage.look_at_family()
         with self._hand:
             status, latency = self.status, self.latency
@@ -161,6 +171,9 @@ class Watch:
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
             "checkpoint": status.get("checkpoint"),
+            "sinks": status.get("sinks"),
+            "places_age_s": _age_s(places),
+            "recorded_mb": round(self.recordings.size_mb, 2),
             "loop": status.get("loop"),
             "detector": status.get("detector"),
             "missed": latency.get("tick", {}).get("overruns"),
@@ -194,11 +207,18 @@ def _is_logged(line: str) -> bool:
     return _LOGGED.match(line) is not None
 
 
-def _unreadable(path: Path) -> str:
+def _age_s(path: Path) -> float | None:
+    try:
+        return round(time.time() - path.stat().st_mtime, 1)
+    except FileNotFoundError:
+        return None
+
+
+def _unreadable(path: Path, most_bytes: int, decode: Callable[[bytes], object]) -> str:
     """Why a checkpoint is no whole one; empty where it is, or where there is none yet."""
     try:
         with path.open("rb") as file:
-            decode(file.read(MAX_BYTES + 1))
+            decode(file.read(most_bytes + 1))
     except FileNotFoundError:
         return ""
     except (OSError, ValueError) as error:

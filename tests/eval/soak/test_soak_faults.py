@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from simulated import simulated
@@ -10,7 +11,7 @@ from simulated import simulated
 from edge.config import load
 from edge.errors import UserError
 from edge.eval.soak.faults import FAULTS, chosen, table
-from edge.eval.soak.rules import GROWTHS, RULES
+from edge.eval.soak.rules import GROWTHS, RULES, Rule
 
 PAGE = (Path(__file__).parents[3] / "docs/soak.md").read_text(encoding="utf-8")
 
@@ -22,6 +23,19 @@ def test_the_page_has_the_table():
 @pytest.mark.parametrize("rule", [*RULES, *GROWTHS], ids=lambda rule: rule.name)
 def test_the_page_has_every_rule(rule):
     assert rule.name in PAGE
+    if isinstance(rule, Rule):
+        assert rule.what in PAGE
+
+
+@pytest.mark.parametrize(
+    ("calm", "age_s", "why"),
+    [(True, None, ""), (True, 3.0, ""), (False, 12.0, ""), (True, 12.0, "written 12 s ago")],
+    ids=["none yet", "fresh", "in a fault", "old"],
+)
+def test_a_map_is_held_to_be_fresh_without_a_fault(calm, age_s, why):
+    (rule,) = (rule for rule in RULES if rule.name == "map")
+    watch = SimpleNamespace(calm=calm, places="")
+    assert rule.broken(None, watch, {"places_age_s": age_s}) == why
 
 
 def test_faults_have_names_of_their_own_and_bounds():

@@ -1,0 +1,154 @@
+"""What the service records, as the `mcap` library and `edge replay` read it."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+
+from edge.config import Config
+from edge.config.loop import Sink
+from edge.errors import UserError
+from edge.loop.warmup import warm_up
+from edge.recording.file import PARTIAL, McapReading, RecordingError
+from edge.recording.replay import replay
+from edge.recording.rolling import Limits, files_of
+from edge.recording.session import Session
+from edge.text import one_line
+
+FOLDER = "recordings"
+FIRST = "first.mcap"
+KIND = "mcap"
+_SPARE_MB = 2.0  # a file is complete with the chunk at hand, and its index
+_MB = 1e6
+
+
+def below(sinks: Iterable[Sink], out: Path) -> tuple[Sink, ...]:
+    """The sinks, of which those that record do so below `out`."""
+    folder = {"folder": str(out / FOLDER)}
+    return tuple(
+        Sink(kind=sink.kind, options={**sink.options, **folder}) if sink.kind == KIND else sink
+        for sink in sinks
+    )
+
+
+class Recordings:
+    """Reads each file once it is complete. Its first lasts as `FIRST`, however much is recorded.
+
+    Attributes:
+        problem: what a file is of no use for, or the folder too large; empty while all is well.
+        files, messages: complete ones that were read whole. `size_mb`: of the folder.
+    """
+
+    def __init__(self, config: Config, out: Path) -> None:
+        sinks = [sink for sink in config.sinks if sink.kind == KIND]
+        self.problem = ""
+        self.files = self.messages = 0
+        self.size_mb = 0.0
+        self.first = out / FIRST
+        self._folder = Path(sinks[0].options["folder"]) if sinks else None
+        self._most_mb = sum(sink.options.get("keep_mb", Limits().keep_mb) for sink in sinks)
+        self._read: set[Path] = set()
+
+    def look(self) -> None:
+        """Read the oldest complete one that was not read yet."""
+        if self._folder is None:
+            return
+        files = files_of(self._folder)
+        with suppress(FileNotFoundError):  # deleted, or completed, meanwhile
+            if files and not self.first.exists():
+                os.link(files[0], self.first)  # the same file, under whatever name it goes on
+        self.size_mb = sum(map(_size, files)) / _MB
+        if self.size_mb > self._most_mb + _SPARE_MB:
+            self._tell(f"{self.size_mb:.1f} MB, keep_mb is {self._most_mb:g}")
+        new = (path for path in files if not path.name.endswith(PARTIAL))
+        if (path := next((path for path in new if path not in self._read), None)) is not None:
+            self._read.add(path)
+            self._read_whole(path)
+
+    def judge(self) -> dict[str, Any]:
+        """Read what is left, and replay the first: when nothing is recorded any more.
+
+        Returns:
+            JSON-ready: `files` and `messages` in all, `cut`: files that have no end, and of the
+            replay `ticks`, `differing`, and why it `ended` early.
+        """
+        if self._folder is None:
+            return {}
+        for path in files_of(self._folder):
+            if path.name.endswith(PARTIAL):
+                self._read_cut(path)
+            elif path not in self._read:
+                self._read_whole(path)
+        cut = sum(path.name.endswith(PARTIAL) for path in files_of(self._folder))
+        return {"files": self.files, "messages": self.messages, "cut": cut, **self._replayed()}
+
+    def _read_whole(self, path: Path) -> None:
+        """By the library alone, and by the index that it finds in the file."""
+        try:
+            with path.open("rb") as file:
+                reader = make_reader(file, validate_crcs=True)
+                summary = reader.get_summary()
+                read = sum(1 for _ in reader.iter_messages(log_time_order=False))
+        except FileNotFoundError:  # the oldest go
+            return
+        except Exception as error:  # whatever a decompressor makes of what is damaged
+            self._tell(f"{path.name}: {one_line(error, 120) or type(error).__name__}")
+            return
+        told = summary and summary.statistics and summary.statistics.message_count
+        if not read or read != told:
+            self._tell(f"{path.name}: {read} messages, its index tells of {told}")
+        self.files += 1
+        self.messages += read
+
+    def _read_cut(self, path: Path) -> None:
+        """One that was given up: what is in it can be read, up to where it ends."""
+        try:
+            reading = McapReading(path)
+            read = sum(1 for _ in reading)
+        except RecordingError as error:
+            self._tell(str(error))
+            return
+        if reading.cut not in ("", "cut off"):
+            self._tell(f"{path.name}: {reading.cut}")
+        self.files += 1
+        self.messages += read
+
+    def _replayed(self) -> dict[str, Any]:
+        if not self.first.exists():
+            self._tell("nothing was recorded")
+            return {}
+        logging.disable(logging.WARNING)  # what the service said then was said then
+        try:
+            session = Session(self.first)
+            warm_up(session.config())
+            outcome = replay(session)
+        except UserError as error:
+            self._tell(f"replay: {error}")
+            return {}
+        except Exception as error:  # what must not happen, and is to be told with the rest
+            self._tell(f"replay: {type(error).__name__}: {one_line(error)}")
+            return {}
+        finally:
+            logging.disable(logging.NOTSET)
+        if outcome.differing or not outcome.ticks:
+            first = outcome.first.tick if outcome.first else 0
+            self._tell(
+                f"replay: {outcome.differing} of {outcome.ticks} ticks differ, first tick {first}"
+            )
+        return {"ticks": outcome.ticks, "differing": outcome.differing, "ended": outcome.ended}
+
+    def _tell(self, problem: str) -> None:
+        self.problem = self.problem or problem
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
