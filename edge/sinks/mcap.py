@@ -64,7 +64,7 @@ class McapSink:
         max_s: float = 600.0,
         keep_mb: float = 4096.0,
         sync_s: float = 2.0,
-        rgb_hz: float = 2.0,
+        rgb_hz: float = 1.0,
         compression: str = "lz4",
         pending_mb: float = 64.0,
     ) -> None:
