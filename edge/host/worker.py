@@ -47,6 +47,10 @@ class Stats:
     failures: dict[str, int] = field(default_factory=dict)
     in_a_row: int = 0
 
+    def status(self) -> dict[str, object]:
+        """What came of no use, JSON-ready, as a sink tells it (`edge.loop.result.Sink`)."""
+        return {"failed": self.failed, "dropped": self.replaced, "problem": self.last_error}
+
 
 class Worker(Generic[Item, Result]):
     """Does one kind of work, on a thread of its own.

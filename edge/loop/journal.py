@@ -7,9 +7,12 @@ does the same again (`edge.recording.replay`).
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 DETECTOR = "detector"
+ELSEWHERE = "elsewhere"
+"""As a decision: why `map` is not the frame of before a restart, "" where it is."""
 _KEPT = 4096  # of what came between two results, the newest
 
 
@@ -56,6 +59,12 @@ class Journal:
         """Something came. What is given is kept as it is, and must not change any more."""
         self.pending.append(Input(self._n, kind, fields))
         self._n += 1
+
+    def decided(self, what: str, decide: Callable[[], str]) -> str:
+        """What only the run itself can know, by its computer and its clocks; noted."""
+        said = decide()
+        self.note("decided", what=what, said=said)
+        return said
 
     def beside(self, name: str, worker: Any) -> Any:
         """A worker with the same interface, of which is noted when it was asked, and what it found

@@ -12,7 +12,6 @@ Texts of others (instructions, targets, errors) are no labels: each would be a s
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
@@ -22,6 +21,7 @@ from edge import __version__
 from edge.host.board import Board, read_board
 from edge.host.pages import Pages
 from edge.loop.exposition import Exposition, Metric, families
+from edge.loop.publish import statuses
 from edge.loop.reload import OUTCOMES
 from edge.loop.result import Sink
 from edge.loop.runner import Running
@@ -41,7 +41,7 @@ class Look:
 
     def __init__(self, running: Running, sinks: Sequence[Sink]) -> None:
         service = running.service
-        self.running, self.service, self.sinks = running, service, sinks
+        self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goal
         self.source = dict(running.source.counters)
         self.rows = service.latency.report(last=1)
@@ -54,13 +54,10 @@ class Look:
         """By stage, of its row in the latency report."""
         return {row.name: value(row) for row in self.rows.stages}
 
-    def sink_stats(self, name: str) -> Counter[str]:
-        """By sink, of those that have a thread of their own."""
-        found: Counter[str] = Counter()
-        for sink in self.sinks:
-            if (stats := getattr(sink, "stats", None)) is not None:
-                found[type(sink).__name__] += getattr(stats, name)
-        return found
+    def of_sinks(self, name: str) -> dict[str, int]:
+        """By sink, of those that tell it as a number."""
+        told = {sink: status.get(name) for sink, status in self.sinks.items()}
+        return {sink: n for sink, n in told.items() if isinstance(n, int)}
 
     def models(self) -> Iterator[tuple[str, str]]:
         """(what it is for, its name) of every model at work."""
@@ -149,11 +146,11 @@ SERVICE: tuple[Metric[Look], ...] = (
            _faults, ("step", "error")),
     Metric("edge_loop_degraded", "gauge", "Whether a step of the loop fails again and again.",
            lambda s: s.service.faults.state != "ok"),
-    Metric("edge_sink_failures_total", "counter", "Results that a sink could not send.",
-           lambda s: s.sink_stats("failed"), ("sink",)),
-    Metric("edge_sink_replaced_total", "counter",
-           "Results that a newer one displaced before a sink sent them.",
-           lambda s: s.sink_stats("replaced"), ("sink",)),
+    Metric("edge_sink_failures_total", "counter", "What a sink could not send or write.",
+           lambda s: s.of_sinks("failed"), ("sink",)),
+    Metric("edge_sink_dropped_total", "counter",
+           "What a sink let go since something newer came, or for want of room.",
+           lambda s: s.of_sinks("dropped"), ("sink",)),
     Metric("edge_checkpoint_written_total", "counter", "Checkpoints that reached the disk.",
            lambda s: s.checkpoint and s.checkpoint["written"]),
     Metric("edge_checkpoint_failed_total", "counter", "Checkpoints that could not be written.",

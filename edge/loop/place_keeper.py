@@ -33,7 +33,8 @@ class PlaceKeeper:
 
     Attributes:
         problem: why the file that was there is of no use, "" where there is none such.
-        waiting: the map that the file held, until the first observation.
+        read: what the file held, as long as it may be taken up.
+        waiting: the map of it, until the first observation.
     """
 
     def __init__(self, config: Config, path: Path) -> None:
@@ -44,7 +45,7 @@ class PlaceKeeper:
         self._config, self._path, self._boot = config, path, boot_id()
         loaded = load(path, _PLACES)
         self.problem = loaded.problem
-        self._read: Places | None = loaded.saved
+        self.read: Places | None = loaded.saved
         self.waiting: RollingMap | None = None
         self._writer: CheckpointWriter[Places] = CheckpointWriter(path, PERIOD_S, _PLACES)
         self._copier, self._packed = Copier(), PackedTiles()
@@ -53,24 +54,30 @@ class PlaceKeeper:
 
     def prepare(self) -> None:
         """Make the map anew, so that the first tick has but to take it."""
-        if self._read is None:
+        if self.read is None:
             return
         try:
-            self.waiting = make_map(self._read.kept, self._read.unpacked, self._config)
+            self.waiting = make_map(self.read.kept, self.read.unpacked, self._config)
         except ValueError as error:
-            self._read, self.problem = None, set_aside(self._path, str(error))
+            self.read, self.problem = None, set_aside(self._path, str(error))
 
-    def take(self, now: Now) -> tuple[RollingMap, Kept] | None:
-        """What the file held, once, where the robot's frame is still the same."""
+    def why_elsewhere(self, now: Now) -> str:
+        """See `edge.loop.places.why_elsewhere`, of what waits."""
+        return why_elsewhere(self.read.kept, now, self._boot, self._config)
+
+    def take(self, elsewhere: str) -> tuple[RollingMap, Kept] | None:
+        """What waits, once.
+
+        Args:
+            elsewhere: why the robot's frame is another, "" where it is the same: else it is
+                dropped.
+        """
         grid, self.waiting = self.waiting, None
-        if grid is None or self._read is None:
-            return None
-        kept = self._read.kept
+        kept = self.read.kept
         if not self._config.source.localised:  # nothing goes back to it any more
-            self._read = None
-        why = why_elsewhere(kept, now, self._boot, self._config)
-        if why:
-            log.info("%s: what was mapped and seen before the restart is dropped", why)
+            self.read = None
+        if elsewhere:
+            log.info("%s: what was mapped and seen before the restart is dropped", elsewhere)
             return None
         if kept["map/cells"] != grid.window.n:
             log.info("mapping.extent_m is another than before the restart: the map is cut to it")

@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
+from typing import Any
 
 from edge.loop.faults import Faults
 from edge.loop.result import Event, Sink, TickResult
+from edge.text import one_line
 from edge.types import Detections, Goal, GoalStatus
 
 _KEPT = 256  # of what happens between two results, the newest
+
+
+def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
+    """How those sinks are that tell it, by their classes' names; a second of a class is `Name.2`.
+
+    One that fails at that says so; any thread may ask.
+    """
+    told: dict[str, dict[str, Any]] = {}
+    seen: Counter[str] = Counter()
+    for sink in sinks:
+        name = type(sink).__name__
+        seen[name] += 1
+        if not hasattr(sink, "status"):
+            continue
+        try:
+            said = dict(sink.status())
+        except Exception as error:
+            said = {"problem": f"status(): {one_line(f'{type(error).__name__}: {error}')}"}
+        told[name if seen[name] == 1 else f"{name}.{seen[name]}"] = said
+    return told
 
 
 class Publisher:

@@ -148,9 +148,10 @@ class TickResult:
 class Sink(Protocol):
     """Takes results. Its methods never block; what they raise is counted and costs no one else.
 
-    It may have a method `status()`: what it returns, JSON-ready, is shown in the service's status
-    under the class's name. One with a thread of its own may have `stats`
-    (`edge.host.worker.Stats`), for `/metrics`.
+    It may have a method `status()`, which tells how it is, JSON-ready: the service's status message
+    shows all of it, `/metrics` how much could not be sent or written (`failed`) and how much gave
+    way to what came later, or found no room (`dropped`), each where it is there. It is called by
+    the loop's thread and by others.
     """
 
     def tick(self, result: TickResult) -> None:

@@ -21,7 +21,7 @@ from edge.loop import stages
 from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
-from edge.loop.journal import DETECTOR, Journal
+from edge.loop.journal import DETECTOR, ELSEWHERE, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.places import Now, Parts, restore
@@ -141,8 +141,10 @@ class Service:
         if idle:
             self.mission.wait()
             self.goals.driving = True  # a controller may have a goal of a service before this one
-        saved = None if keeper is None else keeper.saved
-        journal.note("start", translation=brief.translation, saved=saved, idle=idle)
+        saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
+        journal.note(
+            "start", translation=brief.translation, saved=saved, places=places, idle=idle
+        )  # fmt: skip
         self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
@@ -201,7 +203,10 @@ class Service:
 
     def _take_up(self, keeper: Keeper, now: Now) -> None:
         """What was mapped and seen before a restart, with the first observation."""
-        found = keeper.places.take(now)
+        places = keeper.places
+        if places.waiting is None:
+            return
+        found = places.take(self._journal.decided(ELSEWHERE, partial(places.why_elsewhere, now)))
         if found is None:
             return
         self.grid, kept = found

@@ -8,6 +8,7 @@ from typing import Any
 
 from edge.loop.faults import DEGRADED_AFTER, Faults
 from edge.loop.keeper import Keeper
+from edge.loop.publish import statuses
 from edge.loop.result import MissionFacts, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.perception.detector import Health
@@ -68,7 +69,7 @@ class HealthWatch:
     Args:
         overruns: by what is listened to, how often more came than could be taken.
         event: tells of something that a person would want to know.
-        sinks: those that have a `status()` are asked for it.
+        sinks: see `edge.loop.publish.statuses`.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class HealthWatch:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
         self._event = event
-        self._sinks = [sink for sink in sinks if hasattr(sink, "status")]
+        self._sinks = sinks
         self._degraded = False  # the detector is known to be, and that was told
 
     def look(self, now_ns: int) -> None:
@@ -113,7 +114,7 @@ class HealthWatch:
             },
             "swap": self._swapper.status(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
-            "sinks": {type(sink).__name__: sink.status() for sink in self._sinks},
+            "sinks": statuses(self._sinks),
         }
 
 

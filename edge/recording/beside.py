@@ -42,8 +42,8 @@ class Silent:
 
 @dataclass
 class Now:
-    """What was asked and found beside the loop in the tick that is replayed, and what of it is
-    known of earlier ones.
+    """What was asked, found and decided beside the loop in the tick that is replayed, and what of
+    it is known of earlier ones.
 
     Attributes:
         frames: observations that detections may still be of, by number.
@@ -52,6 +52,7 @@ class Now:
 
     asked: set[str] = field(default_factory=set)
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
+    decided: dict[str, str] = field(default_factory=dict)
     frames: dict[int, Observation] = field(default_factory=dict)
     pictures: set[int] = field(default_factory=set)
 
@@ -60,6 +61,7 @@ class Now:
         self.found = {
             e.fields["worker"]: e.fields["what"] for e in entries if e.kind == "found"
         }  # fmt: skip
+        self.decided = {e.fields["what"]: e.fields["said"] for e in entries if e.kind == "decided"}
 
     def see(self, observation: Observation, picture: bool) -> None:
         self.frames[observation.seq] = observation
@@ -128,6 +130,11 @@ class Replayed(Journal):
             "similarity": self._similarity,
             "choice": self._choice,
         }
+
+    def decided(self, what: str, decide: Callable[[], str]) -> str:
+        """As it was then; where other settings ask for it when it was not asked, anew."""
+        said = self._now.decided.get(what)
+        return decide() if said is None else said
 
     def beside(self, name: str, worker: Any) -> Any:
         if name in self._own:

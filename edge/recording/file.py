@@ -27,6 +27,8 @@ from edge.text import one_line
 
 CHUNK_BYTES = 1 << 20
 PARTIAL = ".partial"
+_RECOVERING = ".recovering"
+"""Another, since what is recovered may be the partial file of the very name."""
 _MOST_RECORD_BYTES = 1 << 28
 COMPRESSIONS = {
     "none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD,
@@ -71,6 +73,7 @@ class McapFile:
 
     Args:
         metadata: of the file, by name.
+        suffix: that its name has until it is complete.
 
     Raises:
         OSError: `add`, `sync` and the end of the block: the disk is full, or gone.
@@ -81,12 +84,13 @@ class McapFile:
         path: str | os.PathLike[str],
         compression: str = "lz4",
         metadata: Mapping[str, dict[str, str]] | None = None,
+        suffix: str = PARTIAL,
     ) -> None:
         self.path = Path(path)
         self.messages = 0
         self._compression = COMPRESSIONS[compression]
         self._metadata = metadata or {}
-        self._partial = self.path.with_name(self.path.name + PARTIAL)
+        self._partial = self.path.with_name(self.path.name + suffix)
         self._channels: dict[Channel, int] = {}
 
     def __enter__(self) -> McapFile:
@@ -264,12 +268,13 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     Raises:
         RecordingError: it cannot be read, `out` cannot be written or is there already.
     """
-    if out.exists():
-        raise RecordingError(f"{out}: is there already; name another file with --out")
+    for there in (out, out.with_name(out.name + _RECOVERING)):
+        if there.exists():
+            raise RecordingError(f"{there}: is there already; name another file with --out")
     reading = McapReading(path)
     messages = iter(reading)
     first = next(messages, None)  # before anything is made: it may be no recording
-    copy = McapFile(out, "zstd", reading.metadata)
+    copy = McapFile(out, "zstd", reading.metadata, _RECOVERING)
     try:
         with copy:
             known: dict[str, Channel] = {}

@@ -17,6 +17,7 @@ import numpy as np
 from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
+from edge.loop import place_file
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
@@ -184,20 +185,22 @@ def _translation_of(said: dict[str, str]) -> Translation:
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
-    kept = fields["saved"]
+    kept, places = fields["saved"], fields["places"]
     return {
         **fields,
         "translation": _translation(fields["translation"]),
         "saved": None if kept is None else saved.encode(kept).decode(),
+        "places": None if places is None else base64.b64encode(place_file.encode(places)).decode(),
     }
 
 
 def _start_of(said: dict[str, Any]) -> dict[str, Any]:
-    kept = said["saved"]
+    kept, places = said["saved"], said["places"]
     return {
         **said,
         "translation": _translation_of(said["translation"]),
         "saved": None if kept is None else saved.decode(kept.encode()),
+        "places": None if places is None else base64.b64decode(places),
     }
 
 
@@ -313,6 +316,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "found": lambda fields: {
         "worker": fields["worker"], "what": _FOUND[fields["worker"]](fields["what"])
     },
+    "decided": _SAME,
     "idle": lambda fields: {"now_ns": fields["now_ns"], "pose": _pose(fields["pose"])},
     "answer": lambda fields: asdict(fields["answer"]),
     "mission": lambda fields: {

@@ -21,6 +21,7 @@ from edge.loop.faults import TICK
 from edge.loop.journal import Input
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyReport
+from edge.loop.place_keeper import SUFFIX
 from edge.loop.result import TickResult
 from edge.loop.scorers import Scorers, make_scorers
 from edge.loop.service import INGEST, Service
@@ -143,15 +144,12 @@ class _Run:
             else:
                 _DO[action.kind](self, moment.observation, **action.fields)
 
-    def _start(self, translation: Any, saved: Saved | None, idle: bool) -> None:
-        config, keeper = self.config, None
+    def _start(
+        self, translation: Any, saved: Saved | None, places: bytes | None, idle: bool
+    ) -> None:
+        config = self.config
         brief = brief_of(config.mission, translation)
-        if saved is not None:
-            folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-replay-"))
-            path = Path(folder) / "checkpoint.json"
-            checkpoint.save(path, saved)
-            keeper = Keeper(config, path, None)
-            self._stack.callback(keeper.close)
+        keeper = self._keeper(saved, places)
         detector: Detector = Silent("replay")
         if self._detect:
             if config.perception.detector.kind == "sim":
@@ -174,6 +172,20 @@ class _Run:
             idle=idle, journal=self._journal,
         )  # fmt: skip
         self._stack.callback(self.service.close)
+
+    def _keeper(self, saved: Saved | None, places: bytes | None) -> Keeper | None:
+        """That reads what the run read; None: there was nothing."""
+        if saved is None and places is None:
+            return None
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-replay-"))
+        path = Path(folder) / "checkpoint.json"
+        if saved is not None:
+            checkpoint.save(path, saved)
+        if places is not None:
+            path.with_name(path.name + SUFFIX).write_bytes(places)
+        keeper = Keeper(self.config, path, None)
+        self._stack.callback(keeper.close)
+        return keeper
 
     def _count_images(self, entries: Sequence[Input]) -> None:
         """So many the detector had looked at when the loop asked."""
@@ -242,7 +254,7 @@ def _actions(entries: Sequence[Input]) -> Iterator[tuple[Input, list[Input]]]:
     """What came, each with what was asked and found beside the loop while it was dealt with."""
     action, beside = None, []
     for entry in entries:
-        if entry.kind in ("asked", "found", "images"):
+        if entry.kind in ("asked", "found", "decided", "images"):
             beside.append(entry)
             continue
         if action is not None:

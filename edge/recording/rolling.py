@@ -71,7 +71,8 @@ class Rolling:
     @property
     def name(self) -> str:
         """Of the file that is being written; empty while there is none."""
-        return "" if self._file is None else self._file.path.name
+        file = self._file  # of another thread
+        return "" if file is None else file.path.name
 
     def ready(self) -> None:
         """What is added from here on may come into another file than what was before."""

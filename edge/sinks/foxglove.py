@@ -81,12 +81,8 @@ class FoxgloveSink:
             self._worker.queue(moment)
 
     def status(self) -> dict[str, Any]:
-        """For the status message."""
-        stats = self._worker.stats
-        return {
-            "port": self.port, "dropped": stats.replaced, "failed": stats.failed,
-            "problem": stats.last_error,
-        }  # fmt: skip
+        """See `edge.loop.result.Sink`."""
+        return {"port": self.port, **self._worker.stats.status()}
 
     def close(self) -> None:
         """Let all clients go."""

@@ -64,7 +64,7 @@ class McapSink:
         max_s: float = 600.0,
         keep_mb: float = 4096.0,
         sync_s: float = 2.0,
-        rgb_hz: float = 2.0,
+        rgb_hz: float = 1.0,
         compression: str = "lz4",
         pending_mb: float = 64.0,
     ) -> None:
@@ -129,14 +129,16 @@ class McapSink:
         self._worker.queue(batch)
 
     def status(self) -> dict[str, Any]:
-        """For the status message."""
+        """See `edge.loop.result.Sink`; `failed` and `messages` count those that were not written,
+        and that were; `dropped` the moments of which arrays were, or all was."""
+        files = self._files
         return {
-            "file": self._files.name,
-            "messages": self._files.messages,
-            "lost": self._files.lost,
-            "dropped": dict(self._dropped),
-            "failed": self._failed,
-            "problem": self._files.problem or self._problem,
+            "file": files.name,
+            "messages": files.messages,
+            "failed": files.lost + self._failed,
+            "dropped": sum(self._dropped.values()),
+            "dropped_of": dict(self._dropped),
+            "problem": files.problem or self._problem,
         }
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from edge.bus.session import declare_publisher
 from edge.bus.wire import markers, messages, transforms
 from edge.config import Config
 from edge.geometry import Grid
-from edge.host.worker import Stats, Worker
+from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.sinks.drawings import Way, markers_of
 from edge.sinks.navigate import Navigator
@@ -77,10 +77,9 @@ class Ros2Sink:
             )  # fmt: skip
             self._worker.submit(("drawings", drawn), key="drawings")
 
-    @property
-    def stats(self) -> Stats:
-        """Of what is encoded and sent."""
-        return self._worker.stats
+    def status(self) -> dict[str, Any]:
+        """See `edge.loop.result.Sink`."""
+        return self._worker.stats.status()
 
     def close(self) -> None:
         """Take the goal back, and send what is left."""

@@ -20,6 +20,7 @@ from edge.bus.wire.kernels import exact_millimetres
 from edge.bus.wire.messages import BASE_FRAME, MAP_FRAME
 from edge.bus.wire.transforms import Transform
 from edge.config import Config
+from edge.geometry import CameraModel
 from edge.loop.result import TickResult
 from edge.loop.status import status_of
 from edge.recording import channels
@@ -29,7 +30,9 @@ from edge.sinks.pace import Pace
 from edge.text import one_line
 from edge.types import Detections, Observation
 
-STATUS_HZ = LATENCY_HZ = DRAWN_HZ = 1.0
+STATUS_HZ = LATENCY_HZ = DRAWN_HZ = INFO_HZ = 1.0
+MOST_MAP_HZ = 1.0
+"""A map is as large as some frames of depth."""
 SHOWN_HZ = 10.0
 """Of pose, transforms and boxes: as often as people can follow."""
 QUALITY = 85
@@ -98,7 +101,8 @@ class Teller:
         wanted: Callable[[Channel], bool] = lambda channel: True,
     ) -> None:
         self._rgb_hz, self._wanted = rgb_hz, wanted
-        rates = {"map": config.report.map_hz, "status": STATUS_HZ, "latency": LATENCY_HZ}
+        map_hz = min(config.report.map_hz, MOST_MAP_HZ)
+        rates = {"map": map_hz, "info": INFO_HZ, "status": STATUS_HZ, "latency": LATENCY_HZ}
         shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
         self._pace = Pace(rgb=max(rgb_hz, 1e-9), **shown, **rates)
         self._way = Way()
@@ -121,6 +125,8 @@ class Teller:
             seen = replace(seen, slot=None, **_NO_ARRAYS)
             if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
                 told += _of_pose(seen, "cloud_m" in kept)
+            if seen.camera is not None and self._pace.is_due("info", result.now_ns):
+                told.append(_of_camera(seen.stamp_ns, seen.camera))
             told += _of_arrays(seen, kept)
         if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
             told.append(_of_detections(result.detections))
@@ -203,19 +209,22 @@ class Teller:
 
 
 def _of_pose(seen: Observation, cloud: bool) -> Iterator[_Later]:
-    """Pose, camera, and where all sensors are."""
-    stamp_ns, T, camera = seen.stamp_ns, seen.T_map_base, seen.camera
+    """Where the robot is, and all its sensors."""
+    stamp_ns, T = seen.stamp_ns, seen.T_map_base
     yield _Later(
         channels.ODOMETRY, stamp_ns, partial(messages.encode_odometry, stamp_ns, T, 0.0, 0.0)
     )
     tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
-    if camera is not None:
+    if seen.camera is not None:
         tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, seen.T_base_camera))
-        info = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
-        yield _Later(channels.CAMERA_INFO, stamp_ns, info)
     if cloud:
         tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, seen.T_base_lidar))
     yield _Later(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
+
+
+def _of_camera(stamp_ns: int, camera: CameraModel) -> _Later:
+    encode = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
+    return _Later(channels.CAMERA_INFO, stamp_ns, encode)
 
 
 def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_Later]:

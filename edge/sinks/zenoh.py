@@ -21,7 +21,7 @@ from edge.bus.session import declare_publisher
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.geometry import Grid
-from edge.host.worker import Stats, Worker
+from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.loop.status import status_of
 from edge.sinks.pace import Pace
@@ -103,10 +103,9 @@ class ZenohSink:
         taken = result.snapshot()
         return lambda: taken
 
-    @property
-    def stats(self) -> Stats:
-        """Of what is encoded and sent."""
-        return self._worker.stats
+    def status(self) -> dict[str, Any]:
+        """See `edge.loop.result.Sink`."""
+        return self._worker.stats.status()
 
     def close(self) -> None:
         """Send what is left; gives up after a second, for a stopped peer may block lockstep."""

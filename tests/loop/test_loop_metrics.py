@@ -16,6 +16,7 @@ from edge.host.service_manager import ServiceManager
 from edge.host.worker import Stats
 from edge.loop.keeper import Keeper
 from edge.loop.metrics import BOARD, LIFE, SERVICE, Metrics
+from edge.loop.publish import statuses
 from edge.loop.reload import Reloader
 from edge.loop.runner import Running
 from edge.loop.vitals import Vitals
@@ -167,13 +168,27 @@ def test_the_age_of_a_goal_is_by_the_loops_time():
     assert watched.scrape()["edge_goal_age_seconds"] == {(): 2.5}
 
 
-def test_sinks_with_a_thread_of_their_own_tell_what_they_could_not_send():
+def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
     class Slow:
-        stats = Stats(failed=2, replaced=3)
+        def __init__(self, **counts: int) -> None:
+            self.status = Stats(**counts).status
 
-    found = Watched().watch(Slow(), Slow(), SimpleNamespace()).scrape()
-    assert found["edge_sink_failures_total"] == {"Slow": 4}
-    assert found["edge_sink_replaced_total"] == {"Slow": 6}
+    class Wordy:
+        def status(self):
+            return {"failed": 7, "dropped": "a few", "problem": ""}
+
+    class Broken:
+        def status(self):
+            raise ValueError("no\nidea")
+
+    sinks = (Slow(failed=2, replaced=3), Wordy(), SimpleNamespace(), Slow(failed=5), Broken())
+    found = Watched().watch(*sinks).scrape()
+    assert found["edge_sink_failures_total"] == {"Slow": 2, "Slow.2": 5, "Wordy": 7}
+    assert found["edge_sink_dropped_total"] == {"Slow": 3, "Slow.2": 0}
+    told = statuses(sinks)
+    assert told["Slow.2"] == {"failed": 5, "dropped": 0, "problem": ""}
+    assert told["Broken"] == {"problem": "status(): ValueError: no idea"}
+    assert statuses([]) == {}
 
 
 def test_a_checkpoint_tells_what_was_written(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from edge.bus import topics
+from edge.recording import commands
 from edge.recording.channels import of_topic
 from edge.recording.file import McapFile, McapReading, RecordingError, is_written, recover
 
@@ -95,6 +97,25 @@ def test_what_is_no_recording(tmp_path, content):
     with pytest.raises(RecordingError, match="not an MCAP file"):
         recover(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_partial_file_is_recovered_under_its_own_name(tmp_path, whole):
+    path, out = tmp_path / "a.mcap.partial", tmp_path / "a.mcap"
+    cut = whole[: len(whole) * 3 // 4]
+    path.write_bytes(cut)
+    there = list(McapReading(path))
+    assert commands.recover(argparse.Namespace(file=path, out=None)) == 0
+    assert list(McapReading(out)) == there != []
+    assert path.read_bytes() == cut
+    assert sorted(tmp_path.iterdir()) == [out, path]
+
+
+def test_nothing_that_is_there_is_written_over(tmp_path, whole):
+    path = tmp_path / "a.mcap.recovering"
+    path.write_bytes(whole)
+    with pytest.raises(RecordingError, match=r"a\.mcap\.recovering: is there already"):
+        recover(path, tmp_path / "a.mcap")
+    assert path.read_bytes() == whole
 
 
 def test_no_file(tmp_path):

@@ -61,6 +61,7 @@ def test_numbers_count_what_was_noted():
         ("tick", {"now_ns": 1}),
         ("images", {"done": 7}),
         ("asked", {"worker": "choice"}),
+        ("decided", {"what": "elsewhere", "said": ""}),
         ("idle", {"now_ns": 1, "pose": SE2(0.1, 0.2, 0.3)}),
         ("idle", {"now_ns": 1, "pose": None}),
         ("answer", {"answer": GoalStatus(1, "failed", "stuck\n", (0.1, 0.2))}),
@@ -72,7 +73,12 @@ def test_numbers_count_what_was_noted():
         ("mission", {"translation": prepare(small().mission).translation, "id": "a", "now_ns": 1}),
         (
             "start",
-            {"translation": prepare(small().mission).translation, "saved": None, "idle": False},
+            {
+                "translation": prepare(small().mission).translation,
+                "saved": None,
+                "places": None,
+                "idle": False,
+            },
         ),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import threading
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
+from edge.loop.place_keeper import SUFFIX
 from edge.loop.scorers import Scorers
 from edge.loop.service import Service
 from edge.mission.brief import prepare
@@ -209,6 +211,50 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
     sink.close()
     keeper.close()
     same(files_of(tmp_path / "run")[0], 10)
+
+
+@pytest.mark.parametrize(
+    ("localised", "boot", "elsewhere"),
+    [
+        (False, "this", [""]),
+        (False, "another", ["the computer was started anew, and its odometry with it"]),
+        (True, "another", ["", ""]),  # once more after the jump
+    ],
+)
+def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, elsewhere):
+    """Killed, and started again: in a replay there is neither its computer nor its clock."""
+    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: "this")
+    path, left = tmp_path / "mission.json", tmp_path / "left.json"
+    config = small(source={"localised": localised})
+    loop = ClosedLoop(config)
+    killed = loop.service.keeper = Keeper(config, path, None)
+    for _ in range(20):
+        loop.step()
+    eventually(lambda: killed.places.idle and killed.places.written)
+    for suffix in ("", SUFFIX):
+        shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
+    killed.close()
+    known_m2 = loop.service.grid.known_m2
+
+    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: boot)
+    keeper, sink = Keeper(config, left, None), McapSink(config, str(tmp_path / "run"))
+    policy, sinks = make_policy(config.policy), [loop.notes, sink]
+    loop.service = Service(config, keeper.brief(), loop.worker, policy, sinks, keeper)
+    loop.step()
+    assert (loop.service.grid.known_m2 > 0.8 * known_m2) == (not elsewhere[0])
+    for _ in range(5):
+        loop.step()
+    if localised:
+        loop.service.forget_places(loop.drive.motion.stamp_ns)
+    for _ in range(5):
+        loop.step()
+    for one in (loop, sink, keeper):
+        one.close()
+    monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: "a desk")
+    recorded = files_of(tmp_path / "run")[0]
+    entries = [e for m in Session(recorded).moments() for e in m.page.entries]
+    assert [e.fields["said"] for e in entries if e.kind == "decided"] == elsewhere
+    same(recorded, 11)
 
 
 def test_a_run_in_several_files(tmp_path):

@@ -167,7 +167,7 @@ def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     depth_m = np.ones((30, 40), np.float32)  # 2400 bytes as millimetres
     for k in range(1, 31):
         sink.tick(tick(seen(k, depth_m)))
-    assert sink.status()["dropped"]["arrays"] == 9
+    assert sink.status()["dropped"] == sink.status()["dropped_of"]["arrays"] == 9
     assert sink._pending_bytes <= 55_000
     gate.set()
     eventually(lambda: sink._pending_bytes == 0)

@@ -36,6 +36,7 @@ def test_goals_and_status_go_over_zenoh_unless_told_otherwise():
     sink = make(config=simulated(), session=Flooded("", ()))
     sink.close()
     assert isinstance(sink, ZenohSink)
+    assert sink.status() == {"failed": 0, "dropped": 0, "problem": ""}
     assert find_sinks(simulated({"sinks": []})) == []
 
 
