@@ -145,8 +145,8 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
         tab.click("#new")
         tab.type("#words", "find the sofa")
         tab.click("#new-ok")
-        tab.says("#phase", "SEARCHING")
         tab.says("#formula", "F sofa")
+        tab.until("document.getElementById('phase').innerText !== 'IDLE'")
         tab.until("document.querySelectorAll('#automaton circle').length >= 3")
 
 
