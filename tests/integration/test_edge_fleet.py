@@ -34,6 +34,7 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
     sharing = edge("fleet", "new", endpoint, WORDS, "--share", "--json", "--patience", "3")
     for name in NAMES:
         services[name].says("target: ")
+    sharing.says("carl gets: ")  # else its answer dies with it, and nobody knows that it began
     services["carl"].process.send_signal(signal.SIGKILL)
     sharing.says("carl is gone; another gets it unless it is back in 3 s")
     assert sharing.wait() == 0, sharing.output
