@@ -42,6 +42,7 @@ def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_p
         make_empty(tmp_path / "file")
 
 
+@pytest.mark.slow
 def test_seconds_with_two_faults(edge, tmp_path):
     out = tmp_path / "out"
     soak = edge("soak", small(tmp_path), "--minutes", "0.3", "--faults", TWO, "--out", out)
