@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from edge.host import resources
+from edge.host.ports import free_port
 from edge.models import listing
 from edge.perception import card_types, cards, model_file
 
@@ -370,7 +371,10 @@ def test_edge_run_says_in_one_line_why_it_cannot_detect(
     from edge.cli import main as cli
 
     path = tmp_path / "robot.yaml"
-    path.write_text(f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n")
+    path.write_text(
+        f"mission: {{target: '{target}'}}\nperception: {{detector: {detector}}}\n"
+        f"zenoh: {{endpoint: tcp/127.0.0.1:{free_port()}}}\n"
+    )
     monkeypatch.setattr(cli, "setup", lambda *_: None)
     monkeypatch.setattr(cli, "stop_on_signals", lambda *_: None)
     assert cli.main(["run", str(path)]) == code
