@@ -92,8 +92,8 @@ class LiveSink:
         clock: seconds.
 
     Attributes:
-        moment: the newest; None before anybody looked.
-        shot: the newest image; None while there was none.
+        moment: the newest; None while nobody looks.
+        shot: the newest image; None while there was none, or nobody looks.
         ticked_s: when the loop last came by, on the clock; None: never.
     """
 
@@ -131,6 +131,7 @@ class LiveSink:
             since_s, ticks, _ = self._beat
             self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
         if now_s - self._looked_s > WATCHED_S:
+            self.moment = self.shot = None  # a moment holds the map of its time
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S

@@ -142,9 +142,7 @@ class Service:
             self.mission.wait()
             self.goals.driving = True  # a controller may have a goal of a service before this one
         saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
-        journal.note(
-            "start", translation=brief.translation, saved=saved, places=places, idle=idle
-        )  # fmt: skip
+        journal.note("start", translation=brief.translation, saved=saved, places=places, idle=idle)
         self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------

@@ -70,6 +70,15 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
     assert sink.moment.at_s == gathered[-1]
 
 
+def test_what_nobody_looks_at_any_more_is_let_go(sink, clock):
+    sink.look()
+    sink.tick(result(observation=seen(np.zeros((30, 40, 3), np.uint8))))
+    assert None not in (sink.moment, sink.shot)
+    clock.now_s += WATCHED_S + 0.1
+    sink.tick(result())
+    assert (sink.moment, sink.shot) == (None, None)
+
+
 def test_the_way_driven_events_and_beat_are_known_whenever_one_comes(sink, clock):
     for i in range(50):
         pose = SE2(0.1 * i, 0.0, 0.0).matrix()
