@@ -12,13 +12,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
-from mcap.exceptions import EndOfFile
 from mcap.records import Channel as ChannelRecord
 from mcap.records import DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from edge.errors import FileError
 from edge.host.files import open_regular, sync
@@ -116,7 +115,7 @@ class McapFile:
         """Begin the file; raises OSError, and there is none then."""
         self._file = _Whole(self._partial)
         try:
-            self._writer = Writer(self._file, CHUNK_BYTES, self._compression)
+            self._writer = Writer(self._file, CHUNK_BYTES, self._compression, enable_data_crcs=True)
             self._writer.start(profile="ros2", library="edge")
             for name, said in self._metadata.items():
                 self._writer.add_metadata(name, said)
@@ -206,10 +205,11 @@ class McapReading:
                 try:
                     record = next(records)
                 except StopIteration:
+                    self._end(begun, "damaged: it ends before its messages do")
                     return
                 except Exception as error:  # whatever a decompressor makes of half a chunk
-                    over = isinstance(error, EndOfFile) or not file.read(1)
                     why = one_line(error, 120) or type(error).__name__
+                    over = not file.read(1) and not _has_end(file)
                     self._end(begun, "cut off" if over else f"damaged: {why}")
                     return
                 begun = True
@@ -237,6 +237,13 @@ class McapReading:
             channel.topic, "" if schema is None else schema.name, channel.message_encoding,
             m.log_time, m.publish_time, m.sequence, m.data,
         )  # fmt: skip
+
+
+def _has_end(file: BinaryIO) -> bool:
+    """Whether a file is there to its last byte."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - len(MCAP0_MAGIC)))
+    return file.read() == MCAP0_MAGIC
 
 
 def is_written(path: Path) -> bool:

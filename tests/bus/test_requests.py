@@ -289,7 +289,7 @@ def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(s
     # What goes first keeps the loop busy; it never comes to the prepared ones.
     while not all(asking.done for asking in asked):
         with server.queue._lock:
-            server.queue._first.append(Request("status"))
+            server.queue._first.append(Request("status", queries=[object()]))
         server.poll()
     for asking in asked:
         assert "busy with other requests: not taken within 0.2 s" in asking.refusal
