@@ -1,4 +1,4 @@
-"""Half an hour of missions in one house, in one service, in simulated time."""
+"""A quarter of an hour of missions in one house, in one service, in simulated time."""
 
 from __future__ import annotations
 

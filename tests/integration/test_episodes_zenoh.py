@@ -7,7 +7,7 @@ import random
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -34,10 +34,11 @@ def held_up() -> Iterator[list[str]]:
             children = [child for child in psutil.Process().children() if is_edge(child)]
             if children:
                 child = luck.choice(children)
-                child.send_signal(signal.SIGSTOP)
-                over.wait(luck.uniform(0.6, 1.2))
-                child.send_signal(signal.SIGCONT)
-                held.append(str(child.pid))
+                with suppress(psutil.NoSuchProcess):  # it ended meanwhile
+                    child.send_signal(signal.SIGSTOP)
+                    over.wait(luck.uniform(0.6, 1.2))
+                    child.send_signal(signal.SIGCONT)
+                    held.append(str(child.pid))
 
     thread = threading.Thread(target=hold)
     thread.start()
@@ -49,7 +50,9 @@ def held_up() -> Iterator[list[str]]:
 
 
 def is_edge(process: psutil.Process) -> bool:
-    return any("edge.cli" in word for word in process.cmdline())
+    with suppress(psutil.NoSuchProcess):  # as of one that ended
+        return any("edge.cli" in word for word in process.cmdline())
+    return False
 
 
 @pytest.mark.slow
