@@ -66,7 +66,7 @@ class Robot(ClosedLoop):
                 time.sleep(0.0005)
             done = self.service.status.done or self.service.goals.searched
             if n % 5 == 0 or done:
-                known_m2 = self.service.grid.known_m2
+                known_m2 = self.service.map.grid.known_m2
                 if each is not None:
                     each.append((known_m2, self.service.mission.path_m))
                 if done or known_m2 >= until_m2:
@@ -97,7 +97,7 @@ def killed(config: Config, folder: Path, half_m2: float, keeps: bool) -> Twice:
     path = folder / "mission.json"
     robot = Robot(config, path)
     robot.explore(half_m2)
-    before = known(robot.service.grid)
+    before = known(robot.service.map.grid)
     robot.coast(DOWN_S)
     if not keeps:
         path.with_name("mission.json.map").unlink(missing_ok=True)
@@ -106,7 +106,7 @@ def killed(config: Config, folder: Path, half_m2: float, keeps: bool) -> Twice:
     kept = known(robot.service.keeper.places.waiting)
     robot.explore()
     robot.service.keeper.close()
-    again = (before - kept) & known(robot.service.grid)
+    again = (before - kept) & known(robot.service.map.grid)
     area_m2 = config.mapping.resolution_m**2
     return Twice(
         len(again) * area_m2, len(before) * area_m2, robot.service.mission.path_m - driven_m
@@ -132,7 +132,7 @@ def main() -> None:
             ways: list[tuple[float, float]] = []  # known, and the way until then
             whole.explore(each=ways)
             whole.service.keeper.close()
-        half_m2 = 0.5 * whole.service.grid.known_m2
+        half_m2 = 0.5 * whole.service.map.grid.known_m2
         rest_m = whole.service.mission.path_m - next(m for m2, m in ways if m2 >= half_m2)
         with (
             tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as one,

@@ -59,7 +59,7 @@ def test_what_is_asked_five_times_a_second(benchmark, closed):
 
 def test_a_map_of_a_house(benchmark, against, closed):
     """Against OpenCV's own encoder, at the same compression."""
-    grid = closed.service.grid.snapshot(50)
+    grid = closed.service.map.grid.snapshot(50)
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
     against(lambda: cv2.imencode(".png", grid.cells.view(np.uint8), options))
     benchmark.extra_info["budget"] = "live_map"

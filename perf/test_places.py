@@ -11,15 +11,13 @@ from edge.config import parse
 from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop import places
-from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.loop.keeper import Keeper
 from edge.loop.place_file import Places, decode, encode
+from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
 from edge.mapping.tiles import MOST_PER_STEP, Copier, PackedTiles
 from edge.mapping.window import TILE
-from edge.perception.instances import InstanceTracker
-from edge.perception.sightings import SightingTracker
 from edge.policies import make_policy
 
 NOW = places.Now(SE2(0.0, 0.0, 0.0), 10**9, 10**9)
@@ -36,10 +34,10 @@ def settings(cells: int) -> config.Config:
 
 
 def parts_of(grid: mapping.RollingMap, c: config.Config) -> places.Parts:
-    sightings = SightingTracker(c.perception)
-    tracker, pool = InstanceTracker(c.perception, sightings), CandidatePool(384, 1.0)
-    goals = GoalTracker(c, pool, tracker, lambda goal: None, lambda text, now_ns: None)
-    return places.Parts(c, grid, sightings, tracker, pool, goals, make_policy(c.policy))
+    known = SemanticMap(c, ())
+    known.grid = grid
+    goals = GoalTracker(c, known.pool, known.tracker, lambda goal: None, lambda text, now_ns: None)
+    return places.Parts(known, goals, make_policy(c.policy))
 
 
 def gathered(grid: mapping.RollingMap, c: config.Config) -> places.Kept:

@@ -47,10 +47,11 @@ class FakeService:
         self.pose = SE2(0.0, 0.0, 0.0)
         self.goals = SimpleNamespace(heard=True, phase="searching")
         self.config = SimpleNamespace(perception=SimpleNamespace(min_hits=1))
-        self.tracker = SimpleNamespace(
-            all=[SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")
-                 for label, away_m in known.items()]
-        )  # fmt: skip
+        things = [
+            SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")
+            for label, away_m in known.items()
+        ]
+        self.map = SimpleNamespace(tracker=SimpleNamespace(all=things))
         self.swapper = None
         self.events: list[str] = []
         self._journal = Journal()

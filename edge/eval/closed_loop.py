@@ -120,7 +120,7 @@ class ClosedLoop:
         self.service.latency.end_tick(perf_counter_ns())
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + self._map_period_ns
-            self.controller.on_map(self.service.grid.snapshot())
+            self.controller.on_map(self.service.map.grid.snapshot())
         answers: list[GoalStatus] = []
         for goal in self.notes.goals[before:]:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)

@@ -137,7 +137,7 @@ SERVICE: tuple[Metric[Look], ...] = (
            "Looks that found more than there was room for, by what is listened to.",
            lambda s: s.service.overruns(), ("ring",)),
     Metric("edge_pose_jumps_total", "counter", "Times that odometry began anew: the map was lost.",
-           lambda s: s.service.epoch),
+           lambda s: s.service.map.epoch),
     # What fails.
     Metric("edge_faults_total", "counter", "Errors that the loop outlived.",
            lambda s: s.service.faults.failed),
@@ -202,9 +202,9 @@ SERVICE: tuple[Metric[Look], ...] = (
            lambda s: s.service.goals.heard),
     # The map.
     Metric("edge_map_known_square_meters", "gauge", "Area that was seen.",
-           lambda s: s.service.grid.known_m2),
+           lambda s: s.service.map.grid.known_m2),
     Metric("edge_map_frontiers", "gauge", "Frontiers of the map.",
-           lambda s: s.service.grid.frontiers.n),
+           lambda s: s.service.map.grid.frontiers.n),
 )  # fmt: skip
 """Of the service, once it is ready."""
 

@@ -104,7 +104,7 @@ class PlaceKeeper:
         self._last = parts, now, targets, target
         self._due = self._due or changed or self._writer.due(now.now_ns)
         if self._due and self._writer.idle:
-            self._copy(MOST_PER_STEP + parts.grid.tiles_of_update)
+            self._copy(MOST_PER_STEP + parts.map.grid.tiles_of_update)
 
     @property
     def idle(self) -> bool:
@@ -127,12 +127,12 @@ class PlaceKeeper:
         while not self._writer.idle and time.monotonic() < until_s:
             time.sleep(0.005)
         if self._last is not None and self._writer.idle:
-            self._copy(self._last[0].grid.window.written.size)
+            self._copy(self._last[0].map.grid.window.written.size)
         self._writer.close()
 
     def _copy(self, most: int) -> None:
         parts, now, targets, target = self._last
-        grid = parts.grid
+        grid = parts.map.grid
         if not self._copier.step(grid.window, grid.planes, most):
             return
         self._due = False

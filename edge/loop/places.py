@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import astuple
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,16 +22,14 @@ import numpy as np
 from edge import names
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, wrap_angle
-from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
+from edge.loop.semantic_map import Kept, SemanticMap
 from edge.mapping import clusters, gain
 from edge.mapping.grid import RollingMap
-from edge.perception.instances import MAX_POINTS, InstanceTracker
+from edge.perception.instances import MAX_POINTS
 from edge.perception.sighting_kernels import POINTS
-from edge.perception.sightings import SightingTracker
 from edge.policies.base import Policy, Remembers
 
-Kept = dict[str, np.ndarray]
 WORD = "U"
 """As a type: words."""
 POLICY = "policy/"
@@ -148,13 +147,9 @@ TABLE: dict[str, Column] = {
 
 
 class Parts(NamedTuple):
-    """Those parts of a service that know places, and what it goes by."""
+    """Those parts of a service that know places."""
 
-    config: Config
-    grid: RollingMap
-    sightings: SightingTracker
-    tracker: InstanceTracker
-    pool: CandidatePool
+    map: SemanticMap
     goals: GoalTracker
     policy: Policy
 
@@ -174,7 +169,7 @@ def gather(parts: Parts, now: Now, boot: str, targets: tuple[str, ...], target: 
         boot: see `edge.host.machine.boot_id`.
         targets: of the mission; `target` is the active one.
     """
-    config, grid, policy, values = parts.config, parts.grid, parts.policy, parts.grid.values
+    config = parts.map.config
     given = {
         "about": {
             "boot": np.array([boot]), "policy": np.array([config.policy.kind]),
@@ -183,14 +178,9 @@ def gather(parts: Parts, now: Now, boot: str, targets: tuple[str, ...], target: 
             "now_ns": np.array(now.now_ns),
             **{name: np.array(getattr(config.mapping, name)) for name in _SCALES},
         },
-        "values": {
-            "source": np.array([config.value_source or ""]),
-            "targets": np.array(values.targets, np.str_), "side": np.array(values.side),
-        },
-        "map": grid.kept(), "gain": grid.gain.kept(), "bumps": grid.bumps.kept(),
-        "sightings": parts.sightings.kept(), "instances": parts.tracker.kept(),
-        "candidates": parts.pool.kept(), "goals": parts.goals.kept(),
-        "policy": policy.kept() if _remembers(policy) else {},
+        **parts.map.kept(),
+        "goals": parts.goals.kept(),
+        "policy": parts.policy.kept() if _remembers(parts.policy) else {},
     }  # fmt: skip
     return {f"{part}/{name}": a for part, arrays in given.items() for name, a in arrays.items()}
 
@@ -284,13 +274,14 @@ def make_map(
     return grid
 
 
-def restore(parts: Parts, kept: Kept, now: Now, goes_on: bool) -> None:
-    """Have the parts go on with what was gathered; `parts.grid` is of `make_map`.
+def restore(parts: Parts, grid: RollingMap, kept: Kept, now: Now, goes_on: bool) -> None:
+    """Have the parts go on with what was gathered.
 
     What was to last until some time lasts as long as it would have; where a clock was set back, as
     long as it had yet to last.
 
     Args:
+        grid: of `make_map`.
         goes_on: whether the mission does, and with it what was tried, and what the policy
             remembers where it is of the same kind.
 
@@ -299,15 +290,12 @@ def restore(parts: Parts, kept: Kept, now: Now, goes_on: bool) -> None:
     """
     later_ns = min(now.now_ns - int(kept["about/now_ns"]), 0)
     later_stamp_ns = min(now.stamp_ns - int(kept["about/stamp_ns"]), 0)
-    parts.grid.bumps.restore(part_of(kept, "bumps"), later_ns)
-    parts.sightings.restore(part_of(kept, "sightings"), later_stamp_ns)
-    parts.tracker.restore(part_of(kept, "instances"), later_stamp_ns)
-    parts.pool.restore(part_of(kept, "candidates"), later_ns, later_stamp_ns)
+    parts.map.take_up(grid, partial(part_of, kept), later_ns, later_stamp_ns)
     if not goes_on:
         return
     parts.goals.restore(part_of(kept, "goals"), str(kept["about/target"][0]), now.now_ns)
-    memory = part_of(kept, "policy")
-    if memory and _remembers(parts.policy) and kept["about/policy"][0] == parts.config.policy.kind:
+    memory, kind = part_of(kept, "policy"), parts.map.config.policy.kind
+    if memory and _remembers(parts.policy) and kept["about/policy"][0] == kind:
         try:
             parts.policy.restore(memory)
         except (KeyError, TypeError) as error:

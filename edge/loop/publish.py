@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
+import numpy as np
+
+from edge.geometry import SE2
 from edge.loop.faults import Faults
-from edge.loop.result import Event, Sink, TickResult
+from edge.loop.goal import GoalTracker
+from edge.loop.journal import Journal
+from edge.loop.latency import LatencyRing
+from edge.loop.result import Event, Sink, TickResult, facts_of, scored
+from edge.loop.scorers import Scorers
+from edge.loop.semantic_map import SemanticMap
+from edge.mapping.grid import RollingMap
+from edge.mission.run import MissionRun
 from edge.text import one_line
-from edge.types import Detections, Goal, GoalStatus
+from edge.types import Detections, Goal, GoalStatus, Observation
 
 _KEPT = 256  # of what happens between two results, the newest
 
@@ -37,17 +48,79 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
 class Publisher:
     """For one thread, the loop's.
 
+    Args:
+        sinks: take the results; their methods never block.
+        map, goals, scorers, journal, latency, health: what a result tells of.
+
     Attributes:
         goals, answers, events: since the last result; bounded, however long ago that is.
         detections: what came in; its frame is held until the result that tells of it is out.
     """
 
-    def __init__(self, sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self,
+        sinks: Sequence[Sink],
+        map: SemanticMap,
+        goals: GoalTracker,
+        scorers: Scorers | None,
+        journal: Journal,
+        latency: LatencyRing,
+        health: Callable[[], dict[str, Any]],
+    ) -> None:
         self.goals: deque[Goal] = deque(maxlen=_KEPT)
         self.answers: deque[GoalStatus] = deque(maxlen=_KEPT)
         self.events: deque[Event] = deque(maxlen=_KEPT)
         self.detections: Detections | None = None
         self._sinks = sinks
+        self._map, self._tracker, self._scorers = map, goals, scorers
+        self._journal, self._latency, self._health = journal, latency, health
+
+    def result(
+        self,
+        now_ns: int,
+        observation: Observation | None,
+        pose: SE2 | None,
+        mission: MissionRun,
+        scores: np.ndarray,
+    ) -> TickResult:
+        """How all stands, and what has happened since the last result was published.
+
+        Args:
+            observation: what was dealt with, if anything.
+            pose: the newest in `map`; None before there was any.
+            scores: the policy's, of the candidates.
+        """
+        map, grid, goals = self._map, self._map.grid, self._tracker
+        targets, goal, scorers = mission.brief.targets, goals.goal, self._scorers
+        return TickResult(
+            now_ns=now_ns,
+            observation=observation,
+            pose=pose,
+            status=mission.status(goals.phase),
+            goal=goal,
+            answer=goals.answer,
+            controlled=goals.heard,
+            targets=targets,
+            goals=tuple(self.goals),
+            answers=tuple(self.answers),
+            events=tuple(self.events),
+            inputs=tuple(self._journal.pending),
+            detections=self.detections,
+            mission=cache(partial(facts_of, mission)),
+            instances=cache(
+                lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
+            ),
+            frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
+            candidates=cache(partial(scored, map.pool.candidates, scores)),
+            way=cache(partial(_way_m, grid, goal)),
+            choice=None if scorers is None else scorers.answers.choice,
+            known_m2=lambda: grid.known_m2,
+            snapshot=grid.snapshot,
+            layers=lambda: map.layers(likely=not mission.idle),
+            latency=self._latency.report,
+            spans=self._latency.spans,
+            health=self._health,
+        )
 
     def saw(self, detections: Detections) -> None:
         """Boxes came in."""
@@ -57,7 +130,7 @@ class Publisher:
 
     def publish(self, result: TickResult, faults: Faults) -> None:
         """Hand it to every sink; one that fails costs the others nothing, and is told of next."""
-        for told in (self.goals, self.answers, self.events):
+        for told in (self.goals, self.answers, self.events, self._journal.pending):
             told.clear()
         for sink in self._sinks:
             with faults.outlived(f"{type(sink).__name__}.tick", result.now_ns):
@@ -68,3 +141,10 @@ class Publisher:
         if self.detections is not None:
             self.detections.observation.release()
             self.detections = None
+
+
+def _way_m(grid: RollingMap, goal: Goal | None) -> np.ndarray:
+    """See `TickResult.way`."""
+    if goal is None:
+        return np.zeros((0, 2), np.float32)
+    return grid.reach.way_m(goal.pose.x_m, goal.pose.y_m)

@@ -150,7 +150,7 @@ def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
     """
     pose, goals = service.pose, service.goals
     known: dict[str, float] = {}
-    for found in service.tracker.all if pose is not None else ():
+    for found in service.map.tracker.all if pose is not None else ():
         if found.state != "refuted" and found.hits >= service.config.perception.min_hits:
             away_m = round(pose.distance_to(*map(float, found.center_m[:2])), 2)
             known[found.label] = min(away_m, known.get(found.label, away_m))

@@ -9,35 +9,29 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from time import perf_counter_ns
 
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2
 from edge.host.calibration import Calibration
 from edge.loop import stages
-from edge.loop.candidates import CandidatePool
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
 from edge.loop.journal import DETECTOR, ELSEWHERE, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
 from edge.loop.places import Now, Parts, restore
-from edge.loop.prior import make_prior
 from edge.loop.publish import Publisher
-from edge.loop.result import Event, Sink, TickResult, facts_of, scored
+from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
+from edge.loop.semantic_map import SemanticMap
 from edge.loop.status import HealthWatch
-from edge.mapping.grid import RollingMap
-from edge.mapping.view import MapView
 from edge.mission.brief import Brief
 from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
-from edge.perception.instances import InstanceTracker
-from edge.perception.lift import Lifter
-from edge.perception.sightings import SightingTracker
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Answers, Context, Policy, scores_of
@@ -67,6 +61,7 @@ class Service:
         journal: notes what comes in from beside the loop.
 
     Attributes:
+        map: all that is known of the surroundings.
         mission: the one under way, or the last one.
         past: what became of those before it that had a name, JSON-ready, oldest first.
         goals: what the robot is sent to, and what becomes of it.
@@ -77,7 +72,6 @@ class Service:
         overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and requests raised, and the loop outlived.
         stage: the one at work in a tick, or whose error ended it.
-        epoch: counts the frames that the map was in.
     """
 
     def __init__(
@@ -97,24 +91,14 @@ class Service:
         self.config = config
         self._journal = journal = journal or Journal()
         self.keeper, self.overruns = keeper, overruns
-        self.grid = RollingMap(config.mapping)
-        self._seen_map = MapView(self.grid)
-        self.sightings = SightingTracker(config.perception)
-        self.tracker = InstanceTracker(config.perception, self.sightings)
+        self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
         self.policy = policy
-        self.pool = CandidatePool(
-            config.mapping.max_frontiers + config.perception.max_instances,
-            config.policy.r_assoc_m,
-        )
         self.latency = LatencyRing(calibration=calibration)
-        self._publisher = Publisher(sinks)
-        self.goals = GoalTracker(config, self.pool, self.tracker, self._tell, self.event)
-        self.epoch = 0
+        self.goals = GoalTracker(config, self.map.pool, self.map.tracker, self._sent, self.event)
         self.stamp_ns = 0
         self._surveyor = make_surveyor(config.mission.planner, config.loop.lockstep)
-        self._prior = make_prior(config)
-        for part in (self._surveyor, self._prior, scorers):
+        for part in (self._surveyor, self.map.prior, scorers):
             if part is not None:
                 part.through(journal.beside)
         self.faults = Faults(self.event)
@@ -125,7 +109,9 @@ class Service:
         self._health = HealthWatch(
             worker, self.swapper, scorers, keeper, self.faults, overruns, self.event, sinks
         )
-        self._lifter = Lifter(config.perception)
+        self._publisher = Publisher(
+            sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
+        )
         self._changed = NOTHING_CHANGED
         self._detections: Detections | None = None  # of this tick, as what follows
         self._context: Context | None = None
@@ -140,10 +126,10 @@ class Service:
             keeper.resume(self.mission)
         if idle:
             self.mission.wait()
-            self.goals.driving = True  # a controller may have a goal of a service before this one
+            # A controller may have a goal of a service before this one.
+            self.goals.driving = True
         saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
         journal.note("start", translation=brief.translation, saved=saved, places=places, idle=idle)
-        self._keep_values()
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -171,13 +157,12 @@ class Service:
         self.stage = MAP
         if self.keeper is not None:
             self._take_up(self.keeper, Now(pose, observation.stamp_ns, now_ns))
-        self._map(observation, pose, now_ns)
+        self._map(observation, now_ns)
         self._lap(MAP)
         self._lift(self._worker.poll(), now_ns)
         self._images = self._worker.stats.done
         self._journal.note("images", done=self._images)
-        if self._prior is not None:
-            self._prior.step(self._seen_map, self.sightings.shown, now_ns)
+        self.map.infer(now_ns)
         self._lap(LIFT)
         self._gather(observation, now_ns)
         self._lap(CANDIDATES)
@@ -207,34 +192,23 @@ class Service:
         found = places.take(self._journal.decided(ELSEWHERE, partial(places.why_elsewhere, now)))
         if found is None:
             return
-        self.grid, kept = found
-        self._seen_map = MapView(self.grid)
+        grid, kept = found
         goes_on = keeper.goes_on(self.mission, kept["about/targets"].tolist())
         with self.faults.outlived("restore", now.now_ns):
-            restore(self._parts, kept, now, goes_on)
+            restore(self._parts, grid, kept, now, goes_on)
         if goes_on:
-            self.mission.overlook(self.tracker.newest_id)
+            self.mission.overlook(self.map.tracker.newest_id)
         else:
             self._forget_tried()
-        self._keep_values()
-        known = f"{self.grid.known_m2:.0f} m2 and {len(self.tracker)} things"
+        known = f"{self.map.grid.known_m2:.0f} m2 and {len(self.map.tracker)} things"
         self.event(f"taken up from before the restart: {known}", now.now_ns)
 
-    def _map(self, observation: Observation, pose: SE2, now_ns: int) -> None:
+    def _map(self, observation: Observation, now_ns: int) -> None:
         """Stage 3: fold the depth image or cloud into the map."""
-        update = None
-        self.grid.bumps.expire(now_ns)
-        if self.config.mapping.input == "cloud":
-            if observation.cloud_m is not None:
-                T = observation.T_map_base @ observation.T_base_lidar
-                update = self.grid.update_cloud(observation.cloud_m, T, pose)
-        elif observation.depth_m is not None and observation.camera is not None:
-            T = observation.T_map_base @ observation.T_base_camera
-            update = self.grid.update_depth(observation.depth_m, observation.camera, T, pose)
+        update = self.map.update(observation, now_ns)
         self._changed = NOTHING_CHANGED if update is None else update.changed
         if update is not None and update.rolled:
             self.policy.reset("map rolled")
-        self.grid.reach.step(pose)
 
     def _lift(self, detections: Detections | None, now_ns: int) -> None:
         """Stage 4: boxes become instances, with the depth and pose they were seen with."""
@@ -253,45 +227,29 @@ class Service:
         """Detections of what is looked for, in the map that there is."""
         self.latency.span(DETECT, detections.latency_ns)
         if self._scorers is not None:
-            self._scorers.saw(detections, self.grid.values)
-        lifted, around = self._lifter.lift(detections)
-        self.sightings.look(lifted, around)
-        self.tracker.update(lifted, detections.observation.stamp_ns)
-        self.tracker.expire(detections.observation, detections.prompts)
-        perception = self.config.perception
-        self.grid.coverage.look(
-            detections.observation, perception.confirm_range_m, perception.confirm_hits
-        )
+            self._scorers.saw(detections, self.map.grid.values)
+        self.map.look(detections)
         self._detections = detections.without_rivals()
         self._publisher.saw(self._detections)
 
-    def _instances(self) -> list[Instance]:
-        """What stage 5 takes as instance candidates."""
-        if self.mission.done:
-            return []
-        sure = not self.config.policy.instances
-        return self.tracker.of(self.mission.target, sure, doubted=self.goals.searched)
-
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
-        self.pool.update(self.grid.frontiers, self._instances(), observation.stamp_ns, now_ns)
-        self.pool.measure(self.grid)
-        policy, camera = self.config.policy, observation.camera
-        if policy.look_round and camera is not None:
-            self.pool.add_look(
-                self.grid, observation.pose, camera.hfov_rad, policy.turn_m_per_rad, now_ns
-            )
+        instances: list[Instance] = []
+        if not self.mission.done:
+            target, sure = self.mission.target, not self.config.policy.instances
+            instances = self.map.tracker.of(target, sure, doubted=self.goals.searched)
+        self.map.gather(instances, observation, now_ns)
 
     def _consult(self, scorers: Scorers, observation: Observation) -> None:
         """What stage 6 may go by besides detections: answers there are, and the next questions."""
-        mission = self.mission
+        mission, here = self.mission, self.map
         if not (mission.done or mission.paused):
-            targets, candidates = mission.brief.targets, self.pool.candidates
+            targets, candidates = mission.brief.targets, here.pool.candidates
             scorers.ask(
-                observation, targets, mission.target, candidates, self.tracker, self.grid.values,
-                self._prior, self.sightings.shown,
+                observation, targets, mission.target, candidates, here.tracker, here.grid.values,
+                here.prior, here.sightings.shown,
             )  # fmt: skip
-        scorers.take_up(self.grid.values)
+        scorers.take_up(here.grid.values)
         if self.config.loop.lockstep:  # the models ran inside `ask`, beside the tick's time
             self.latency.resume(perf_counter_ns())
 
@@ -300,16 +258,16 @@ class Service:
         self._context = Context(
             observation,
             observation.pose,
-            self._seen_map,
+            self.map.view,
             self._changed,
-            self.pool.shown,
+            self.map.pool.shown,
             self._detections,
             Answers() if self._scorers is None else self._scorers.answers,
             self.mission.brief.targets,
             self.mission.target,
             now_ns,
-            self.sightings.shown,
-            self._prior,
+            self.map.sightings.shown,
+            self.map.prior,
         )
         self.scores = scores_of(self.policy, self._context)
 
@@ -321,11 +279,11 @@ class Service:
         mission.observe(pose, now_ns)
         mission.see(self._newest_ids(), now_ns)
         if self._surveyor is not None:
-            self._surveyor.step(mission, self.grid, self.tracker, pose, now_ns)
+            self._surveyor.step(mission, self.map.grid, self.map.tracker, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
-            self.goals.judge(self.grid, pose, mission, self._images, now_ns)
+            self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
             if self.goals.exhausted:
-                mission.give_up(self.goals.why_in_vain(mission, self.grid), now_ns)
+                mission.give_up(self.goals.why_in_vain(mission, self.map.grid), now_ns)
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
             self._turn(observation, now_ns)
@@ -333,7 +291,7 @@ class Service:
     def _newest_ids(self) -> dict[str, int]:
         """For each target of which an instance is known, the highest id of them."""
         sure, targets = not self.config.policy.instances, self.mission.brief.targets
-        known = {label: self.tracker.of(label, sure) for label in targets}
+        known = {label: self.map.tracker.of(label, sure) for label in targets}
         return {label: max(i.id for i in found) for label, found in known.items() if found}
 
     def _turn(self, observation: Observation, now_ns: int) -> None:
@@ -347,7 +305,7 @@ class Service:
         if self.mission.done or self.mission.paused:
             self.goals.rest()
             return None
-        return self.goals.choose(self._context, self.grid, self.scores, self._images)
+        return self.goals.choose(self._context, self.map.grid, self.scores, self._images)
 
     def _publish(self, observation: Observation, now_ns: int) -> None:
         """Stage 9: hand results to the sinks, which never block."""
@@ -359,9 +317,7 @@ class Service:
         try:
             self._health.look(now_ns)
             self._keep(now_ns)
-            result = self.result(now_ns, observation)
-            self._journal.pending.clear()
-            self._publisher.publish(result, self.faults)
+            self._publisher.publish(self.result(now_ns, observation), self.faults)
         finally:
             self._publisher.let_go()
 
@@ -374,12 +330,7 @@ class Service:
 
     @property
     def _parts(self) -> Parts:
-        return Parts(
-            self.config, self.grid, self.sightings, self.tracker, self.pool, self.goals, self.policy
-        )
-
-    def _tell(self, goal: Goal) -> None:
-        self._publisher.goals.append(goal)
+        return Parts(self.map, self.goals, self.policy)
 
     # -- what comes from outside --------------------------------------------------------------
 
@@ -400,13 +351,9 @@ class Service:
         self._remember(self.mission)
         self._journal.note("mission", translation=brief.translation, id=id, now_ns=now_ns)
         self.mission = mission
-        self._keep_values()
         self._forget_tried()
         self._detections = None
-        if self._surveyor is not None:
-            self._surveyor.forget()
-        if self._scorers is not None:
-            self._scorers.forget()
+        self._forget_asked()
         self.mission.start(now_ns)
 
     def _remember(self, mission: MissionRun) -> None:
@@ -417,11 +364,15 @@ class Service:
 
     def _forget_tried(self) -> None:
         """The mission is another than the one for which things were looked at, and tried."""
-        self.tracker.forget_verdicts()
-        self.tracker.recall(self.mission.brief.targets)
-        self.grid.coverage.forget()
+        self.map.begin(self.mission.brief.targets)
         self.policy.reset("mission")
         self.goals.forget_mission()
+
+    def _forget_asked(self) -> None:
+        """The map or the mission is another: what is being worked out for the last one is void."""
+        for beside in (self._surveyor, self._scorers):
+            if beside is not None:
+                beside.forget()
 
     def reconfigure(self, config: Config, policy: Policy) -> None:
         """Go by another configuration from the next tick on.
@@ -432,17 +383,13 @@ class Service:
             policy: of this configuration; the present one where its settings are the same.
         """
         self._journal.note("config", config=config)
-        if config.value_source != self.config.value_source:
-            self.grid.values.begin(())  # what another scorer said means something else
         self.config, self.policy = config, policy
-        self.tracker.config = self.sightings.config = self._lifter.config = config.perception
+        self.map.reconfigure(config)
         self.swapper.perception = config.perception
         self.mission.config = config.mission
-        self.pool.r_assoc_m = config.policy.r_assoc_m
         self.goals.reconfigure(config)
         if self._scorers is not None:
             self._scorers.feeds = config.value_source
-        self._keep_values()
 
     def pause(self, paused: bool, now_ns: int) -> None:
         """Have the robot stand where it is, or go on."""
@@ -499,22 +446,11 @@ class Service:
         """
         self._journal.note("jump", now_ns=now_ns)
         self.event("pose jumped: map and instances dropped", now_ns)
-        self.epoch += 1
-        self.grid = RollingMap(self.config.mapping)
-        self._seen_map = MapView(self.grid)
         self._context = None
-        self._keep_values()
-        self.tracker.clear()
-        self.sightings.clear()
-        self.pool.clear()
+        self.map.forget()
         self.policy.reset("pose")
         self.mission.forget_distances()
-        if self._surveyor is not None:
-            self._surveyor.forget()
-        if self._prior is not None:
-            self._prior.forget()
-        if self._scorers is not None:
-            self._scorers.forget()
+        self._forget_asked()
         self.goals.forget_places()
         self._void_seq = self._newest_seq
         if self.keeper is not None:
@@ -525,23 +461,20 @@ class Service:
         log.info(text)
         self._publisher.events.append(Event(now_ns, text))
 
+    def _step_taken(self, step: Step) -> None:
+        self.event(step.text, step.stamp_ns)
+
+    def _sent(self, goal: Goal) -> None:
+        self._publisher.goals.append(goal)
+
     def close(self) -> None:
         """No tick comes any more."""
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
-        if self._prior is not None:
-            self._prior.close()
-
-    def _keep_values(self) -> None:
-        """A value map for each target, where a scorer is to write them."""
-        if self.config.value_source is not None:
-            self.grid.values.begin(self.mission.brief.targets)
+        self.map.close()
 
     # -- what others may ask ------------------------------------------------------------------
-
-    def _step_taken(self, step: Step) -> None:
-        self.event(step.text, step.stamp_ns)
 
     @property
     def goal(self) -> Goal | None:
@@ -563,50 +496,4 @@ class Service:
             now_ns: the loop's time, where the loop asks.
             observation: what was dealt with, if anything.
         """
-        goals, grid, news = self.goals, self.grid, self._publisher
-        targets = self.mission.brief.targets
-        return TickResult(
-            now_ns=now_ns,
-            observation=observation,
-            pose=self.pose,
-            status=self.status,
-            goal=self.goal,
-            answer=goals.answer,
-            controlled=goals.heard,
-            targets=targets,
-            goals=tuple(news.goals),
-            answers=tuple(news.answers),
-            events=tuple(news.events),
-            inputs=tuple(self._journal.pending),
-            detections=news.detections,
-            mission=cache(partial(facts_of, self.mission)),
-            instances=cache(
-                lambda: [found.copied() for label in targets for found in self.tracker.of(label)]
-            ),
-            frontiers=cache(lambda: grid.frontiers.xy_m[: grid.frontiers.n].copy()),
-            candidates=cache(partial(scored, self.pool.candidates, self.scores)),
-            way=cache(self._way),
-            choice=None if self._scorers is None else self._scorers.answers.choice,
-            known_m2=lambda: grid.known_m2,
-            snapshot=grid.snapshot,
-            layers=self._layers,
-            latency=self.latency.report,
-            spans=self.latency.spans,
-            health=self._health.status,
-        )
-
-    def _way(self) -> np.ndarray:
-        """See `TickResult.way`."""
-        if self.goal is None:
-            return np.zeros((0, 2), np.float32)
-        return self.grid.reach.way_m(self.goal.pose.x_m, self.goal.pose.y_m)
-
-    def _layers(self) -> dict[str, Callable[[], Grid]]:
-        """See `TickResult.layers`."""
-        valued = self.mission.brief.targets if self.config.value_source is not None else ()
-        values, coverage = self.grid.values, self.grid.coverage
-        of_targets = {f"value of {target}": partial(values.snapshot, target) for target in valued}
-        if self._prior is not None and not self.mission.idle:
-            layer = self._prior.layer
-            of_targets |= {f"likely place of {x}": layer(x) for x in self.mission.brief.targets}
-        return {"looked at": coverage.snapshot, **of_targets}
+        return self._publisher.result(now_ns, observation, self.pose, self.mission, self.scores)

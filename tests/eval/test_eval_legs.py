@@ -78,7 +78,7 @@ def driven(instruction: str, seed: int, start=None, **more) -> tuple[ClosedLoop,
     while not loop.service.status.done:
         loop.step()
         run, motion = loop.service.mission, loop.drive.motion
-        known = [i.center_m[:2] for i in loop.service.tracker.of(run.target, sure=True)]
+        known = [i.center_m[:2] for i in loop.service.map.tracker.of(run.target, sure=True)]
         pose = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
         legs.update(run.turns, run.target, np.reshape(known, (-1, 2)), *pose, motion.path_m)
     return loop, legs.legs
@@ -119,7 +119,7 @@ def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tupl
     while not loop.service.status.done:
         loop.step()
         run, pose = loop.service.mission, loop.drive.motion.pose
-        known = len(loop.service.tracker.of(run.target, sure=True)) > 0
+        known = len(loop.service.map.tracker.of(run.target, sure=True)) > 0
         found.append((run.turns, known, (pose.x_m, pose.y_m, pose.yaw_rad)))
     assert loop.service.status.phase == "reached"
     return found

@@ -59,7 +59,7 @@ class Robot:
         closed, motion = self._closed, self._closed.drive.motion
         if time.monotonic() > self._map_due_s:
             self._map_due_s = time.monotonic() + 0.5
-            closed.controller.on_map(closed.service.grid.snapshot())
+            closed.controller.on_map(closed.service.map.grid.snapshot())
         goals = closed.notes.goals
         for goal in goals[self._told :]:
             self._answers += closed.controller.on_goal(goal.stamp_ns, goal.pose)

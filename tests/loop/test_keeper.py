@@ -75,7 +75,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     assert loop.service.mission.id == "1f.2"
     assert loop.service.mission.brief.automaton.formula == old.mission.brief.automaton.formula
     loop.step()
-    assert {i.id for i in old.tracker.all} <= {i.id for i in loop.service.tracker.all}
+    assert {i.id for i in old.map.tracker.all} <= {i.id for i in loop.service.map.tracker.all}
     assert loop.service.mission.target == "television"
     loop.run(200)
     second.close()
@@ -126,7 +126,7 @@ def test_a_restart_that_saw_nothing_loses_no_place(path):
     third = restart(loop, path)
     loop.step()
     third.close()
-    assert loop.service.tracker.of("television")
+    assert loop.service.map.tracker.of("television")
     assert loop.service.mission.failed == {"television"}
 
 
@@ -136,14 +136,14 @@ def test_places_come_back_under_an_order_that_came_before_the_first_image(path):
     while "television" not in loop.service.mission.detected:
         loop.step()
     first.close()
-    before = loop.service.tracker.all
+    before = loop.service.map.tracker.all
     second = restart(loop, path)
     loop.service.idle(loop.drive.motion.stamp_ns, None)
     brief = prepare(loop.config.mission, formula="F television")
     loop.service.begin(brief, loop.drive.motion.stamp_ns)
     loop.step()
     second.close()
-    hits = {i.id: i.hits for i in loop.service.tracker.all}
+    hits = {i.id: i.hits for i in loop.service.map.tracker.all}
     assert before
     assert all(hits.get(i.id, 0) >= i.hits for i in before)
 
@@ -154,7 +154,7 @@ def test_what_had_failed_is_not_taken_up_again_for_the_same_instance(path):
     for _ in range(3):
         loop.step()
     second.close()
-    assert loop.service.tracker.of("television")
+    assert loop.service.map.tracker.of("television")
     assert loop.service.mission.failed == {"television"}
     assert loop.service.mission.target == "bed"
 

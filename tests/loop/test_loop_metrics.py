@@ -102,8 +102,8 @@ def test_after_some_ticks(watched):
     assert sum(found["edge_mission_state"].values()) == 1
     assert found["edge_mission_targets"] == {(): 1}
     assert found["edge_mission_plan_steps"] == {(): 1}
-    assert found["edge_map_known_square_meters"][()] == loop.service.grid.known_m2 > 0
-    assert found["edge_map_frontiers"][()] == loop.service.grid.frontiers.n > 0
+    assert found["edge_map_known_square_meters"][()] == loop.service.map.grid.known_m2 > 0
+    assert found["edge_map_frontiers"][()] == loop.service.map.grid.frontiers.n > 0
     assert found["edge_goal_state"][loop.service.goal.kind] == 1
     assert found["edge_policy_info"] == {loop.config.policy.kind: 1}
 
@@ -142,12 +142,13 @@ def test_no_text_of_others_is_a_label():
         (lambda s: s.source.counters.update(stale=3, received=9), "edge_source_dropped_total",
          {"stale": 3}),
         (lambda s: s.source.counters.update(received=9), "edge_source_received_total", {(): 9}),
-        (lambda s: setattr(s.service, "epoch", 2), "edge_pose_jumps_total", {(): 2}),
+        (lambda s: setattr(s.service.map, "epoch", 2), "edge_pose_jumps_total", {(): 2}),
         (lambda s: setattr(s.service, "overruns", lambda: {"sensors": 4}), "edge_overruns_total",
          {"sensors": 4}),
         (lambda s: s.service.swapper.outcomes.update(kept=1), "edge_model_swaps_total",
          {"kept": 1, "refused": 0, "rolled back": 0}),
-        (lambda s: setattr(s.service.goals, "heard", True), "edge_controller_answers", {(): 1}),
+        (lambda s: setattr(s.service.goals, "heard", True), "edge_controller_answers",
+         {(): 1}),
         (lambda s: setattr(s.worker.stats, "replaced", 5), "edge_detector_images_total",
          {"detected": 0, "failed": 0, "replaced": 5}),
     ],

@@ -157,7 +157,7 @@ BREAKS: dict[str, Callable[[Running], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "forget_places"),
     "detect": lambda run: (run.service._worker, "submit"),
     "map": lambda run: (run.service, "_map"),
-    "lift": lambda run: (run.service._lifter, "lift"),
+    "lift": lambda run: (run.service.map._lifter, "lift"),
     "candidates": lambda run: (run.service, "_gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),

@@ -23,7 +23,7 @@ def content(tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("kept") / "m.json"
     run = Run(path, config("hvl")).ticks(40)
     pose = run.drive.motion.odometry
-    run.service.grid.bumps.close(pose, pose.ahead(0.5), 0.2, run.drive.motion.stamp_ns)
+    run.service.map.grid.bumps.close(pose, pose.ahead(0.5), 0.2, run.drive.motion.stamp_ns)
     run.service.keeper.close()
     return path.with_name("m.json.map").read_bytes()
 
@@ -146,7 +146,7 @@ def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, con
         return
     path.with_name("m.json.map").write_bytes(made)
     run = Run(path, config("hvl", source={"localised": True})).ticks(2)
-    assert run.service.grid.window.placed
+    assert run.service.map.grid.window.placed
     run.service.keeper.close()
 
 

@@ -105,7 +105,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     run.service.keeper.close()
     run.beside = run.another()
     # What it says is nobody's to obey.
-    run.beside._publisher = type(run.beside._publisher)([Notes()])
+    run.beside._publisher._sinks = [Notes()]
     return run
 
 
@@ -129,27 +129,31 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         one, other = run.both()
         # What the controller said last was said to the one that is gone: it says it again.
         assume(i > 0 or before is None or one.goal is before)
-        n = one.grid.frontiers.n
-        assert n == other.grid.frontiers.n
-        np.testing.assert_array_equal(one.grid.frontiers.xy_m[:n], other.grid.frontiers.xy_m[:n])
-        mine, its = one.pool.candidates, other.pool.candidates
+        n = one.map.grid.frontiers.n
+        assert n == other.map.grid.frontiers.n
+        np.testing.assert_array_equal(
+            one.map.grid.frontiers.xy_m[:n], other.map.grid.frontiers.xy_m[:n]
+        )
+        mine, its = one.map.pool.candidates, other.map.pool.candidates
         assert mine.n == its.n
         for name in ("id", "kind", "first_seen_ns", "path_m", "gain_m2", "blocked", "confidence"):
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
         np.testing.assert_array_equal(one.scores, other.scores)
         assert told(one.goal) == told(other.goal)
-        assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.tracker.all] == [
-            (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.tracker.all
+        assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
+            (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
-        assert one.sightings.shown.n == other.sightings.shown.n
+        assert one.map.sightings.shown.n == other.map.sightings.shown.n
     mine, its = (gather(s._parts, Now(SE2(0, 0, 0), 0, 0), "", (), "") for s in (one, other))
     assert mine.keys() == its.keys()
     for name, array in mine.items():
         np.testing.assert_array_equal(array, its[name], name)
-    np.testing.assert_array_equal(one.grid.coverage.looks, other.grid.coverage.looks)
+    np.testing.assert_array_equal(one.map.grid.coverage.looks, other.map.grid.coverage.looks)
     for layer, (a, b) in zip(
-        one.grid.layers._fields, zip(one.grid.layers, other.grid.layers, strict=True), strict=True
+        one.map.grid.layers._fields,
+        zip(one.map.grid.layers, other.map.grid.layers, strict=True),
+        strict=True,
     ):
         np.testing.assert_array_equal(a, b, layer)
     other.keeper.close()
@@ -179,7 +183,7 @@ def test_what_is_kept_is_the_map_of_one_tick_and_never_older_than_five_seconds(
     for _ in range(120):
         now_ns = run.drive.motion.stamp_ns
         run.ticks(1)
-        grid = run.service.grid
+        grid = run.service.map.grid
         raw[now_ns] = grid.layers.raw.copy()
         idle(run.service.keeper)
         if path.exists():
@@ -208,7 +212,7 @@ def test_a_disk_that_takes_nothing_costs_only_what_is_kept(tmp_path, caplog):
     (tmp_path / ".m.json.map.tmp").rmdir()
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
-    assert run.service.grid.known_m2 > 10
+    assert run.service.map.grid.known_m2 > 10
     run.service.keeper.close()
 
 
@@ -216,17 +220,17 @@ def test_a_bump_and_what_was_given_up_come_back(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     service, now_ns = run.service, run.drive.motion.stamp_ns
     pose = run.drive.motion.odometry
-    service.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
-    service.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
+    service.map.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
+    service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
     service.goals._search.left.append((3.0, 4.0))
-    cells = service.grid.layers.raw == 255
+    cells = service.map.grid.layers.raw == 255
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
-    grid = run.service.grid
+    grid = run.service.map.grid
     assert cells.any()
     np.testing.assert_array_equal(grid.layers.raw == 255, cells)
-    assert grid.bumps.closed_m == service.grid.bumps.closed_m
-    assert run.service.pool.kept()["discarded_id"].tolist() == [7]
+    assert grid.bumps.closed_m == service.map.grid.bumps.closed_m
+    assert run.service.map.pool.kept()["discarded_id"].tolist() == [7]
     assert (3.0, 4.0) in run.service.goals._search.left
     grid.bumps.expire(now_ns + 10**13)
     assert not (grid.layers.raw == 255).any()
@@ -247,7 +251,7 @@ def test_a_bump_and_what_was_given_up_come_back(tmp_path):
 def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, change, expected):
     settings = config(source={"localised": change.get("localised", False)})
     run = Run(tmp_path / "m.json", settings).ticks(20)
-    known_m2 = run.service.grid.known_m2
+    known_m2 = run.service.map.grid.known_m2
     if "boot" in change:
         monkeypatch.setattr(place_keeper, "boot_id", lambda: change["boot"])
     run.killed()
@@ -258,7 +262,7 @@ def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, c
     )
     stamp_ns = seen.stamp_ns + int(change.get("stamp_s", 0) * 1e9)
     run.service.tick(replace(seen, T_map_base=pose.matrix(), stamp_ns=stamp_ns), now_ns)
-    taken = run.service.grid.known_m2 > 0.9 * known_m2
+    taken = run.service.map.grid.known_m2 > 0.9 * known_m2
     assert taken is expected
     assert any("taken up" in text for text in run.notes.events) is expected
     run.service.keeper.close()
@@ -267,21 +271,21 @@ def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, c
 def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
     now_ns = run.drive.motion.stamp_ns
-    run.service.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
+    run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
     run.killed()
     kept = decode((tmp_path / "m.json.map").read_bytes()).kept
     observation = replace(run.observe(), stamp_ns=10**8)
     run.service.tick(observation, 10**8)
     back_ns = int(kept["about/stamp_ns"]) - 10**8
     first_ns = dict(zip(kept["candidates/id"], kept["candidates/first_seen_ns"], strict=True))
-    now = run.service.pool.kept()
+    now = run.service.map.pool.kept()
     lasting = [i for i, k in enumerate(now["id"]) if k in first_ns]
     assert lasting
     assert all(now["first_seen_ns"][i] == first_ns[now["id"][i]] - back_ns for i in lasting)
-    kept_ns = run.service.pool.kept()["discarded_until_ns"].tolist()
+    kept_ns = run.service.map.pool.kept()["discarded_until_ns"].tolist()
     assert kept_ns[0] - 10**8 == pytest.approx(5 * 10**9, abs=10**9)
-    assert (run.service.pool.candidates.first_seen_ns <= 10**8).all()
-    assert all(i.last_seen_ns <= 10**8 for i in run.service.tracker.all)
+    assert (run.service.map.pool.candidates.first_seen_ns <= 10**8).all()
+    assert all(i.last_seen_ns <= 10**8 for i in run.service.map.tracker.all)
     run.service.keeper.close()
 
 
@@ -289,14 +293,14 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     run.service.mission.fail("told to", run.drive.motion.stamp_ns)
     run.ticks(1)
-    known_m2, things = run.service.grid.known_m2, len(run.service.sightings.shown.id)
+    known_m2, things = run.service.map.grid.known_m2, len(run.service.map.sightings.shown.id)
     run.killed()
     assert run.service.keeper.saved is None
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
-    assert run.service.grid.known_m2 >= known_m2 > 0
-    assert len(run.service.sightings.shown.id) == things
+    assert run.service.map.grid.known_m2 >= known_m2 > 0
+    assert len(run.service.map.sightings.shown.id) == things
     # For the new mission nothing was looked at: only what this one image shows now.
-    assert run.service.grid.coverage.looks.max(initial=0) <= 1
+    assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
     run.service.keeper.close()
 
 
@@ -313,7 +317,7 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
 def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, part):
     path = tmp_path / "m.json"
     run = Run(path, config()).ticks(40)
-    raw = run.service.grid.snapshot()
+    raw = run.service.map.grid.snapshot()
     with caplog.at_level(logging.INFO):
         run.killed(config(mapping=mapping))
         run.service.tick(run.observe(), run.drive.motion.stamp_ns)
@@ -322,7 +326,7 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
     if not aside:
         x0, y0 = raw.origin_xy_m
         occupied = np.argwhere(raw.cells == 100) * 0.05 + (y0 + 0.025, x0 + 0.025)
-        grid = run.service.grid
+        grid = run.service.map.grid
         assert any(grid.state_at(x, y) == 100 for y, x in occupied)
         assert run.service.goal is not None
     run.service.keeper.close()
@@ -330,11 +334,11 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
 
 def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_kept(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(40)
-    known_m2 = run.service.grid.known_m2
+    known_m2 = run.service.map.grid.known_m2
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     run.service.forget_places(run.drive.motion.stamp_ns)
-    assert run.service.grid.known_m2 == 0
+    assert run.service.map.grid.known_m2 == 0
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
-    assert run.service.grid.known_m2 >= 0.99 * known_m2
+    assert run.service.map.grid.known_m2 >= 0.99 * known_m2
     run.service.keeper.close()

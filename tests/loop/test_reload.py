@@ -85,9 +85,9 @@ def test_one_that_is_asked_for_during_another_comes_after_it(bench):
         return config(perception={"tau_det": 0.4})
 
     bench.reads = reread
-    eventually(lambda: bench.reloader.step(0) or bench.service.tracker.config.tau_det == 0.4)
+    eventually(lambda: bench.reloader.step(0) or bench.service.map.tracker.config.tau_det == 0.4)
     assert not bench.reloader.busy
-    eventually(lambda: bench.reloader.step(0) or bench.service.tracker.config.tau_det == 0.45)
+    eventually(lambda: bench.reloader.step(0) or bench.service.map.tracker.config.tau_det == 0.45)
 
 
 def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
@@ -104,8 +104,8 @@ def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
         assert key in outcome
     assert type(bench.service.policy).__name__ == "NearestFrontier"
     assert bench.service.policy is not before
-    assert bench.service.tracker.config.tau_det == 0.45
-    assert bench.service.pool.r_assoc_m == 0.4
+    assert bench.service.map.tracker.config.tau_det == 0.45
+    assert bench.service.map.pool.r_assoc_m == 0.4
     bench.closed.run(200)
     assert len(bench.closed.notes.goals) > goals
     assert bench.service.status.phase == "failed"
@@ -184,11 +184,11 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
     assert asked == [("new", False, 0, new.perception)]
     bench.reloader.step(0)
     assert bench.reloader.busy
-    assert bench.service.tracker.config.tau_det == 0.3
+    assert bench.service.map.tracker.config.tau_det == 0.3
     said["state"] = "kept"
     bench.reloader.step(0)
     assert bench.reloader.outcome == "switched: perception.detector, perception.tau_det"
-    assert bench.service.tracker.config.tau_det == 0.4
+    assert bench.service.map.tracker.config.tau_det == 0.4
     assert bench.service.swapper.perception is new.perception
 
 

@@ -113,7 +113,7 @@ def test_after_a_jump_of_the_pose_nothing_said_before_counts():
         eventually(lambda: loop.scorers._choice.idle)
         loop.service.forget_places(loop.drive.motion.stamp_ns)
         assert loop.scorers.answers.choice is None
-        loop.scorers.take_up(loop.service.grid.values)  # what was asked about the old frame
+        loop.scorers.take_up(loop.service.map.grid.values)  # what was asked about the old frame
         assert loop.scorers.answers.choice is None
         eventually(lambda: loop.step() or loop.scorers.answers.choice)
         loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)
@@ -148,9 +148,9 @@ def test_similarity_is_for_every_target(monkeypatch):
     loop = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     scorers = Scorers(FakeSimilarity(), None, inline=True)
     seen = loop.observe()
-    known = loop.service.pool.candidates, loop.service.tracker, loop.service.grid.values
+    known = loop.service.map.pool.candidates, loop.service.map.tracker, loop.service.map.grid.values
     scorers.ask(seen, ("bed", "chair"), "bed", *known)
-    scorers.take_up(loop.service.grid.values)
+    scorers.take_up(loop.service.map.grid.values)
     similarity = scorers.answers.similarity
     np.testing.assert_allclose(similarity.score, seen.rgb.mean() + np.array([0, 1]), rtol=1e-6)
     assert similarity.targets == ("bed", "chair")

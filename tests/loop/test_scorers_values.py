@@ -274,7 +274,7 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     loop = ClosedLoop(config).run(240)
     service = loop.service
     assert service.status.phase == "reached", service.status
-    values = service.grid.values
+    values = service.map.grid.values
     assert values.value.shape[2] == 1
     said = values.value.copy()
     assert said.max() > 0
@@ -283,12 +283,12 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     np.testing.assert_array_equal(values.value[..., 1:], said)
     loop.step()
     service.forget_places(loop.drive.motion.stamp_ns)
-    assert service.grid.values.value.shape[2] == 2
-    assert not service.grid.values.weight.any()
+    assert service.map.grid.values.value.shape[2] == 2
+    assert not service.map.grid.values.weight.any()
 
 
 def test_a_policy_that_goes_by_no_values_has_none():
     loop = ClosedLoop(simulated({"perception": {"similarity": "cooccurrence-similarity"}}))
     loop.step()
-    assert loop.service.grid.values.value.size == 0
+    assert loop.service.map.grid.values.value.size == 0
     assert loop.scorers.answers.similarity is not None

@@ -84,20 +84,20 @@ def test_a_later_mission_finds_in_an_explored_house_what_was_never_looked_for(tm
 
 def test_what_was_refuted_in_one_mission_is_found_in_the_next(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F armchair")).run(2)
-    while not (found := loop.service.tracker.of("armchair")):
+    while not (found := loop.service.map.tracker.of("armchair")):
         loop.step()
     for instance in found:
-        loop.service.tracker.refute(instance.id)
+        loop.service.map.tracker.refute(instance.id)
     begin(loop, "F armchair")
     assert loop.service.status.phase == "reached", loop.service.status
 
 
 def test_a_thing_refuted_by_mistake_is_found_before_it_is_given_up(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F armchair")).run(2)
-    while not (found := loop.service.tracker.of("armchair")):
+    while not (found := loop.service.map.tracker.of("armchair")):
         loop.step()
     for instance in found:
-        loop.service.tracker.refute(instance.id)
+        loop.service.map.tracker.refute(instance.id)
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.service.status
 
@@ -132,7 +132,7 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
         "mission": mission,
     }
     loop = ClosedLoop(simulated({**config, "policy": {"kind": "hvl", "instances": False}}))
-    tracker = loop.service.tracker
+    tracker = loop.service.map.tracker
     while not loop.service.status.done:
         loop.step()
         goal = loop.service.goal

@@ -79,8 +79,8 @@ def test_every_goal_is_a_free_reachable_cell():
         loop.step()
         for goal in loop.notes.goals[before:]:
             if goal.kind != "look":
-                assert loop.service.grid.state_at(goal.pose.x_m, goal.pose.y_m) == 0
-                assert loop.service.grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
+                assert loop.service.map.grid.state_at(goal.pose.x_m, goal.pose.y_m) == 0
+                assert loop.service.map.grid.reach.distance_m(goal.pose.x_m, goal.pose.y_m) < 1e6
     assert loop.notes.goals
 
 
@@ -135,7 +135,7 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
     present.goal = replace(present.goal, candidate_xy_m=near)
     service.goals._follow(present, pose, loop.drive.motion.stamp_ns, 0)
     assert (service.goal is None) == done
-    assert any(xy == pytest.approx(near) for xy in service.pool._discarded_xy_m) == done
+    assert any(xy == pytest.approx(near) for xy in service.map.pool._discarded_xy_m) == done
 
 
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
@@ -250,17 +250,17 @@ def test_answers_to_old_goals_are_void():
 
 def test_a_pose_jump_forgets_the_map():
     loop = ClosedLoop(config()).run(2)
-    assert loop.service.grid.known_m2 > 1.0
+    assert loop.service.map.grid.known_m2 > 1.0
     loop.service.forget_places(loop.drive.motion.stamp_ns)
-    assert loop.service.grid.known_m2 == 0.0
+    assert loop.service.map.grid.known_m2 == 0.0
     loop.step()
-    assert loop.service.grid.known_m2 > 1.0
+    assert loop.service.map.grid.known_m2 > 1.0
 
 
 def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
     """It is large: were it garbage until the collector comes, memory would grow by many of them."""
     loop = ClosedLoop(config()).run(2)
-    old = weakref.ref(loop.service.grid)
+    old = weakref.ref(loop.service.map.grid)
     gc.disable()
     try:
         loop.service.forget_places(loop.drive.motion.stamp_ns)
@@ -283,7 +283,7 @@ class Late(DetectorWorker):
 def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
     loop = ClosedLoop(config(mission={"target": "television"}, perception={"min_hits": 1}))
     loop.service._worker = Late(loop.service._worker.detector, inline=True)
-    while not loop.service.tracker.of("television"):
+    while not loop.service.map.tracker.of("television"):
         loop.step()
     slots = []
     for lost in (True, False, False):
@@ -295,7 +295,7 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
         if lost:
             loop.service.forget_places(observation.stamp_ns)
         else:
-            assert bool(loop.service.tracker.of("television")) == (len(slots) == 3)
+            assert bool(loop.service.map.tracker.of("television")) == (len(slots) == 3)
             observation.release()
     assert [slot.holds for slot in slots] == [0, 0, 1]
 
@@ -365,7 +365,7 @@ def test_a_result_tells_of_candidates_the_way():
     told = loop.service.result()
     there, way, goal = told.candidates(), told.way(), told.goal
     assert goal.candidate_id in there.id
-    assert {len(part) for part in there} == {loop.service.pool.candidates.n}
+    assert {len(part) for part in there} == {loop.service.map.pool.candidates.n}
     assert goal.pose.distance_to(*map(float, way[-1])) < 0.05
     before = there.xy_m.copy()
     for _ in range(20):

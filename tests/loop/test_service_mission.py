@@ -122,12 +122,12 @@ def test_what_the_robot_knows_is_told_with_how_far_it_is():
 
 def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
     loop = ClosedLoop(config("F television")).run(10)
-    generation = loop.service.grid.reach.generation
+    generation = loop.service.map.grid.reach.generation
     brief = prepare(loop.config.mission, formula="F bed")
     answer = ask(loop, "new", brief)
     assert (answer["formula"], answer["target"]) == ("F bed", "bed")
     loop.step()
-    assert loop.service.grid.reach.generation >= generation
+    assert loop.service.map.grid.reach.generation >= generation
     loop.run(200)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.distance_m("bed") <= 1.0
@@ -199,12 +199,12 @@ def test_what_failed_before_a_pose_jump_may_be_seen_anew_after_it():
     """Ids go on: an instance of the new frame is newer than all of the old one."""
     loop = ClosedLoop(config("F (television | bed)")).run(3)
     service, now_ns = loop.service, loop.drive.motion.stamp_ns
-    service.tracker.adopt(_thing_at(99, "television", 20.0, 20.0))
+    service.map.tracker.adopt(_thing_at(99, "television", 20.0, 20.0))
     loop.step()
     service.mission.give_up("no way to it", now_ns)
     assert service.mission.failed == {"television"}
     service.forget_places(now_ns)
-    assert service.tracker.all == []
+    assert service.map.tracker.all == []
     loop.run(100)
     assert service.mission.failed == frozenset()
     assert service.status.phase == "reached"
@@ -264,7 +264,7 @@ def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
         loop.step()
     goal = loop.service.goal
     lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
-    loop.service.tracker.adopt(lamp)
+    loop.service.map.tracker.adopt(lamp)
     loop.service.goals.drop()
     loop.step()
     assert loop.service.goal.candidate_id == goal.candidate_id

@@ -26,11 +26,11 @@ def begin(loop: ClosedLoop, formula: str) -> None:
 def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
     loop = found_a_bed
     assert loop.service.status.phase == "reached"
-    assert loop.service.tracker.of("sofa") == []
-    seen = loop.service.sightings.shown
+    assert loop.service.map.tracker.of("sofa") == []
+    seen = loop.service.map.sightings.shown
     assert (seen.confidence[seen.of("sofa")] > loop.config.perception.tau_det).sum() == 1
     begin(loop, "F sofa")
-    (sofa,) = loop.service.tracker.of("sofa")
+    (sofa,) = loop.service.map.tracker.of("sofa")
     assert sofa.state == "confirmed"
     # The model that is put in the other's place in between may call more or other things context.
     few = loop.config.perception.model_copy(
@@ -55,6 +55,6 @@ def test_policies_see_what_was_seen_and_cannot_write_there(found_a_bed):
 
 def test_a_pose_jump_forgets_what_stood_where():
     loop = ClosedLoop(simulated({"mission": {"target": "bed"}})).run(2)
-    assert loop.service.sightings.shown.n > 0
+    assert loop.service.map.sightings.shown.n > 0
     loop.service.forget_places(loop.drive.motion.stamp_ns)
-    assert loop.service.sightings.shown.n == 0
+    assert loop.service.map.sightings.shown.n == 0

@@ -98,7 +98,7 @@ def test_what_held_it_up_may_go(tmp_path, reach_cells_per_tick):
     loop = closed_loop(tmp_path, False, reach_cells_per_tick=reach_cells_per_tick)
     while not held_up(loop):
         loop.step()
-    loop.service.grid.coverage.looks[:] = 255
+    loop.service.map.grid.coverage.looks[:] = 255
     plan = loop.world.plan
     row, column = plan.grid.cell_of(4.0, 1.5)
     sill = (slice(row - 19, row + 19), slice(column - 3, column + 4))
@@ -115,8 +115,8 @@ def test_the_reason_tells_of_what_was_opened_and_not_tried(tmp_path):
     while not held_up(loop):
         loop.step()
     service = loop.service
-    service.grid.bumps.open_all()
-    assert "; held up at (3.9, 1." in service.goals.why_in_vain(service.mission, service.grid)
+    service.map.grid.bumps.open_all()
+    assert "; held up at (3.9, 1." in service.goals.why_in_vain(service.mission, service.map.grid)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, sta
     service.goal_answered(GoalStatus(stamp_ns, "accepted", blocked=place))
     service.goal_answered(GoalStatus(stamp_ns, "accepted"))  # sent again before the next tick
     loop.step()
-    assert bool(service.grid.bumps.closed_m) == closes
+    assert bool(service.map.grid.bumps.closed_m) == closes
     assert len(held_up(loop)) == closes
 
 
@@ -146,7 +146,7 @@ def test_where_it_was_held_up_counts_though_its_goal_was_just_dropped(tmp_path):
     service.goals.drop()
     service.goal_answered(GoalStatus(stamp_ns, "accepted", blocked=place))
     loop.step()
-    assert service.grid.bumps.closed_m == [place]
+    assert service.map.grid.bumps.closed_m == [place]
 
 
 def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
@@ -164,7 +164,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
         if goal is not None:
             late = now_ns - given_ns >= fails_after_s * 1e9
             service.goal_answered(GoalStatus(goal.stamp_ns, "failed" if late else "accepted"))
-        if service.grid.bumps.closed_m:
+        if service.map.grid.bumps.closed_m:
             break
     return now_ns - begun_ns
 
@@ -180,7 +180,7 @@ def test_a_robot_that_stands_whatever_it_is_told_teaches_the_map(tmp_path, fails
         loop.step()
     pose, stuck_s = loop.drive.motion.odometry, loop.config.mission.stuck_s
     stood_ns = stand(loop, fails_after_s, 100.0)
-    ((x, y),) = loop.service.grid.bumps.closed_m
+    ((x, y),) = loop.service.map.grid.bumps.closed_m
     assert pose.distance_to(x, y) == pytest.approx(loop.config.robot.radius_m, abs=0.05)
     assert abs(pose.bearing_to(x, y)) < 0.3
     assert stuck_s - 1.0 <= stood_ns / 1e9 <= stuck_s + within_s
@@ -202,11 +202,11 @@ def test_what_the_map_shows_closes_no_more_of_it(tmp_path):
     service, pose = loop.service, loop.drive.motion.odometry
     person = SE2(*pose.ahead(0.4), 0.0)
     for across_m in (-0.05, 0.0, 0.05):
-        cell = service.grid.window.cell_of(person.x_m, person.y_m + across_m)
-        service.grid._write(*cell, ly.OCCUPIED)
+        cell = service.map.grid.window.cell_of(person.x_m, person.y_m + across_m)
+        service.map.grid._write(*cell, ly.OCCUPIED)
     now_ns, place = loop.drive.motion.stamp_ns, pose.ahead(0.2)
-    service.goals._standstill.told(service.grid, service.pose, place, now_ns)
-    assert service.grid.bumps.closed_m == []
+    service.goals._standstill.told(service.map.grid, service.pose, place, now_ns)
+    assert service.map.grid.bumps.closed_m == []
     (said,) = [event.text for event in service.result().events]
     assert said.startswith("held up")
     assert said.endswith("by what the map shows")
@@ -219,12 +219,12 @@ def test_who_stands_there_for_ever_does_not_explain_it_for_ever(tmp_path):
         loop.step()
     service, pose, place = loop.service, loop.drive.motion.odometry, None
     for across_m in (-0.05, 0.0, 0.05):
-        cell = service.grid.window.cell_of(*SE2(*pose.ahead(0.4), 0.0).ahead(across_m))
-        service.grid._write(*cell, ly.OCCUPIED)
+        cell = service.map.grid.window.cell_of(*SE2(*pose.ahead(0.4), 0.0).ahead(across_m))
+        service.map.grid._write(*cell, ly.OCCUPIED)
     place, said = pose.ahead(0.2), []
     for now_s in (0.0, 0.5, 10.0, 20.0):
-        closed = bool(service.grid.bumps.closed_m)
+        closed = bool(service.map.grid.bumps.closed_m)
         now_ns = loop.drive.motion.stamp_ns + int(now_s * 1e9)
-        service.goals._standstill.told(service.grid, service.pose, place, now_ns)
-        said.append(bool(service.grid.bumps.closed_m) and not closed)
+        service.goals._standstill.told(service.map.grid, service.pose, place, now_ns)
+        said.append(bool(service.map.grid.bumps.closed_m) and not closed)
     assert said == [False, False, False, True]

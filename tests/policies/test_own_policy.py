@@ -71,7 +71,7 @@ def test_what_a_policy_sees(written):
     loop = ClosedLoop(config)
     policy, states = loop.service.policy, {}
     while loop.service.goal is None or loop.service.goal.kind != "instance":
-        before, window = dict(states), loop.service.grid.window.origin
+        before, window = dict(states), loop.service.map.grid.window.origin
         loop.step()
         context, _ = policy.seen[-1]
         grid, res = context.map, context.map.resolution_m
@@ -92,8 +92,8 @@ def test_what_a_policy_sees(written):
     for shown in (*grid.layers, grid.frontiers.xy_m, c.xy_m, c.id, c.blocked):
         with pytest.raises(ValueError, match="read-only"):
             shown[:] = 0
-    assert grid.frontiers.n == loop.service.grid.frontiers.n > 0
-    assert c.n == loop.service.pool.candidates.n
+    assert grid.frontiers.n == loop.service.map.grid.frontiers.n > 0
+    assert c.n == loop.service.map.pool.candidates.n
     for writes in ("update_depth", "bumps", "coverage"):
         assert not hasattr(grid, writes)
     assert (c.confidence[: c.n] > 0).tolist() == (c.kind[: c.n] == INSTANCE).tolist()

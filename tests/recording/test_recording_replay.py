@@ -234,14 +234,14 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
     for suffix in ("", SUFFIX):
         shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
     killed.close()
-    known_m2 = loop.service.grid.known_m2
+    known_m2 = loop.service.map.grid.known_m2
 
     monkeypatch.setattr("edge.loop.place_keeper.boot_id", lambda: boot)
     keeper, sink = Keeper(config, left, None), McapSink(config, str(tmp_path / "run"))
     policy, sinks = make_policy(config.policy), [loop.notes, sink]
     loop.service = Service(config, keeper.brief(), loop.worker, policy, sinks, keeper)
     loop.step()
-    assert (loop.service.grid.known_m2 > 0.8 * known_m2) == (not elsewhere[0])
+    assert (loop.service.map.grid.known_m2 > 0.8 * known_m2) == (not elsewhere[0])
     for _ in range(5):
         loop.step()
     if localised:

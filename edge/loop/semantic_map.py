@@ -1,0 +1,188 @@
+"""The semantic map: all that is known of the surroundings, in the frame `map`.
+
+What is free and what is not, what was seen where, and which places the robot may be sent to. It has
+one owner, since it begins with the frame and ends with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from edge.config import Config
+from edge.geometry import Grid
+from edge.loop.candidates import CandidatePool
+from edge.loop.prior import make_prior
+from edge.mapping.grid import RollingMap
+from edge.mapping.results import MapUpdate
+from edge.mapping.view import MapView
+from edge.perception.instances import InstanceTracker
+from edge.perception.lift import Lifter
+from edge.perception.sightings import SightingTracker
+from edge.types import Detections, Instance, Observation
+
+Kept = dict[str, np.ndarray]
+
+
+class SemanticMap:
+    """Stages 3 to 5 of the tick write it, in this order: `update`, `look`, `infer`, `gather`.
+
+    Args:
+        targets: of the mission to begin with.
+
+    Attributes:
+        config: that it goes by; set by `reconfigure`.
+        grid: occupancy, frontiers, distances and value maps; another object in another frame.
+        view: what a policy sees of the grid.
+        sightings: where anything was seen; `tracker`: the instances of targets.
+        pool: the candidates.
+        prior: what all that was seen says about places; None where it is not gone by.
+        epoch: counts the frames.
+    """
+
+    def __init__(self, config: Config, targets: Sequence[str]) -> None:
+        perception = config.perception
+        self.config, self._targets = config, targets
+        self.sightings = SightingTracker(perception)
+        self.tracker = InstanceTracker(perception, self.sightings)
+        self.pool = CandidatePool(
+            config.mapping.max_frontiers + perception.max_instances, config.policy.r_assoc_m
+        )
+        self.prior = make_prior(config)
+        self.epoch = 0
+        self._lifter = Lifter(perception)
+        self._lay(RollingMap(config.mapping))
+
+    def _lay(self, grid: RollingMap) -> None:
+        """Put a grid in the place of the one that there was."""
+        self.grid, self.view = grid, MapView(grid)
+        self._feed_values()
+
+    def _feed_values(self) -> None:
+        """A value map for each target, where a scorer is to write them."""
+        if self.config.value_source is not None:
+            self.grid.values.begin(self._targets)
+
+    # -- in each tick -----------------------------------------------------------------------
+
+    def update(self, observation: Observation, now_ns: int) -> MapUpdate | None:
+        """Fold the depth image or cloud in; None where the observation has none."""
+        grid, seen, pose, update = self.grid, observation, observation.pose, None
+        grid.bumps.expire(now_ns)
+        if self.config.mapping.input == "cloud":
+            if seen.cloud_m is not None:
+                T_map_lidar = seen.T_map_base @ seen.T_base_lidar
+                update = grid.update_cloud(seen.cloud_m, T_map_lidar, pose)
+        elif seen.depth_m is not None and seen.camera is not None:
+            T_map_camera = seen.T_map_base @ seen.T_base_camera
+            update = grid.update_depth(seen.depth_m, seen.camera, T_map_camera, pose)
+        grid.reach.step(pose)
+        return update
+
+    def look(self, detections: Detections) -> None:
+        """Boxes become sightings and instances, by the depth and pose that they were seen with."""
+        perception, seen = self.config.perception, detections.observation
+        lifted, around = self._lifter.lift(detections)
+        self.sightings.look(lifted, around)
+        self.tracker.update(lifted, seen.stamp_ns)
+        self.tracker.expire(seen, detections.prompts)
+        self.grid.coverage.look(seen, perception.confirm_range_m, perception.confirm_hits)
+
+    def infer(self, now_ns: int) -> None:
+        """What was seen says something about what was not."""
+        if self.prior is not None:
+            self.prior.step(self.view, self.sightings.shown, now_ns)
+
+    def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
+        """The candidates: frontiers, these instances, and the turn that shows most."""
+        pool, policy, camera = self.pool, self.config.policy, observation.camera
+        pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
+        pool.measure(self.grid)
+        if policy.look_round and camera is not None:
+            turn_m = policy.turn_m_per_rad
+            pool.add_look(self.grid, observation.pose, camera.hfov_rad, turn_m, now_ns)
+
+    # -- from one mission, configuration or frame to another --------------------------------
+
+    def begin(self, targets: Sequence[str]) -> None:
+        """Another mission: its targets were not looked at before, nor refuted."""
+        self._targets = targets
+        self._feed_values()
+        self.tracker.forget_verdicts()
+        self.tracker.recall(targets)
+        self.grid.coverage.forget()
+
+    def reconfigure(self, config: Config) -> None:
+        """Go by another configuration; see `edge.loop.reload.LIVE` for what may differ."""
+        if config.value_source != self.config.value_source:
+            self.grid.values.begin(())  # what another scorer said means something else
+        self.config = config
+        self.tracker.config = self.sightings.config = self._lifter.config = config.perception
+        self.pool.r_assoc_m = config.policy.r_assoc_m
+        self._feed_values()
+
+    def forget(self) -> None:
+        """The frame is another: nothing that was known means anything there."""
+        self.epoch += 1
+        self._lay(RollingMap(self.config.mapping))
+        self.tracker.clear()
+        self.sightings.clear()
+        self.pool.clear()
+        if self.prior is not None:
+            self.prior.forget()
+
+    def kept(self) -> dict[str, Kept]:
+        """All that lasts but the tiles, by part, as plain arrays; see `edge.loop.places.TABLE`."""
+        grid, values = self.grid, self.grid.values
+        return {
+            "values": {
+                "source": np.array([self.config.value_source or ""]),
+                "targets": np.array(values.targets, np.str_), "side": np.array(values.side),
+            },
+            "map": grid.kept(), "gain": grid.gain.kept(), "bumps": grid.bumps.kept(),
+            "sightings": self.sightings.kept(), "instances": self.tracker.kept(),
+            "candidates": self.pool.kept(),
+        }  # fmt: skip
+
+    def take_up(
+        self,
+        grid: RollingMap,
+        kept: Callable[[str], Kept],
+        later_ns: int,
+        later_stamp_ns: int,
+    ) -> None:
+        """Go on with what `kept` gave, in the same frame.
+
+        Args:
+            grid: the new one of that frame; see `edge.loop.places.make_map`.
+            kept: the arrays of a part.
+            later_ns, later_stamp_ns: how much later it all happened on the loop's clock, and on the
+                sensors'.
+        """
+        self._lay(grid)
+        grid.bumps.restore(kept("bumps"), later_ns)
+        self.sightings.restore(kept("sightings"), later_stamp_ns)
+        self.tracker.restore(kept("instances"), later_stamp_ns)
+        self.pool.restore(kept("candidates"), later_ns, later_stamp_ns)
+
+    def close(self) -> None:
+        """Nothing is asked any more."""
+        if self.prior is not None:
+            self.prior.close()
+
+    # -- for people -------------------------------------------------------------------------
+
+    def layers(self, likely: bool) -> dict[str, Callable[[], Grid]]:
+        """See `edge.loop.result.TickResult.layers`.
+
+        Args:
+            likely: the prior's as well, where it is gone by.
+        """
+        valued = self._targets if self.config.value_source is not None else ()
+        values, found = self.grid.values, {"looked at": self.grid.coverage.snapshot}
+        found |= {f"value of {target}": partial(values.snapshot, target) for target in valued}
+        if self.prior is not None and likely:
+            found |= {f"likely place of {x}": self.prior.layer(x) for x in self._targets}
+        return found
