@@ -45,7 +45,7 @@ class FakeService:
         self.past: deque[dict[str, str]] = deque(maxlen=32)
         self.blind_to = blind_to
         self.pose = SE2(0.0, 0.0, 0.0)
-        self.goals = SimpleNamespace(heard=True, phase="searching")
+        self.goals = SimpleNamespace(client=SimpleNamespace(heard=True), phase="searching")
         self.config = SimpleNamespace(perception=SimpleNamespace(min_hits=1))
         things = [
             SimpleNamespace(label=label, center_m=(away_m, 0.0, 0.0), hits=9, state="seen")

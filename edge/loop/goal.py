@@ -1,13 +1,12 @@
 """The present goal, from its choice to the controller's answer and what follows from that.
 
-Here alone is kept what the robot is sent to, what the controller said of it, and what was tried
-in vain. A controller drives to the last goal that it heard until it is there, so a goal that is
-given up is taken back: by one at the place where the robot is.
+Here alone is kept what the robot is sent to, and what was tried in vain. A controller drives to the
+last goal that it heard until it is there, so a goal that is given up is taken back: by one at the
+place where the robot is.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.loop.candidates import CandidatePool
+from edge.loop.goal_client import GoalClient
 from edge.loop.search import LASTING_NS, TURNS, NextBestView, Search
 from edge.loop.standstill import Standstill
 from edge.mapping.coverage import Viewpoint
@@ -29,13 +29,10 @@ from edge.policies.base import FRONTIER, INSTANCE, LOOK, Context
 from edge.policies.select import Held, choose, ranked
 from edge.types import Goal, GoalStatus, Instance, MissionPhase
 
-log = logging.getLogger("edge.loop.goal")
-
 # A detector that stands still refutes nothing: so many images have to be searched on the spot.
 MIN_IMAGES = 5
 # A goal that is dropped in one tick and chosen again in one of the next is not taken back.
 GRACE_NS = 300_000_000
-SILENT_NS = 3_000_000_000
 
 _KINDS = ("frontier", "instance", "look")
 
@@ -75,8 +72,7 @@ class GoalTracker:
 
     Attributes:
         phase: what the robot is at: searching, approaching or verifying.
-        driving: whether the controller has a goal that it has not finished with.
-        heard: whether a controller answers.
+        client: sends the goals.
     """
 
     def __init__(
@@ -88,23 +84,18 @@ class GoalTracker:
         event: Callable[[str, int], None],
     ) -> None:
         self.phase: MissionPhase = "searching"
-        self.driving = False
-        self.heard = False
+        self.client = GoalClient(send)
         self._config, self._pool, self._tracker = config, pool, tracker
-        self._send, self._event = send, event
+        self._event = event
         self._present: _Present | None = None
         self._search = Search()
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = Standstill(config, event)
         self._warned_of: set[int] = set()
-        self._sent_ns: int | None = None  # stamp of the goal that the controller drives to
-        self._blocked: tuple[float, float] | None = None  # where it said that it was held up
         self._turns = -1
         self._restored: tuple[str, Search, _Present | None] | None = None  # and its target
         self._without_since_ns: int | None = None
-        self._unanswered_since_ns: int | None = None
         self._grace_ns = GRACE_NS
-        self._silence_told = False
 
     # -- what others read -------------------------------------------------------------------
 
@@ -227,53 +218,36 @@ class GoalTracker:
 
     def tell(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Send the present goal, if that was not done; without one the last is taken back."""
-        self._notice_silence(now_ns)
+        self.client.notice_silence(now_ns)
         present = self._present
         if present is not None:
             self._without_since_ns = None
             if not present.told:
-                self._tell(present.goal, now_ns)
-                present.told = self.driving = True
+                self._send(present.goal, now_ns)
+                present.told = True
                 self._warn_of_neighbours(present.goal, mission, now_ns)
             return
         if self._without_since_ns is None:
             self._without_since_ns = now_ns
-        if self.driving and now_ns - self._without_since_ns >= self._grace_ns:
+        if self.client.driving and now_ns - self._without_since_ns >= self._grace_ns:
             self.stand(mission, pose, now_ns)
 
     def stand(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Have the robot stay where it is; the goal for that is nobody's to follow up."""
         self._present = None
-        self._tell(_look(pose, now_ns, mission.target), now_ns)
-        self.driving = False
+        self._send(_look(pose, now_ns, mission.target), now_ns)
+        self.client.driving = False
 
     def answered(self, answer: GoalStatus) -> None:
-        """The controller said something; what it says of old goals only shows that it is there."""
-        self.heard = True
-        self._unanswered_since_ns = None
-        if answer.stamp_ns == self._sent_ns:  # it drives on to a goal that is none any more
-            self._blocked = answer.blocked or self._blocked
+        """The controller said something, which may be of an old goal."""
         present = self._present
-        if present is not None and present.told and answer.stamp_ns == present.goal.stamp_ns:
+        told = present is not None and present.told
+        if self.client.answered(answer, present.goal if told else None):
             present.answer = answer
-            self.driving = answer.state == "accepted"
 
-    def _tell(self, goal: Goal, now_ns: int) -> None:
+    def _send(self, goal: Goal, now_ns: int) -> None:
         self._grace_ns = GRACE_NS
-        if self._unanswered_since_ns is None:
-            self._unanswered_since_ns = now_ns
-        self._sent_ns = goal.stamp_ns
-        self._send(goal)
-
-    def _notice_silence(self, now_ns: int) -> None:
-        """Notice, and say once, that nobody answers."""
-        since_ns = self._unanswered_since_ns
-        if since_ns is None or now_ns - since_ns < SILENT_NS:
-            return
-        self.heard = False
-        if not self._silence_told:
-            self._silence_told = True
-            log.warning("no motion controller answers on goal_status")
+        self.client.send(goal, now_ns)
 
     def _warn_of_neighbours(self, goal: Goal, mission: MissionRun, now_ns: int) -> None:
         """Report, before the robot stops there, a goal beside what must not be reached now.
@@ -304,8 +278,7 @@ class GoalTracker:
             images: how many the detector has searched so far.
         """
         present = self._present
-        blocked, self._blocked = self._blocked, None
-        self._standstill.told(grid, pose, blocked, now_ns)
+        self._standstill.told(grid, pose, self.client.take_blocked(), now_ns)
         instance = None
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
@@ -319,7 +292,7 @@ class GoalTracker:
         elif present is not None:
             self._follow(present, pose, now_ns, images)
         # Where no controller answers, it is no candidate's fault that the robot stands.
-        driven_to = self.goal if self.heard and self.driving else None
+        driven_to = self.goal if self.client.heard and self.client.driving else None
         if self._standstill.noticed(grid, pose, driven_to, now_ns):
             self._event("stuck: goal discarded", now_ns)
             self._discard(now_ns)
@@ -466,7 +439,7 @@ class GoalTracker:
     def forget_places(self) -> None:
         """The pose jumped. The robot is told to stand unless the next tick finds a goal."""
         self.rest()
-        self._sent_ns = self._blocked = None
+        self.client.forget_places()
         self._search, self._restored = Search(), None
         self._standstill.reset()
 

@@ -199,7 +199,7 @@ SERVICE: tuple[Metric[Look], ...] = (
            lambda s: None if s.goal is None
            else max(s.running.now_ns - s.goal.stamp_ns, 0) * 1e-9),
     Metric("edge_controller_answers", "gauge", "Whether a motion controller answers.",
-           lambda s: s.service.goals.heard),
+           lambda s: s.service.goals.client.heard),
     # The map.
     Metric("edge_map_known_square_meters", "gauge", "Area that was seen.",
            lambda s: s.service.map.grid.known_m2),

@@ -99,7 +99,7 @@ class Publisher:
             status=mission.status(goals.phase),
             goal=goal,
             answer=goals.answer,
-            controlled=goals.heard,
+            controlled=goals.client.heard,
             targets=targets,
             goals=tuple(self.goals),
             answers=tuple(self.answers),

@@ -156,7 +156,7 @@ def _robot(service: Service, amiss: Sequence[str]) -> dict[str, object]:
             known[found.label] = min(away_m, known.get(found.label, away_m))
     return {
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
-        "controller": "answers" if goals.heard else "silent",
+        "controller": "answers" if goals.client.heard else "silent",
         "amiss": [one_line(why) for why in amiss],
         "known": known,
     }

@@ -127,7 +127,7 @@ class Service:
         if idle:
             self.mission.wait()
             # A controller may have a goal of a service before this one.
-            self.goals.driving = True
+            self.goals.client.driving = True
         saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
         journal.note("start", translation=brief.translation, saved=saved, places=places, idle=idle)
 
@@ -432,7 +432,7 @@ class Service:
             self._report(dropped, now_ns)
 
     def _stand(self, pose: SE2, now_ns: int) -> None:
-        if self.goals.driving:
+        if self.goals.client.driving:
             if not (self.mission.done or self.mission.paused):
                 self.event("nothing to be seen: standing still", now_ns)
             self.goals.stand(self.mission, pose, now_ns)

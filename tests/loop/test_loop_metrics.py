@@ -147,7 +147,7 @@ def test_no_text_of_others_is_a_label():
          {"sensors": 4}),
         (lambda s: s.service.swapper.outcomes.update(kept=1), "edge_model_swaps_total",
          {"kept": 1, "refused": 0, "rolled back": 0}),
-        (lambda s: setattr(s.service.goals, "heard", True), "edge_controller_answers",
+        (lambda s: setattr(s.service.goals.client, "heard", True), "edge_controller_answers",
          {(): 1}),
         (lambda s: setattr(s.worker.stats, "replaced", 5), "edge_detector_images_total",
          {"detected": 0, "failed": 0, "replaced": 5}),

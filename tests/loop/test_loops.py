@@ -201,7 +201,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
 @pytest.mark.parametrize("stage", ["map", "plan", "publish"])
 def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
-    while not (closed.service.goals.driving and closed.drive.motion.v_mps > 0.2):
+    while not (closed.service.goals.client.driving and closed.drive.motion.v_mps > 0.2):
         closed.step()
     seen, before = blanks(closed, 20), len(closed.notes.goals)
     run = running_of(closed, seen)

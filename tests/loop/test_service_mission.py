@@ -82,7 +82,7 @@ def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
     loop = ClosedLoop(config("F bed"))
     service = loop.service
     service.mission.wait()
-    service.goals.driving = True  # to something that a service before this one sent
+    service.goals.client.driving = True  # to something that a service before this one sent
     loop.run(8)
     answer = ask(loop, "status")
     assert (answer["phase"], answer["reason"]) == ("idle", "waiting for a mission")
