@@ -12,6 +12,7 @@ import pytest
 from edge import config
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.mapping import grid, layers
+from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 CAMERA = CameraModel.from_hfov(640, 480, math.radians(75))
@@ -21,7 +22,7 @@ MAPPING = config.Mapping()
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    grid.warmup(MAPPING)
+    warmup(MAPPING)
 
 
 def room_depth(T: np.ndarray, half_m: float = 4.0) -> np.ndarray:

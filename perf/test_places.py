@@ -17,6 +17,7 @@ from edge.loop.place_file import Places, decode, encode
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
 from edge.mapping.tiles import MOST_PER_STEP, Copier, PackedTiles
+from edge.mapping.warmup import warmup
 from edge.mapping.window import TILE
 from edge.policies import make_policy
 
@@ -26,7 +27,7 @@ SETTINGS = {"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "sea
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    mapping.warmup(MAPPING)
+    warmup(MAPPING)
 
 
 def settings(cells: int) -> config.Config:

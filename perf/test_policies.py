@@ -12,9 +12,9 @@ from edge import config
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
-from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.mapping.view import MapView
+from edge.mapping.warmup import warmup
 from edge.perception.instances import InstanceTracker
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context, scores_of
@@ -26,7 +26,7 @@ CANDIDATES, BOXES = 200, 8
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    grid.warmup(MAPPING)
+    warmup(MAPPING)
 
 
 def detections(stamp_ns: int) -> Detections:

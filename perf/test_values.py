@@ -13,7 +13,7 @@ import pytest
 from test_mapping import CAMERA, MAPPING, T_BASE_CAMERA, explored_map, frames
 
 from edge.geometry import optical_yaw_rad
-from edge.mapping import grid
+from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 TARGETS = ("bed", "chair", "sofa", "toilet")
@@ -23,7 +23,7 @@ ROUNDS = 150
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    grid.warmup(MAPPING)
+    warmup(MAPPING)
 
 
 class VlfmValueMap:

@@ -15,7 +15,8 @@ from numba import njit
 
 from edge.geometry import Grid, optical_yaw_rad
 from edge.mapping.layers import OCCUPIED, UNSEEN, Layers, bit_get
-from edge.mapping.reach import STRAIGHT, ReachField
+from edge.mapping.reach import ReachField
+from edge.mapping.reach_kernels import STRAIGHT
 from edge.mapping.window import Window
 from edge.types import Observation
 

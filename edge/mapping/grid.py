@@ -16,13 +16,12 @@ from edge.mapping import layers as ly
 from edge.mapping import points, tiles, unknown, update
 from edge.mapping.bumps import ROUNDING_CELLS, Bumps
 from edge.mapping.compose import FREE, OCCUPIED, UNKNOWN, compose
-from edge.mapping.coverage import MOST_LOOKS, Coverage, Viewpoint
+from edge.mapping.coverage import MOST_LOOKS, Coverage
 from edge.mapping.gain import Gain
 from edge.mapping.reach import ReachField
 from edge.mapping.results import Frontiers, MapUpdate
 from edge.mapping.values import ValueMap
 from edge.mapping.window import Window
-from edge.types import Observation
 
 # An obstacle this wide and high is sampled twice across at full range, and four times up: its
 # lowest sample may pass for ground, and from there the highest must still stand out by 0.06 m.
@@ -496,41 +495,3 @@ class RollingMap:
 def _band(axis: int, along: tuple[int, int], n: int) -> tuple[int, int, int, int]:
     """A window rectangle that spans `along` on one axis and everything on the other."""
     return (along[0], 0, along[1], n) if axis == 0 else (0, along[0], n, along[1])
-
-
-def warmup(mapping: config.Mapping) -> None:
-    """Compile every kernel of this package, on a map of its own."""
-    grid = RollingMap(mapping.model_copy(update={"extent_m": 1.0, "max_frontiers": 8}))
-    camera = CameraModel.from_hfov(16, 16, 1.2)
-    T = np.eye(4)
-    T[:3, :3] = ((0, 0, 1), (-1, 0, 0), (0, -1, 0))
-    T[2, 3] = 0.5
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(0.0, 0.0, 0.0))
-    grid.update_cloud(np.ones((4, 3), np.float32), np.eye(4), SE2(0.0, 0.0, 0.0))
-    grid.bumps.close(SE2(0.0, 0.0, 0.0), (0.4, 0.0), 0.2, 0)
-    grid.bumps.open_all()
-    grid.reach.step(SE2(0.0, 0.0, 0.0))
-    grid.reach.nearest(0.0, 0.0, 0.5)
-    grid.reach.approach(np.zeros((1, 3), np.float32), 0.5)
-    grid.reach.way_m(0.0, 0.0)
-    which = np.zeros(1, np.int32)
-    grid.gain.around(grid.frontiers.xy_m, which, 1, np.zeros(1, np.float32))
-    grid.gain.look(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
-    grid.gain.best_turn(SE2(0.0, 0.0, 0.0), 0.0, 1.0)
-    grid.coverage.look(Observation(0, 0, np.eye(4), camera=camera), 1.0, 1)
-    grid.coverage.search(grid.reach)
-    grid.coverage.worth(Viewpoint(0.0, 0.0, 0.0))
-    points_m = ly.read_only(grid.frontiers.xy_m)
-    grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
-    grid.snapshot()
-    _ = grid.known_m2
-    grid.kept()
-    grid.values.begin(("x",))
-    for depth in (None, np.full((16, 16), 1.0, np.float32)):
-        sight = grid.values.sight(Observation(0, 0, T, depth_m=depth, camera=camera))
-        grid.values.write_view(sight, ("x",), np.ones(1, np.float32))
-    grid.values.write_directions(sight, "x", np.ones((1, 2), np.float32), np.ones(1), 1.0)
-    grid.values.best(0, points_m, 1, 0.5, np.zeros(8, np.float32))
-    far = grid.window.n * grid.resolution_m
-    T[0, 3] = far
-    grid.update_depth(np.full((16, 16), 1.0, np.float32), camera, T, SE2(far, 0.0, 0.0))

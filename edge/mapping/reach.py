@@ -3,48 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from edge.geometry import SE2
-from edge.mapping.layers import FREE, OCCUPIED, Layers, bit_get, on_trail
-from edge.mapping.points import TALL
+from edge.mapping.layers import Layers
+from edge.mapping.reach_kernels import (
+    BUCKETS,
+    STRAIGHT,
+    UNREACHED,
+    Wave,
+    first_in_sight,
+    grow_wave,
+    nearest_reached,
+    path_lengths,
+    start_wave,
+    trace,
+)
 from edge.mapping.window import Window
 
-# Octile steps as integers: 7 / 5 stands for sqrt 2 (1 % short), so that a handful of buckets
-# make a priority queue (Dial).
-STRAIGHT, DIAGONAL = 5, 7
-_BUCKETS = 8
-# Of the eight neighbours in row order, the two straight ones beside each diagonal one.
-_BESIDE = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
-_UNREACHED = np.int32(0)
-# Entries of `Wave.state`: cost being settled, cells queued, squared escape radius, start.
-_LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 _CLEAR_PER_CELL = 16
-# What stands so near to a point of a thing's surface is the thing.
-_OWN_CELLS = 4
 WAY_CELLS = 4096
 """Of a longer way the end is shown."""
-
-
-class Wave(NamedTuple):
-    """One field and the queue it grows with.
-
-    Attributes:
-        distance: (N, N) int32 by storage cell: 1 + steps' cost; 0 = not reached.
-        bucket: (8, m) int32, queued cells by cost mod 8.
-        filled: (8,) int64, cells in each bucket.
-        bounds: (4,) int64, half-open storage rectangle of what was written.
-        state: (6,) int64.
-    """
-
-    distance: np.ndarray
-    bucket: np.ndarray
-    filled: np.ndarray
-    bounds: np.ndarray
-    state: np.ndarray
 
 
 class ReachField:
@@ -80,8 +60,8 @@ class ReachField:
         self._waves = [
             Wave(
                 np.zeros((n, n), np.int32),
-                np.zeros((_BUCKETS, contour), np.int32),
-                np.zeros(_BUCKETS, np.int64),
+                np.zeros((BUCKETS, contour), np.int32),
+                np.zeros(BUCKETS, np.int64),
                 np.zeros(4, np.int64),
                 np.zeros(6, np.int64),
             )
@@ -133,7 +113,7 @@ class ReachField:
         if not (x0 <= x < x1 and y0 <= y < y1):
             return math.inf
         steps = int(self._waves[self._current].distance[y % window.n, x % window.n])
-        if steps == _UNREACHED:
+        if steps == UNREACHED:
             return math.inf
         return (steps - 1) / STRAIGHT * window.resolution_m
 
@@ -150,9 +130,7 @@ class ReachField:
         x, y, steps = nearest_reached(
             self._layers, distance, *common, float(x_m / res), float(y_m / res), radius_m / res
         )
-        if steps == _UNREACHED:
-            return None
-        return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+        return _place_m(x, y, steps, res)
 
     def approach(
         self, surface_m: np.ndarray, within_m: float, points: int = 1
@@ -175,9 +153,7 @@ class ReachField:
         x, y, steps = first_in_sight(
             self._layers, distance, *common, res, surface_m, within_m, points
         )
-        if steps == _UNREACHED:
-            return None
-        return (x + 0.5) * res, (y + 0.5) * res, (steps - 1) / STRAIGHT * res
+        return _place_m(x, y, steps, res)
 
     def way_m(self, x_m: float, y_m: float) -> np.ndarray:
         """The shortest way to a point's cell, from where the field began, for people to look at.
@@ -223,7 +199,7 @@ class ReachField:
         row = y0 if self._clear_row < 0 else self._clear_row
         rows = max(1, self._per_tick * _CLEAR_PER_CELL // (x1 - x0))
         end = min(row + rows, y1)
-        wave.distance[row:end, x0:x1] = _UNREACHED
+        wave.distance[row:end, x0:x1] = UNREACHED
         self._clear_row = end
         if end < y1:
             return False
@@ -231,252 +207,8 @@ class ReachField:
         return True
 
 
-@njit(nogil=True, cache=True)
-def start_wave(layers, wave, sx, sy, escape_cells):
-    """Begin an empty field at a storage cell.
-
-    A start inside inflation may leave it: within `escape_cells` of it every cell that is itself
-    free is passable, though inflated.
-    """
-    n = layers.raw.shape[0]
-    wave.filled[:] = 0
-    wave.state[:] = 0
-    wave.state[_LEVEL] = 1
-    wave.state[_QUEUED] = 1
-    wave.state[_START_X], wave.state[_START_Y] = sx, sy
-    free = bit_get(layers.known, sy, sx) and not bit_get(layers.blocked, sy, sx)
-    wave.state[_ESCAPE2] = -1 if free else int(escape_cells * escape_cells)
-    wave.distance[sy, sx] = 1
-    wave.bounds[0], wave.bounds[1], wave.bounds[2], wave.bounds[3] = sx, sy, sx + 1, sy + 1
-    wave.bucket[1, 0] = sy * n + sx
-    wave.filled[1] = 1
-
-
-@njit(nogil=True, cache=True)
-def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
-    """Storage offsets of the eight neighbours where the torus wraps; 0 outside the rectangle."""
-    x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
-    k = 0
-    for dy in range(-1, 2):
-        for dx in range(-1, 2):
-            if dx == 0 and dy == 0:
-                continue
-            nx, ny = x + dx, y + dy
-            steps[k] = 0
-            if x0 <= nx < x1 and y0 <= ny < y1:
-                steps[k] = ((ny + shift_y) % n) * n + (nx + shift_x) % n - cell
-            k += 1
-
-
-@njit(nogil=True, cache=True)
-def _escapes(layers, wave, cell):
-    """Whether an inflated cell may be crossed because the robot started inside inflation."""
-    n = layers.raw.shape[0]
-    sy, sx = cell // n, cell % n
-    dx, dy = abs(sx - wave.state[_START_X]), abs(sy - wave.state[_START_Y])
-    dx, dy = min(dx, n - dx), min(dy, n - dy)
-    return dx * dx + dy * dy <= wave.state[_ESCAPE2] and layers.raw[sy, sx] == FREE
-
-
-@njit(nogil=True, cache=True)
-def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
-    """Settle up to `budget` cells inside a world rectangle; True when none are left."""
-    n = layers.raw.shape[0]
-    shift_x, shift_y = origin_x % n, origin_y % n
-    distance, bucket, filled = wave.distance.ravel(), wave.bucket, wave.filled
-    near_obstacles, raw = layers.near.ravel(), layers.raw.ravel()
-    escaping = wave.state[_ESCAPE2] >= 0
-    # The rectangle in window coordinates.
-    x0, x1, y0, y1 = x0 - origin_x, x1 - origin_x, y0 - origin_y, y1 - origin_y
-    level, queued = wave.state[_LEVEL], wave.state[_QUEUED]
-    bounds_x0, bounds_y0, bounds_x1, bounds_y1 = wave.bounds
-    inner = np.array([-n - 1, -n, -n + 1, -1, 1, n - 1, n, n + 1])
-    edge = np.zeros(8, np.int64)
-    cost = np.array([DIAGONAL, 5, DIAGONAL, 5, 5, DIAGONAL, 5, DIAGONAL], np.int32)
-    done = 0
-    while queued > 0 and done < budget:
-        slot = level & (_BUCKETS - 1)
-        if filled[slot] == 0:
-            level += 1
-            continue
-        filled[slot] -= 1
-        queued -= 1
-        cell = bucket[slot, filled[slot]]
-        if distance[cell] != level:
-            continue  # a shorter way was found after this one was queued
-        done += 1
-        sy = cell // n
-        sx = cell - sy * n
-        bounds_x0, bounds_x1 = min(bounds_x0, sx), max(bounds_x1, sx + 1)
-        bounds_y0, bounds_y1 = min(bounds_y0, sy), max(bounds_y1, sy + 1)
-        y = sy - shift_y if sy >= shift_y else sy - shift_y + n
-        x = sx - shift_x if sx >= shift_x else sx - shift_x + n
-        steps = inner
-        if (
-            not (x0 < x < x1 - 1 and y0 < y < y1 - 1)
-            or not (0 < sx < n - 1 and 0 < sy < n - 1)
-        ):  # fmt: skip
-            _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
-            steps = edge
-        for k in range(8):
-            near = cell + steps[k]
-            if cost[k] == DIAGONAL and (
-                near_obstacles[cell + steps[_BESIDE[k, 0]]] != 0
-                or near_obstacles[cell + steps[_BESIDE[k, 1]]] != 0
-            ):
-                continue  # no robot cuts a corner, and no planner lets it
-            there = distance[near]
-            cheaper = level + cost[k]
-            if there != 0:
-                if there <= cheaper:
-                    continue
-            elif (
-                (near_obstacles[near] != 0 or raw[near] == 0)
-                and not (escaping and _escapes(layers, wave, near))
-                and not on_trail(layers, near // n, near % n, body)
-            ):
-                continue
-            into = cheaper & (_BUCKETS - 1)
-            if filled[into] == bucket.shape[1]:
-                wave.state[_LOST] += 1
-                continue
-            distance[near] = cheaper
-            bucket[into, filled[into]] = near
-            filled[into] += 1
-            queued += 1
-    wave.state[_LEVEL], wave.state[_QUEUED] = level, queued
-    wave.bounds[0], wave.bounds[1] = bounds_x0, bounds_y0
-    wave.bounds[2], wave.bounds[3] = bounds_x1, bounds_y1
-    return queued == 0
-
-
-@njit(nogil=True, cache=True)
-def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
-    """The reached cell that is free now and nearest to a point, by centre, all in cells.
-
-    Returns:
-        (world x, world y, distance entry); the last is 0 when there is none.
-    """
-    n = layers.raw.shape[0]
-    x, y = int(np.floor(px)), int(np.floor(py))
-    if x0 <= x < x1 and y0 <= y < y1:
-        steps = distance[y % n, x % n]
-        free = bit_get(layers.known, y % n, x % n) and not bit_get(layers.blocked, y % n, x % n)
-        if steps != 0 and free:
-            return x, y, steps
-    best, best_x, best_y = radius * radius, 0, 0
-    found = np.int32(0)
-    for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
-        sy = y % n
-        for x in range(
-            max(int(np.floor(px - radius)), x0), min(int(np.floor(px + radius)) + 1, x1)
-        ):
-            dx, dy = x + 0.5 - px, y + 0.5 - py
-            d2 = dx * dx + dy * dy
-            if d2 > best or (d2 == best and found != 0):
-                continue
-            sx = x % n
-            steps = distance[sy, sx]
-            if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
-                continue
-            best, best_x, best_y, found = d2, x, y, steps
-    return best_x, best_y, found
-
-
-@njit(nogil=True, cache=True)
-def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
-    """See `ReachField.paths_m`."""
-    for i in range(n):
-        _, _, steps = nearest_reached(
-            layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
-        )
-        out[i] = (steps - 1) / STRAIGHT * res if steps != 0 else np.inf
-
-
-@njit(nogil=True, cache=True)
-def trace(distance, x0, y0, x1, y1, x, y, cells):
-    """The way back from a world cell to where a field began.
-
-    Args:
-        x0, y0, x1, y1: see `ReachField.field`.
-        cells: (cap, 2) int64 output, world cells, the first the given one.
-
-    Returns:
-        How many there are; 0 where the cell was not reached.
-    """
-    n, k = distance.shape[0], 0
-    if not (x0 <= x < x1 and y0 <= y < y1) or distance[y % n, x % n] == 0:
-        return 0
-    while k < len(cells):
-        cells[k, 0], cells[k, 1] = x, y
-        k += 1
-        here, came_x, came_y = distance[y % n, x % n], x, y
-        for ny in range(max(y - 1, y0), min(y + 2, y1)):
-            for nx in range(max(x - 1, x0), min(x + 2, x1)):
-                there = distance[ny % n, nx % n]
-                step = DIAGONAL if nx != x and ny != y else STRAIGHT
-                if there > 0 and there + step == here:
-                    came_x, came_y = nx, ny
-        if came_x == x and came_y == y:
-            break
-        x, y = came_x, came_y
-    return k
-
-
-@njit(nogil=True, cache=True)
-def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
-    """See `ReachField.approach`; results as of `nearest_reached`."""
-    n, k, radius = layers.raw.shape[0], len(surface), within / res
-    at = np.empty((k, 2))  # in cells, from the middle of a cell
-    first_x, first_y, last_x, last_y = x1, y1, x0, y0
-    for i in range(k):
-        at[i, 0], at[i, 1] = surface[i, 0] / res - 0.5, surface[i, 1] / res - 0.5
-        first_x = min(first_x, int(np.ceil(at[i, 0] - radius)))
-        first_y = min(first_y, int(np.ceil(at[i, 1] - radius)))
-        last_x = max(last_x, int(np.floor(at[i, 0] + radius)) + 1)
-        last_y = max(last_y, int(np.floor(at[i, 1] + radius)) + 1)
-    best_x, best_y, found = 0, 0, np.int32(0)
-    for y in range(max(first_y, y0), min(last_y, y1)):
-        sy = y % n
-        for x in range(max(first_x, x0), min(last_x, x1)):
-            sx = x % n
-            steps = distance[sy, sx]
-            if steps == 0 or (found != 0 and steps >= found):
-                continue
-            if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
-                continue
-            if _sees(layers, x, y, at, radius, points):
-                best_x, best_y, found = x, y, steps
-    return best_x, best_y, found
-
-
-@njit(nogil=True, cache=True)
-def _sees(layers, x, y, at, radius, points):
-    """Whether so many points, (k, 2) in cells, are within the radius of a cell and in sight."""
-    near, seen = 0, 0
-    for i in range(len(at)):
-        dx, dy = at[i, 0] - x, at[i, 1] - y
-        near += dx * dx + dy * dy <= radius * radius
-    for i in range(len(at)):
-        if seen + near < points:
-            return False
-        dx, dy = at[i, 0] - x, at[i, 1] - y
-        if dx * dx + dy * dy <= radius * radius:
-            near -= 1
-            seen += _in_sight(layers, x, y, dx, dy)
-            if seen >= points:
-                return True
-    return False
-
-
-@njit(nogil=True, cache=True)
-def _in_sight(layers, x, y, dx, dy):
-    """Whether no wall stands between a cell's centre and a point, but near the point: itself."""
-    n = layers.raw.shape[0]
-    length = math.hypot(dx, dy)
-    for k in range(int(length - _OWN_CELLS) + 1):
-        f = k / max(length, 1.0)
-        cx, cy = math.floor(x + 0.5 + f * dx), math.floor(y + 0.5 + f * dy)
-        if layers.raw[cy % n, cx % n] >= OCCUPIED and layers.top[cy % n, cx % n] >= TALL:
-            return False
-    return True
+def _place_m(x: int, y: int, steps: int, res_m: float) -> tuple[float, float, float] | None:
+    """(x_m, y_m, geodesic_m) of a cell's centre; None where it was not reached."""
+    if steps == UNREACHED:
+        return None
+    return (x + 0.5) * res_m, (y + 0.5) * res_m, (steps - 1) / STRAIGHT * res_m

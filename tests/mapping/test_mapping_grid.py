@@ -14,8 +14,9 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 
 from edge import config
 from edge.geometry import SE2, CameraModel
-from edge.mapping import clusters, layers, points, reach, unknown, update, values
-from edge.mapping.grid import RollingMap, warmup
+from edge.mapping import clusters, layers, points, reach_kernels, unknown, update, values
+from edge.mapping.grid import RollingMap
+from edge.mapping.warmup import warmup
 from edge.types import Observation
 
 ORIGIN = SE2(0.0, 0.0, 0.0)
@@ -258,7 +259,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
 
 def signatures() -> dict[str, int]:
     """Compiled variants of every kernel of the package."""
-    modules = (clusters, layers, points, reach, unknown, update, values)
+    modules = (clusters, layers, points, reach_kernels, unknown, update, values)
     return {
         f"{module.__name__}.{name}": len(kernel.signatures)
         for module in modules

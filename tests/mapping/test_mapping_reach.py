@@ -13,7 +13,7 @@ from mapping_twins import SMALL, complete, look, room, seen_around
 
 from edge.geometry import SE2
 from edge.mapping.grid import RollingMap
-from edge.mapping.reach import DIAGONAL, STRAIGHT
+from edge.mapping.reach_kernels import DIAGONAL, STRAIGHT
 
 
 def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
