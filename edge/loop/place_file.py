@@ -7,10 +7,8 @@ tiles, each a zlib stream. The checksum is over all that follows the line.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from edge.loop.places import WORD, Kept, check
 from edge.mapping.tiles import Place, unpack
+from edge.mission.sealed import Sealed
 
 VERSION = 1
 MAX_BYTES = 96 << 20
@@ -31,10 +30,8 @@ _LEVEL = 1  # of zlib
 _BETWEEN = "\0"  # words
 _TYPES = ("b1", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 
-_HEAD = re.compile(
-    rb'\{"format":"edge-map","version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
-    rb'"table":([0-9]{1,9}),"arrays":([0-9]{1,9}),"tiles":([0-9]{1,9})\}\n'
-)
+_LENGTHS = rb'"table":([0-9]{1,9}),"arrays":([0-9]{1,9}),"tiles":([0-9]{1,9})\}\n'
+_FILE = Sealed("edge-map", "map", VERSION, _LENGTHS + rb"(?P<body>.*)", MAX_BYTES)
 _Sizes = Annotated[tuple[Annotated[int, Field(ge=0, le=1 << 26)], ...], Field(max_length=8)]
 _Count = Annotated[int, Field(ge=0)]
 _Name = Annotated[str, Field(max_length=100)]
@@ -80,15 +77,8 @@ def encode(places: Places) -> bytes:
         rows.append((name, dtype, array.shape, len(raw[-1])))
     table = json.dumps(rows, separators=(",", ":")).encode()
     arrays, tiles = zlib.compress(b"".join(raw), _LEVEL), b"".join(places.tiles)
-    body = table + arrays + tiles
-    head = (
-        f'{{"format":"edge-map","version":{VERSION},"sha256":"{hashlib.sha256(body).hexdigest()}",'
-        f'"table":{len(table)},"arrays":{len(arrays)},"tiles":{len(tiles)}}}\n'
-    )
-    content = head.encode() + body
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"{len(content)} bytes, at most {MAX_BYTES} are kept")
-    return content
+    lengths = f'"table":{len(table)},"arrays":{len(arrays)},"tiles":{len(tiles)}}}\n'
+    return _FILE.seal(lengths, table + arrays + tiles)
 
 
 def decode(content: bytes) -> Places:
@@ -97,19 +87,10 @@ def decode(content: bytes) -> Places:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"more than {MAX_BYTES} bytes")
-    head = _HEAD.match(content)
-    if head is None:
-        raise ValueError("not a whole map")
-    if int(head[1]) != VERSION:
-        raise ValueError(f"version {int(head[1])}, this program reads {VERSION}")
-    body = memoryview(content)[head.end() :]
-    n_table, n_arrays, n_tiles = (int(head[i]) for i in (3, 4, 5))
+    whole, body = _FILE.open(content)
+    n_table, n_arrays, n_tiles = (int(whole[i]) for i in (3, 4, 5))
     if n_table + n_arrays + n_tiles != len(body):
-        raise ValueError("not a whole map")
-    if hashlib.sha256(body).hexdigest().encode() != head[2]:
-        raise ValueError("damaged: its checksum does not match")
+        raise ValueError("its lengths are not those of its parts")
     kept = _arrays(bytes(body[:n_table]), body[n_table : n_table + n_arrays])
     check(kept)
     return Places(kept, _tiles(kept, body[n_table + n_arrays :]))

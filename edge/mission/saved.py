@@ -7,8 +7,6 @@ can be read again. What was seen where is kept elsewhere (`edge.loop.places`).
 
 from __future__ import annotations
 
-import hashlib
-import re
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
@@ -18,14 +16,14 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from edge.errors import UserError
 from edge.mission.automaton import NOTHING
 from edge.mission.ltl import parse, propositions
+from edge.mission.sealed import Sealed
 from edge.text import one_line
 
 VERSION = 2
 MAX_BYTES = 8 << 20
 
-_FILE = re.compile(
-    rb'\{"format":"edge-mission","version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})","mission":(.*)\}\n',
-    re.DOTALL,
+_FILE = Sealed(
+    "edge-mission", "checkpoint of a mission", VERSION, rb'"mission":(?P<body>.*)\}\n', MAX_BYTES
 )
 _STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
@@ -75,12 +73,7 @@ def encode(saved: Saved) -> bytes:
     """
     body = _MISSION.dump_json(saved)
     _check(body)
-    digest = hashlib.sha256(body).hexdigest()
-    head = f'{{"format":"edge-mission","version":{VERSION},"sha256":"{digest}","mission":'
-    content = head.encode() + body + b"}\n"
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"{len(content)} bytes, at most {MAX_BYTES} are kept")
-    return content
+    return _FILE.seal('"mission":', body, b"}\n")
 
 
 def decode(content: bytes) -> Saved:
@@ -89,16 +82,8 @@ def decode(content: bytes) -> Saved:
     Raises:
         ValueError: with one line that says what is wrong.
     """
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"more than {MAX_BYTES} bytes")
-    whole = _FILE.fullmatch(content)
-    if whole is None:
-        raise ValueError("not a whole checkpoint of a mission")
-    if int(whole[1]) != VERSION:
-        raise ValueError(f"version {int(whole[1])}, this program reads {VERSION}")
-    if hashlib.sha256(whole[3]).hexdigest().encode() != whole[2]:
-        raise ValueError("damaged: its checksum does not match")
-    return _check(whole[3])
+    _, body = _FILE.open(content)
+    return _check(bytes(body))
 
 
 def _check(body: bytes) -> Saved:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -116,7 +117,7 @@ def test_a_state_that_could_not_be_loaded_is_not_saved(tmp_path, change, text):
 def as_file(mission: dict | list | str, version: int = 2) -> bytes:
     """A file whose checksum is right, whatever is in it."""
     body = json.dumps(mission, separators=(",", ":")).encode()
-    digest = saved.hashlib.sha256(body).hexdigest()
+    digest = hashlib.sha256(body).hexdigest()
     head = f'{{"format":"edge-mission","version":{version},"sha256":"{digest}","mission":'
     return head.encode() + body + b"}\n"
 
@@ -227,7 +228,7 @@ def test_any_value_in_any_field_is_a_state_or_a_value_error(name, value):
 @pytest.mark.parametrize("n", [10, 100_000])
 def test_a_deep_nest_is_a_value_error(n):
     body = b"[" * n + b"]" * n
-    digest = saved.hashlib.sha256(body).hexdigest().encode()
+    digest = hashlib.sha256(body).hexdigest().encode()
     head = b'{"format":"edge-mission","version":2,"sha256":"' + digest + b'","mission":'
     with pytest.raises(ValueError, match="mission"):
         decode(head + body + b"}\n")
