@@ -83,16 +83,13 @@ def _drawn(
     finish: Callable[[Axes, Sequence[Row]], None],
 ) -> dict[str, bytes]:
     """A plot's content by file ending."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, (axes,) = canvas.plots(SIZE_IN, DPI)
     lines = _lines(rows, figure_of)
     for k, (planners, figures) in enumerate(lines.items()):
         _line(axes, planners, figures, len(lines) - k)
-    _frame(axes, sorted({row.p_obs for row in rows if row.p_obs is not None}))
+    p_obs = sorted({row.p_obs for row in rows if row.p_obs is not None})
+    axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
+    axes.set_xticks(p_obs[:: max(1, len(p_obs) // 10)])
     finish(axes, rows)
     # Beside the axes, so that it covers no data.
     legend = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False}
@@ -134,16 +131,3 @@ def _line(
     )  # fmt: skip
     low, high = [f.low for _, f in figures], [f.high for _, f in figures]
     axes.fill_between(p_obs, low, high, color=style.colour, alpha=0.12, linewidth=0)
-
-
-def _frame(axes: Axes, p_obs: Sequence[float]) -> None:
-    axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
-    axes.set_xticks(list(p_obs)[:: max(1, len(p_obs) // 10)])
-    axes.grid(color=palette.UNKNOWN, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(palette.INFLATED)
-    axes.tick_params(colors=palette.MUTED, labelsize=9)
-    axes.xaxis.label.set_color(palette.INK)
-    axes.yaxis.label.set_color(palette.INK)

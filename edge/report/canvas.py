@@ -12,6 +12,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from edge.report import palette
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -32,6 +34,26 @@ def page(width_px: float, height_px: float) -> Axes:
     axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width_px), ylim=(height_px, 0))
     axes.axis("off")
     return axes
+
+
+def plots(size_in: tuple[float, float], dpi: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with empty axes for numbers, beside each other: a grid, and no frame around it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(size_in, dpi, facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    every = list(figure.subplots(1, columns, squeeze=False)[0])
+    for axes in every:
+        axes.grid(color=palette.UNKNOWN, linewidth=0.7)
+        axes.set_axisbelow(True)
+        for side, spine in axes.spines.items():
+            spine.set_visible(side in ("left", "bottom"))
+            spine.set_color(palette.INFLATED)
+        axes.tick_params(colors=palette.MUTED, labelsize=9)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.label.set_color(palette.INK)
+    return figure, every
 
 
 def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) -> None:

@@ -53,7 +53,7 @@ def style_of(index: int) -> Style:
 
 def rates(comparison: Comparison) -> Figure:
     names = comparison.outcomes.columns
-    figure, (left, right) = _figure(0.9 + 0.34 * len(names), 2)
+    figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
     for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
         found = [comparison.figures[name][key].interval for name in names]
         _forest(axes, found, list(range(len(names))), scale, 3 if key == "spl" else 1)
@@ -66,7 +66,7 @@ def rates(comparison: Comparison) -> Figure:
 
 def differences(comparison: Comparison) -> Figure:
     outcomes, pairs = comparison.outcomes, comparison.pairs
-    figure, (axes,) = _figure(1.1 + 0.34 * len(pairs), 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
     rows = [outcomes.columns.index(pair.column) for pair in pairs]
     axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
     _forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
@@ -78,7 +78,7 @@ def differences(comparison: Comparison) -> Figure:
 
 def distances(comparison: Comparison) -> Figure:
     outcomes = comparison.outcomes
-    figure, (axes,) = _figure(3.8, 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
     bins = _bins(outcomes.shortest_m)
     cluster, _ = clusters(outcomes)
     spl = spl_of(outcomes)
@@ -102,7 +102,7 @@ def budget(comparison: Comparison) -> Figure:
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     outcomes = comparison.outcomes
-    figure, (axes,) = _figure(3.8, 1)
+    figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
     at = np.geomspace(1.0, BUDGETS, 200)
     for c, name in enumerate(outcomes.columns):
         look = style_of(c)
@@ -182,24 +182,6 @@ def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> li
 
 
 # -- how it looks -------------------------------------------------------------------------------
-
-
-def _figure(height_in: float, columns: int) -> tuple[Figure, list[Axes]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure((WIDTH_IN, height_in), DPI, facecolor=canvas.PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
-    every = list(figure.subplots(1, columns, squeeze=False)[0])
-    for axes in every:
-        axes.grid(color=palette.UNKNOWN, linewidth=0.7)
-        axes.set_axisbelow(True)
-        for side, spine in axes.spines.items():
-            spine.set_visible(side in ("left", "bottom"))
-            spine.set_color(palette.INFLATED)
-        axes.tick_params(colors=palette.MUTED, labelsize=9)
-        axes.xaxis.label.set_color(palette.INK)
-    return figure, every
 
 
 def _title(axes: Axes, title: str) -> None:

@@ -33,14 +33,22 @@ LATE_S = 0.4
 _BATCH = 40  # messages of a flood at a time, of which there are several a second
 
 
+def until_over(end: Callable[[], object] = lambda: None) -> Made:
+    """Nothing more is done while it lasts."""
+    try:
+        while True:
+            yield
+    finally:
+        end()
+
+
 def altered(make: Callable[[np.random.Generator], Alter]) -> Make:
     """The relay sends something else."""
 
     def fault(stage: Stage, rng: np.random.Generator) -> Made:
         stage.relay.alter = make(rng)
         try:
-            while True:
-                yield
+            yield from until_over()
         finally:
             stage.relay.alter = None
 
@@ -62,53 +70,32 @@ def sent(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Make:
 
 def late(stage: Stage, rng: np.random.Generator) -> Made:
     stage.relay.delay(LATE_S)
-    try:
-        while True:
-            yield
-    finally:
-        stage.relay.delay(0.0)
+    yield from until_over(lambda: stage.relay.delay(0.0))
 
 
 def simulator_stopped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.send("simulator", signal.SIGSTOP)
-    try:
-        while True:
-            yield
-    finally:
-        stage.send("simulator", signal.SIGCONT)
+    yield from until_over(lambda: stage.send("simulator", signal.SIGCONT))
 
 
 def next_house(stage: Stage, rng: np.random.Generator) -> Made:
     stage.move_house()
-    while True:
-        yield
+    yield from until_over()
 
 
 def cut(stage: Stage, rng: np.random.Generator) -> Made:
     stage.relay.cut()
-    try:
-        while True:
-            yield
-    finally:
-        stage.relay.connect()
+    yield from until_over(stage.relay.connect)
 
 
 def router_killed(stage: Stage, rng: np.random.Generator) -> Made:
     stage.kill("router")
-    try:
-        while True:
-            yield
-    finally:
-        stage.start_router()
+    yield from until_over(stage.start_router)
 
 
 def controller_killed(stage: Stage, rng: np.random.Generator) -> Made:
     stage.kill("controller")
-    try:
-        while True:
-            yield
-    finally:
-        stage.start_controller()
+    yield from until_over(stage.start_controller)
 
 
 def model_signalled(number: int) -> Make:
@@ -117,8 +104,7 @@ def model_signalled(number: int) -> Make:
         if process is None:
             raise UserError("the service's model has no process")
         os.kill(process.pid, number)
-        while True:
-            yield
+        yield from until_over()
 
     return fault
 
@@ -128,8 +114,7 @@ def disk_full(stage: Stage, rng: np.random.Generator) -> Made:
     before = resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(stage.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
     try:
-        while True:
-            yield
+        yield from until_over()
     finally:  # whoever it started meanwhile has its limits
         for pid in (stage.service.pid, *(child.pid for child in descendants(stage.service.pid))):
             with suppress(ProcessLookupError):
@@ -146,8 +131,7 @@ def reloaded(*choices: dict[str, dict[str, object]]) -> Make:
             if stage.config_file.read_bytes() != present:
                 break
         stage.service.send_signal(signal.SIGHUP)
-        while True:
-            yield
+        yield from until_over()
 
     return fault
 
@@ -157,11 +141,7 @@ def badly_reloaded(stage: Stage, rng: np.random.Generator) -> Made:
     bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
     stage.config_file.write_bytes(bad[rng.integers(len(bad))])
     stage.service.send_signal(signal.SIGHUP)
-    try:
-        while True:
-            yield
-    finally:
-        stage.config_file.write_bytes(present)
+    yield from until_over(lambda: stage.config_file.write_bytes(present))
 
 
 def swapped(stage: Stage, rng: np.random.Generator) -> Made:
@@ -170,14 +150,12 @@ def swapped(stage: Stage, rng: np.random.Generator) -> Made:
     own = stage.config.perception.detector.model  # type: ignore[union-attr]
     at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
     stage.models(do="use", model=own if at_work == TWIN else TWIN)
-    while True:
-        yield
+    yield from until_over()
 
 
 def badly_swapped(stage: Stage, rng: np.random.Generator) -> Made:
     stage.models(do="use", model=BROKEN)
-    while True:
-        yield
+    yield from until_over()
 
 
 def log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
@@ -185,8 +163,7 @@ def log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
     stage.log.leave()
     stage.service.send_signal(signal.SIGUSR1)
     try:
-        while True:
-            yield
+        yield from until_over()
     finally:
         stage.log.open()
         stage.service.send_signal(signal.SIGUSR1)
@@ -194,11 +171,7 @@ def log_reader_gone(stage: Stage, rng: np.random.Generator) -> Made:
 
 def log_reader_stuck(stage: Stage, rng: np.random.Generator) -> Made:
     stage.log.stick()
-    try:
-        while True:
-            yield
-    finally:
-        stage.log.open()
+    yield from until_over(stage.log.open)
 
 
 def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
@@ -208,8 +181,7 @@ def viewer_stopped(stage: Stage, rng: np.random.Generator) -> Made:
         while time.monotonic() < stops_s:
             yield
         stage.send("viewer", signal.SIGSTOP)
-        while True:
-            yield
+        yield from until_over()
     finally:
         stage.kill("viewer")
 

@@ -99,12 +99,7 @@ def images(rows: Sequence[Row]) -> dict[str, bytes]:
 def _figure(
     title: str, draw: Draw, samples: Sequence[Row], minutes: np.ndarray, faults: Sequence[Row]
 ) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(SIZE_IN, DPI, facecolor=canvas.PAPER, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, (axes,) = canvas.plots(SIZE_IN, DPI)
     for fault in faults:
         begin, end = fault["began_s"], fault["began_s"] + fault["lasted_s"]
         colour = palette.OUTCOME["failed"] if fault["broken"] else palette.UNKNOWN
@@ -113,12 +108,6 @@ def _figure(
     axes.set_xlim(0.0, max(float(minutes[-1]), 1e-3))
     axes.set_xlabel("minutes")
     axes.set_title(title, loc="left", color=palette.INK, fontsize=11)
-    axes.grid(color=palette.UNKNOWN, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(palette.INFLATED)
-    axes.tick_params(colors=palette.MUTED, labelsize=9)
     if axes.lines:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9,
                     labelcolor=palette.INK)  # fmt: skip
