@@ -280,6 +280,13 @@ def test_a_folder_is_no_file(tmp_path):
 
 
 OVERRIDES = [
+    ({}, lambda c: c.robot_name, "edge"),
+    ({"EDGE__ZENOH__PREFIX": "robots/anna"}, lambda c: c.robot_name, "anna"),
+    (
+        {"EDGE__ZENOH__PREFIX": "robots/anna", "EDGE__ROBOT__NAME": "Rosie"},
+        lambda c: c.robot_name,
+        "Rosie",
+    ),
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.robot.radius_m, 0.3),
     ({"EDGE__ROBOT__RADIUS_M": "0.3"}, lambda c: c.mapping.inflation_m, 0.32),
     ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.mapping.inflation_m, 0.22),

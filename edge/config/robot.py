@@ -13,7 +13,9 @@ from edge.geometry import CameraModel, optical, se3
 
 
 class Robot(Section):
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] = "robot"
+    """`name` is for people; by default the last word of `zenoh.prefix`, as `edge fleet` has it."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")] | None = None
     radius_m: Positive = 0.2
     height_m: Positive = 0.8
     max_speed_mps: Positive = 0.5

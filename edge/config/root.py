@@ -70,6 +70,11 @@ class Config(Section):
         return data
 
     @property
+    def robot_name(self) -> str:
+        """What people know the robot by."""
+        return self.robot.name or self.zenoh.prefix.rpartition("/")[2]
+
+    @property
     def observed_hz(self) -> float:
         """How often observations come: as what the map is made of."""
         camera, lidar = self.sensors.camera, self.sensors.lidar

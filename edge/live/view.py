@@ -89,7 +89,7 @@ class LiveView:
         why = self._vitals.amiss()
         return _json(
             {
-                "robot": self._config.robot.name,
+                "robot": self._config.robot_name,
                 "radius_m": self._config.robot.radius_m,
                 "service": {"state": self._vitals.state, "ready": not why, "why": why},
                 "controls": self._config.http.token_file is not None,

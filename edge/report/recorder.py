@@ -135,7 +135,7 @@ class Recorder:
         return RunRecord(
             title=_title(story.brief.translation, end.status),
             config_path=self._config.path,
-            robot=self._config.robot.name,
+            robot=self._config.robot_name,
             detector=detector_name(self._config),
             targets=end.targets,
             mission=end.status,

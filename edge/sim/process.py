@@ -47,7 +47,7 @@ def main(config: Config, stop: threading.Event) -> int:
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
     with zenoh_session(config.zenoh, "connect", stop, exact=config.sim.lockstep) as session:
         bus = SimBus(session, config)
-        log.info("simulating %s in %s", config.robot.name, world.name)
+        log.info("simulating %s in %s", config.robot_name, world.name)
         run = run_lockstep if config.sim.lockstep else run_real_time
         run(config, world, drive, bus, stop)
     now = drive.motion
