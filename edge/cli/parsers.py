@@ -12,17 +12,14 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import fleet_parsers, model_parsers, requests
+from edge.cli import eval_parsers, fleet_parsers, model_parsers, requests
 from edge.cli.options import (
     CONFIG,
     Handler,
-    cores,
-    count,
     lazy,
     port,
     positive,
     seed,
-    shares,
     unit_name,
 )
 from edge.errors import EXIT_CODES
@@ -57,7 +54,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         _trace,
         _ros2_adapter,
         _bench,
-        _eval,
+        eval_parsers.add,
         _soak,
         _install_service,
         _doctor,
@@ -234,164 +231,6 @@ def _bench(commands) -> None:  # type: ignore[no-untyped-def]
     )
     _trust(bench)
     bench.set_defaults(handler=lazy("edge.eval.bench", "run"))
-
-
-def _eval(commands) -> None:  # type: ignore[no-untyped-def]
-    evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
-    kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
-    _eval_episodes(kinds)
-    _eval_tasks(kinds)
-    _eval_translate(kinds)
-    _eval_compare(kinds)
-    _eval_results(kinds)
-
-
-def _eval_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
-    episodes = kinds.add_parser(
-        "episodes", help="find-the-object episodes in simulated time: policies side by side"
-    )
-    episodes.add_argument("config", help=CONFIG)
-    option = episodes.add_argument_group("what to do").add_argument
-    option(
-        "--episodes", type=Path, metavar="FILE",
-        help="the episodes of a file that --plan wrote; the other options of this group then say "
-        "nothing, but for --limit",
-    )  # fmt: skip
-    option("--plan", type=Path, metavar="FILE", help="write the episodes there and stop")
-    option(
-        "--worlds", nargs="+", metavar="WORLDS",
-        help="FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME or MESH.glb,OBJECTS.json; "
-        "default: the configuration's own",
-    )  # fmt: skip
-    option(
-        "--targets", metavar="NAME,NAME,…",
-        help="or `common`, the default with --worlds: sixteen large things that most homes have; "
-        "a world that lacks one has no episodes with it",
-    )  # fmt: skip
-    option("--starts", type=count, default=4, help="a target and world (default: %(default)s)")
-    option("--per-world", type=count, metavar="N", help="at most N episodes a world, at random")
-    option(
-        "--missions", type=count, metavar="N",
-        help="instead, N missions a world with two to four of the targets: orders, choices",
-    )  # fmt: skip
-    option("--limit", type=count, metavar="N", help="the first N episodes only")
-    option("--seed", type=int, default=0, help="of starts and choices (default: %(default)s)")
-    option(
-        "--min-distance", type=float, default=4.0, metavar="M",
-        help="of driving from a start to its target (default: %(default)g)",
-    )  # fmt: skip
-    option = episodes.add_argument_group("what to compare").add_argument
-    option(
-        "--column", nargs="+", action="append", metavar=("NAME", "KEY=VALUE"),
-        help="a name, and what to change in the configuration: "
-        "--column near policy.kind=nearest_frontier; may be repeated",
-    )  # fmt: skip
-    option(
-        "--columns", type=Path, metavar="FILE",
-        help="columns of a YAML file: name: {policy: {kind: …}}; a `config:` in one names another "
-        "configuration to change",
-    )  # fmt: skip
-    option = episodes.add_argument_group("how").add_argument
-    option(
-        "--out", type=Path, metavar="DIR",
-        help="keep outcomes.jsonl and episodes.jsonl there, and run only what it has not",
-    )  # fmt: skip
-    option(
-        "--report", type=Path, metavar="DIR",
-        help="--out, and a report of every episode that is run, with pictures",
-    )  # fmt: skip
-    option(
-        "--workers", "--jobs", type=count, default=1, metavar="N",
-        help="processes of one thread each (default: this one only)",
-    )  # fmt: skip
-    option("--ray", metavar="ADDRESS", help="a Ray cluster's; `local` starts one here")
-    option(
-        "--processes", action="store_true",
-        help="robot, controller and service as processes over Zenoh",
-    )  # fmt: skip
-    episodes.set_defaults(handler=lazy("edge.eval.runs", "run"))
-
-
-_P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
-
-
-def _eval_tasks(kinds) -> None:  # type: ignore[no-untyped-def]
-    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
-    option = tasks.add_argument
-    option("--tasks", type=Path, metavar="FILE", help="tasks from there (JSON lines) instead")
-    option("--export", type=Path, metavar="FILE", help="write the tasks there and stop")
-    option("--n", type=count, default=2000, help="tasks to generate (default: %(default)s)")
-    option("--seed", type=seed, default=0, help="of tasks and of luck (default: %(default)s)")
-    option(
-        "--p-obs", type=shares, default=_P_OBS, metavar="P,P,…",
-        help="probabilities that an exploration finds its target (default: 0.1,0.2,…,1.0)",
-    )  # fmt: skip
-    option("--planners", metavar="NAME,NAME,…", help="default: all that need no language model")
-    option("--episodes", type=count, default=1, help="a task and p_obs (default: %(default)s)")
-    option("--jobs", type=count, default=cores(), help="processes (default: one a core)")
-    option(
-        "--out", type=Path, default=Path("tasks-report"), metavar="DIR",
-        help="for the plots and results.json (default: ./%(default)s)",
-    )  # fmt: skip
-    option("--llm", metavar="URL", help="compare a language model too: an OpenAI-compatible API")
-    option("--model", default="default", help="its name on that server (default: %(default)s)")
-    option(
-        "--llm-tasks", type=count, default=20, metavar="N",
-        help="how many of the tasks it gets (default: %(default)s)",
-    )  # fmt: skip
-    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
-
-
-def _eval_translate(kinds) -> None:  # type: ignore[no-untyped-def]
-    translate = kinds.add_parser("translate", help="how well instructions become formulas")
-    option = translate.add_argument
-    option("--backend", choices=("grammar", "llm"), default="grammar", help="translator to score")
-    option("--url", help="of the OpenAI-compatible server, for --backend llm")
-    option("--model", help="its model, for --backend llm")
-    option(
-        "--constrain", choices=("gbnf", "guided_grammar", "none"), default="none",
-        help="how the server is told the formulas' grammar, for --backend llm",
-    )  # fmt: skip
-    option("--limit", type=count, metavar="N", help="at most N instructions of each set")
-    option("--seed", type=int, default=0, help="of the benchmark's tasks (default: 0)")
-    option(
-        "--lang2ltl", type=Path, metavar="CSV",
-        help="Lang2LTL's symbolic utterances (symbolic_batch12_noperm.csv); without it that set "
-        "is skipped",
-    )  # fmt: skip
-    option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
-    option("--out", type=Path, metavar="FILE", help="the counts as JSON")
-    translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
-
-
-def _eval_compare(kinds) -> None:  # type: ignore[no-untyped-def]
-    compare = kinds.add_parser(
-        "compare", help="columns of episodes side by side: tables, plots, every trail on its map"
-    )
-    option = compare.add_argument
-    option("out", type=Path, metavar="DIR", help="what `edge eval episodes --out` filled")
-    option(
-        "--baseline", metavar="NAME",
-        help="the column that the others are held against (default: the first)",
-    )  # fmt: skip
-    compare.set_defaults(handler=lazy("edge.eval.comparison.run", "run"))
-
-
-def _eval_results(kinds) -> None:  # type: ignore[no-untyped-def]
-    results = kinds.add_parser(
-        "results", help="run what a document of measurements lacks, and write it"
-    )
-    option = results.add_argument
-    option("file", type=Path, metavar="FILE", help="YAML; the Markdown is written beside it")
-    option("--only", nargs="+", metavar="SECTION", help="run these sections only")
-    option("--episodes", type=count, metavar="N", help="run the first N episodes of each only")
-    option("--no-run", action="store_true", help="write what is there")
-    option(
-        "--out", type=Path, default=Path("results"), metavar="DIR",
-        help="for the outcomes, a folder a section (default: ./%(default)s)",
-    )  # fmt: skip
-    option("--workers", type=count, default=1, metavar="N", help="processes (default: 1)")
-    results.set_defaults(handler=lazy("edge.eval.comparison.results", "run"))
 
 
 def _soak(commands) -> None:  # type: ignore[no-untyped-def]
