@@ -145,11 +145,11 @@ def badly_reloaded(stage: Stage, rng: np.random.Generator) -> Made:
 
 
 def swapped(stage: Stage, rng: np.random.Generator) -> Made:
-    """To the twin, or back."""
+    """To the twin, or back; however slow the computer is at that moment."""
     running = stage.models(do="status")
     own = stage.config.perception.detector.model  # type: ignore[union-attr]
     at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
-    stage.models(do="use", model=own if at_work == TWIN else TWIN)
+    stage.models(do="use", model=own if at_work == TWIN else TWIN, force=True)
     yield from until_over()
 
 

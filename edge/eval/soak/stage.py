@@ -274,7 +274,7 @@ class Stage:
         key = self.config.zenoh.key(topics.MISSION_REQUEST)
         return ask(self.session, key, request, ANSWER_S, "mission")
 
-    def models(self, **request: str) -> dict[str, Any]:
+    def models(self, **request: object) -> dict[str, Any]:
         """The same, about its model."""
         key = self.config.zenoh.key(topics.MODELS_REQUEST)
         return ask(self.session, key, request, ANSWER_S, "models")
