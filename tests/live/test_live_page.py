@@ -163,8 +163,8 @@ def test_cancelling_takes_two_clicks(page, house):
 def test_what_is_seen_is_approached_and_reached(tab):
     with open_house(token=None, mission={"target": "sofa"}) as house:
         tab.open(house.url)
-        tab.says("#phase", "APPROACHING")
         tab.says("#phase", "REACHED")
+        tab.says("#log", "seen: sofa")
         assert house.service.status.phase == "reached"
 
 
