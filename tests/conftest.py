@@ -5,6 +5,7 @@ from __future__ import annotations
 import faulthandler
 import logging
 import os
+import subprocess
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -42,6 +43,34 @@ MOST_WORKERS = 8
 def pytest_xdist_auto_num_workers() -> int:
     """One more than there are cores: while a test waits for its processes, others go on."""
     return min(len(os.sched_getaffinity(0)) + 1, MOST_WORKERS)
+
+
+# Kernels that this checkout has not compiled yet: each worker would compile all of them, for half a
+# minute. It is done once, while they collect.
+COMPILE = """
+from simulated import simulated
+from edge.eval.closed_loop import ClosedLoop
+from edge.loop.warmup import warm_up
+lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+config = simulated({**lockstep, "sensors": {"lidar": {}}})
+warm_up(config)
+ClosedLoop(config).run(5.0)
+"""
+_compiling: list[subprocess.Popen] = []
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes(config: pytest.Config) -> None:
+    all_are_run = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    if all_are_run and not any((HERE.parent / "edge" / "mapping").rglob(compiled)):
+        _compiling.append(subprocess.Popen([sys.executable, "-c", COMPILE], cwd=HERE))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished() -> None:
+    for process in _compiling:
+        process.wait()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

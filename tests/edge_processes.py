@@ -20,7 +20,7 @@ from edge.host.ports import free_port
 # Only a failing test waits this long: for a mission to end, and for a process that is told to end,
 # which first writes its report.
 MISSION_S = 600.0
-STOP_S = 60.0
+STOP_S = PATIENCE_S
 
 # As fast as the machine can, and the same on a slow one.
 LOCKSTEP = {"EDGE__LOOP__LOCKSTEP": "true", "EDGE__SIM__LOCKSTEP": "true"}
@@ -57,7 +57,9 @@ class Edge:
         deadline_s = time.monotonic() + PATIENCE_S
         while not what():
             assert time.monotonic() < deadline_s, f"{otherwise}:\n{self.output}"
-            assert self.process.poll() is None or what(), f"{otherwise}, ended:\n{self.output}"
+            if self.process.poll() is not None:
+                self._reader.join(STOP_S)  # its last words may yet have to be read
+                assert what(), f"{otherwise}, ended:\n{self.output}"
             time.sleep(0.02)
 
     def children(self) -> list[psutil.Process]:

@@ -9,7 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from patience import eventually
 
+from edge.bus import client
 from edge.config import Zenoh
 
 ROOT = Path(__file__).parents[1]
@@ -85,6 +87,19 @@ def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
     copy = etc / f"old-{file}"
     copy.write_text((etc / file).read_text().replace(f"tls/{whose}.", f"tls/old-{whose}."))
     return copy
+
+
+def refusal(settings: Zenoh, told: str) -> str:
+    """What a command that asks the service says when it is refused, once it says `told`: who is
+    busy may not tell why in time."""
+
+    def refused() -> str:
+        with pytest.raises(client.RequestError) as caught:
+            client.connect(settings, 0.1, "mission")  # one attempt is always made
+        assert "\n" not in str(caught.value)
+        return str(caught.value) if told in str(caught.value) else ""
+
+    return eventually(refused, f"it never said {told!r}")
 
 
 def _bash(script: str, folder: Path) -> None:

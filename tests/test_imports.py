@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -56,9 +57,12 @@ def imports_of(module: str) -> Iterator[str]:
                 yield inner if inner in MODULES else str(node.module)
 
 
-IMPORTS = {
-    module: {target for target in imports_of(module) if target != module} for module in MODULES
-}
+@cache
+def imports() -> dict[str, set[str]]:
+    """What each module imports; every worker that collects tests reads this file."""
+    return {
+        module: {target for target in imports_of(module) if target != module} for module in MODULES
+    }
 
 
 def room(module: str) -> str:
@@ -75,7 +79,7 @@ def test_every_room_has_its_place():
 def test_no_import_runs_upward():
     upward = sorted(
         f"{module} -> {target}"
-        for module, targets in IMPORTS.items()
+        for module, targets in imports().items()
         for target in targets & MODULES.keys()
         if room(module) != room(target) and LEVEL[room(module)] <= LEVEL[room(target)] != 0
     )
@@ -83,7 +87,7 @@ def test_no_import_runs_upward():
 
 
 def test_no_imports_form_a_circle():
-    inside = {module: targets & MODULES.keys() for module, targets in IMPORTS.items()}
+    inside = {module: targets & MODULES.keys() for module, targets in imports().items()}
     try:
         tuple(TopologicalSorter(inside).static_order())
     except CycleError as circle:
@@ -94,12 +98,12 @@ def test_the_loop_loads_no_zenoh():
     reached, new = set(), {module for module in MODULES if room(module) == "loop"}
     while new:
         reached |= new
-        new = set().union(*(IMPORTS.get(module, set()) for module in new)) - reached
+        new = set().union(*(imports().get(module, set()) for module in new)) - reached
     assert "zenoh" not in reached
 
 
 def test_what_runs_on_the_robot_imports_no_exporter():
-    reached = {t.split(".")[0] for targets in IMPORTS.values() for t in targets}
+    reached = {t.split(".")[0] for targets in imports().values() for t in targets}
     assert not reached & NEVER
 
 

@@ -7,7 +7,9 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+from patience import PATIENCE_S
 
+from edge.bus import refusal
 from edge.bus.refusal import why_refused
 from edge.bus.session import session_config
 from edge.config import Zenoh
@@ -54,6 +56,8 @@ def test_nobody_refuses(place):
     assert why(place.format(free_port())) is None
 
 
-def test_who_speaks_no_zenoh_takes_no_session(port):
+def test_who_speaks_no_zenoh_takes_no_session(port, monkeypatch):
+    for limit in ("PROBE_S", "_NAME_S"):
+        monkeypatch.setattr(refusal, limit, PATIENCE_S)
     assert "takes no session" in why(f"tcp/127.0.0.1:{port}")
     assert why(f"tls/127.0.0.1:{port}").startswith("it does not speak TLS")

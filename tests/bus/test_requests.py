@@ -201,13 +201,26 @@ class Preparing:
         self._done[text].set()
 
 
-def give(server: RequestServer, session: zenoh.Session, texts: str) -> list[Asking]:
-    """New missions that the server takes in, one after the other."""
-    asked, before = [], len(server.queue._open)
-    for n, text in enumerate(texts, start=before + 1):
-        asked.append(Asking(session, do="new", instruction=text))
-        eventually(lambda n=n: len(server.queue._open) == n)
+def bring(server: RequestServer, session: zenoh.Session, requests: Iterable[dict]) -> list[Asking]:
+    """Requests that the server takes in, one after the other, and the loop has not seen."""
+
+    def waiting() -> set[request_queue.Query]:
+        queue = server.queue
+        with queue._lock:
+            return {query for lane in (queue._first, queue._second)
+                    for request in lane for query in request.queries}  # fmt: skip
+
+    asked = []
+    for request in requests:
+        before = waiting()
+        asked.append(Asking(session, **request))
+        eventually(lambda before=before: waiting() - before)
     return asked
+
+
+def give(server: RequestServer, session: zenoh.Session, texts: str) -> list[Asking]:
+    """New missions."""
+    return bring(server, session, ({"do": "new", "instruction": text} for text in texts))
 
 
 def begin_all(server: RequestServer, number: int) -> list[str]:
@@ -242,8 +255,16 @@ def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_te
     assert "".join(preparing.begun) == begun
 
 
-def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve):
-    server = serve(Preparing(quick="ab"), patience_s=1.0)
+@pytest.fixture
+def clock(monkeypatch) -> SimpleNamespace:
+    """The queue's clock, which stands still unless the test sets it."""
+    clock = SimpleNamespace(now_s=0.0)
+    monkeypatch.setattr(request_queue, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    return clock
+
+
+def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve, clock):
+    server = serve(Preparing(quick="ab"))
     asked = give(server, session, "a")
     eventually(lambda: server.queue._second[0].ready)
     asked += give(server, session, "ab")
@@ -252,6 +273,7 @@ def test_a_new_mission_joins_an_equal_one_that_waits_for_the_loop(session, serve
     late = give(server, session, "a")
     eventually(lambda: server.queue._second[0].ready)
     late += give(server, session, "a")
+    clock.now_s = PATIENCE_S
     assert all("the loop is not running" in asking.refusal for asking in late)
     assert server.poll() is None
 
@@ -283,16 +305,19 @@ def test_a_loop_that_does_not_run_is_told_of(session, serve):
     assert server.poll() is None
 
 
-def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(session, serve):
-    server = serve(patience_s=0.2)
-    asked = [Asking(session, do="new", formula=f"F {name}") for name in "ab"]
-    # What goes first keeps the loop busy; it never comes to the prepared ones.
-    while not all(asking.done for asking in asked):
-        with server.queue._lock:
-            server.queue._first.append(Request("status", queries=[object()]))
-        server.poll()
+def test_a_loop_that_runs_and_does_not_come_to_a_request_is_not_called_stopped(
+    session, serve, clock
+):
+    server = serve(patience_s=2.0)
+    asked = bring(server, session, ({"do": "new", "formula": f"F {name}"} for name in "ab"))
+    eventually(lambda: not server.queue._unready())
+    clock.now_s = 1.5
+    with server.queue._lock:  # what goes first keeps the loop from the prepared ones
+        server.queue._first.append(Request("status", queries=[object()]))
+    assert server.poll().do == "status"
+    clock.now_s = 2.0
     for asking in asked:
-        assert "busy with other requests: not taken within 0.2 s" in asking.refusal
+        assert "busy with other requests: not taken within 2 s" in asking.refusal
 
 
 def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve, monkeypatch):
@@ -369,12 +394,7 @@ def test_a_crowd_of_clients_gets_an_answer_each(session, serve):
 
 
 def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str]) -> list[Asking]:
-    """Requests that the server takes in, one after the other, and the loop has not seen."""
-    asked, before = [], len(server.queue._open)
-    for n, verb in enumerate(verbs, start=before + 1):
-        asked.append(Asking(session, do=verb))
-        eventually(lambda n=n: len(server.queue._open) == n)
-    return asked
+    return bring(server, session, ({"do": verb} for verb in verbs))
 
 
 @pytest.mark.parametrize(

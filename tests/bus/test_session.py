@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from itertools import repeat
 from types import SimpleNamespace
 from typing import get_args
@@ -74,12 +73,13 @@ def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken,
 
 
 def test_who_connects_waits_until_somebody_comes(free_endpoint):
-    settings, opened = Zenoh(endpoint=free_endpoint), []
+    settings, opened, told = Zenoh(endpoint=free_endpoint), [], []
     thread = threading.Thread(
-        target=lambda: opened.append(bus.open_session(settings, "connect")), daemon=True
+        target=lambda: opened.append(bus.open_session(settings, "connect", tell=told.append)),
+        daemon=True,
     )
     thread.start()
-    time.sleep(1.0)
+    eventually(lambda: len(told) > 1)
     assert thread.is_alive()
     with bus.open_session(settings, "listen"):
         thread.join(PATIENCE_S)
@@ -150,8 +150,9 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
 def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
     settings = Zenoh(endpoint=free_endpoint, shared_memory=False)
     with (
-        bus.open_session(settings, "listen", most_bytes=1_000_000) as service,
-        bus.open_session(settings, "connect") as client,
+        # `exact`: who is only slow is not let go.
+        bus.open_session(settings, "listen", exact=True, most_bytes=1_000_000) as service,
+        bus.open_session(settings, "connect", exact=True) as client,
     ):
         heard = service.declare_subscriber("a/key", zenoh.handlers.RingChannel(8))
         publisher = client.declare_publisher(

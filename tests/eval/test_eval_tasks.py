@@ -11,6 +11,7 @@ import sys
 import textwrap
 
 import pytest
+from patience import PATIENCE_S
 
 from edge.cli.parsers import make_parser
 from edge.errors import UserError
@@ -124,12 +125,15 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""
-        import signal, sys
+        import signal, sys, time
         from edge.cli.parsers import make_parser
         from edge.eval import tasks
         from edge.host import bars
+        def reach(bar, done):
+            print("working", flush=True)
+            time.sleep(3600)
         if __name__ == "__main__":
-            bars.Bar.reach = lambda bar, done: print("working", flush=True)
+            bars.Bar.reach = reach
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             args = make_parser("", {}).parse_args(["eval", "tasks", *sys.argv[1:]])
@@ -139,7 +143,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
                 sys.exit(130)
         """)
     )
-    argv = ["--n", "400", "--episodes", "50", "--jobs", "2", "--out", str(tmp_path)]
+    argv = ["--n", "60", "--episodes", "50", "--jobs", "2", "--out", str(tmp_path)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # A group of its own gets the signal, as a terminal's Ctrl-C goes to all of its processes.
     process = subprocess.Popen([sys.executable, script, *argv], start_new_session=True, **pipes)
@@ -147,7 +151,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
         while "working" not in process.stdout.readline():
             assert process.poll() is None
         os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=PATIENCE_S)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)

@@ -9,11 +9,19 @@ import sys
 from contextlib import redirect_stderr, suppress
 
 import pytest
+from patience import PATIENCE_S
 
+from edge.host import outlet as outlets
 from edge.host.outlet import MOST_WAITING, Outlet, unwaited_stderr
 
 LINE = "x" * 199 + "\n"
 MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """What can be written before the end is, however slow the machine."""
+    monkeypatch.setattr(outlets, "_END_S", PATIENCE_S)
 
 
 @pytest.fixture
@@ -31,6 +39,7 @@ def all_of(read: int) -> str:
         return reader.read()
 
 
+@pytest.mark.usefixtures("patient")
 def test_nothing_is_nothing(pipe):
     read, stream = pipe
     Outlet(stream).end()
@@ -38,6 +47,7 @@ def test_nothing_is_nothing(pipe):
     assert all_of(read) == ""
 
 
+@pytest.mark.usefixtures("patient")
 def test_all_comes_in_order(pipe):
     read, stream = pipe
     outlet = Outlet(stream)
@@ -48,7 +58,8 @@ def test_all_comes_in_order(pipe):
     assert all_of(read) == "".join(f"{k}\n" for k in range(100))
 
 
-def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe):
+def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypatch):
+    monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe
     outlet = Outlet(stream)
     for _ in range(MUCH):
@@ -66,6 +77,7 @@ def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe):
     assert came + lost == MUCH
 
 
+@pytest.mark.usefixtures("patient")
 def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
     read, stream = pipe
     os.close(read)
@@ -76,6 +88,7 @@ def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
     assert not outlet._thread.is_alive()
 
 
+@pytest.mark.usefixtures("patient")
 def test_after_its_end_it_is_the_stream_itself(pipe):
     read, stream = pipe
     outlet = Outlet(stream)

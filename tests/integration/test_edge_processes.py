@@ -62,8 +62,8 @@ def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path, environ):
 
 
 @SIGNALS
-def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, tmp_path, number):
-    demo = edge("demo", "--target", "bed", "--report", "here").says("ready:")
+def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, config, tmp_path, number):
+    demo = edge("demo", config, "--target", "bed", "--report", "here").says("ready:")
     assert len(demo.children()) == 2
     demo.says("frontier")
     assert demo.stop(number) == 0, demo.output
@@ -89,8 +89,8 @@ def test_a_simulator_that_waits_for_the_service_stops(edge, config, number):
     assert not simulator.orphans()
 
 
-def test_a_demo_ends_when_its_simulator_does(edge):
-    demo = edge("demo").says("ready:")
+def test_a_demo_ends_when_its_simulator_does(edge, config):
+    demo = edge("demo", config).says("ready:")
     victim = next(child for child in demo.children() if "sim" in child.cmdline())
     victim.kill()
     assert demo.wait() == os.EX_SOFTWARE
@@ -98,10 +98,10 @@ def test_a_demo_ends_when_its_simulator_does(edge):
     assert not demo.orphans()
 
 
-def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, tmp_path):
+def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, config, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    demo = edge("demo", TMPDIR=str(temporary)).says("ready:")
+    demo = edge("demo", config, TMPDIR=str(temporary)).says("ready:")
     children = demo.children()
     assert len(children) >= 2
     demo.process.kill()

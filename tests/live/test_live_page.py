@@ -161,10 +161,11 @@ def test_cancelling_takes_two_clicks(page, house):
 
 
 def test_what_is_seen_is_approached_and_reached(tab):
-    with open_house(token=None, mission={"target": "sofa"}) as house:
+    nearby = {"start": [3.2, 2.3, 2.0]}
+    with open_house(token=None, mission={"target": "sofa"}, sim=nearby) as house:
         tab.open(house.url)
-        tab.says("#phase", "APPROACHING")
         tab.says("#phase", "REACHED")
+        tab.says("#log", "seen: sofa")
         assert house.service.status.phase == "reached"
 
 

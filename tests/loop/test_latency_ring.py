@@ -200,19 +200,24 @@ def test_a_tick_allocates_nothing_that_stays():
             ring.mark(i, 10**15 + i * MS)
         ring.end_tick(10**15 + 9 * MS)
 
-    one_tick()
-    tracemalloc.start()
-    try:
+    def taken() -> tuple[int, int]:
+        """Bytes that stay after 500 ticks, and the most that there were."""
         one_tick()
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
         for _ in range(500):
             one_tick()
         after, peak = tracemalloc.get_traced_memory()
+        return after - before, peak - before
+
+    tracemalloc.start()
+    try:
+        # The least of some: threads of other tests may just be ending.
+        stays, peak = map(min, zip(*(taken() for _ in range(5)), strict=True))
     finally:
         tracemalloc.stop()
-    assert after - before < 500  # less than a byte a tick
-    assert peak - before < 2000  # the integers of one tick
+    assert stays < 500  # less than a byte a tick
+    assert peak < 2000  # the integers of one tick
 
 
 def test_histograms_of_nothing_are_empty():

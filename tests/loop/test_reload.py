@@ -225,13 +225,15 @@ def test_a_real_detector_is_made_anew_beside_the_one_at_work():
     new = parse(first)
     bench.reads = lambda: new
     bench.asked.set()
-    for _ in range(1000):
-        bench.closed.step()
+
+    def over() -> str:
+        if bench.service.swapper.state != "loading":  # then it wants images
+            bench.closed.step()
         bench.service.swapper.step(0)
         bench.reloader.step(0)
-        if bench.reloader.outcome:
-            break
-    assert bench.reloader.outcome == "switched: perception.detector.max_detections"
+        return bench.reloader.outcome
+
+    assert eventually(over) == "switched: perception.detector.max_detections"
     after = bench.service.swapper._worker.detector
     assert after is not before
     assert (after.name, after.config.max_detections) == (before.name, 9)

@@ -15,7 +15,7 @@ from edge.perception.model_file import ModelError
 
 CONTENT = bytes(range(256)) * 400
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
-LIMITS = Limits(slow_s=5.0, tries=3, small_bytes=1000)
+LIMITS = Limits(tries=3, small_bytes=1000)
 HASTY = Limits(answer_s=0.2, slow_s=0.2, tries=2)
 
 

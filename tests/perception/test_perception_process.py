@@ -64,8 +64,8 @@ def place(monkeypatch, tmp_path_factory):
     monkeypatch.setattr(process_detector, "_CHECK_S", PATIENCE_S)
     before = psutil.Process().children()  # other tests' trackers of shared memory
     yield folder
+    eventually(lambda: set(psutil.Process().children()) <= set(before), "a process is left")
     assert list(folder.iterdir()) == []
-    assert set(psutil.Process().children()) <= set(before)
 
 
 @pytest.fixture

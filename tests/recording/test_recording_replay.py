@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from recordings import Recording, small
 from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
+from edge.loop.journal import Journal
 from edge.loop.keeper import Keeper
 from edge.loop.place_keeper import SUFFIX
 from edge.loop.scorers import Scorers
@@ -167,21 +169,35 @@ def test_what_works_beside_the_loop_comes_when_it_came(tmp_path, monkeypatch):
         "edge.eval.closed_loop.make_scorers",
         lambda config, targets: Scorers(None, thinks, feeds=config.value_source),
     )
-    recording = Recording(tmp_path, config, pending_mb=500.0)
-    for k in range(40):
+    note, came = Journal.note, Counter()
+
+    def noted(journal: Journal, kind: str, **fields: object) -> None:
+        note(journal, kind, **fields)
+        if kind == "found":
+            came[fields["worker"]] += 1
+
+    monkeypatch.setattr(Journal, "note", noted)
+    recording, ticks = Recording(tmp_path, config, pending_mb=500.0), 0
+
+    def all_came() -> bool:
+        nonlocal ticks
         recording.steps(1)
-        if k % 7 == 3:
+        ticks += 1
+        if ticks < 40 and ticks % 7 == 4:
             thinks.told.release()
-            eventually(lambda k=k: thinks.answered > k // 7)
-    workers = [
+            eventually(lambda: thinks.answered > ticks // 7)
+        return ticks >= 40 and came.keys() >= {"detector", "surveyor", "prior", "choice"}
+
+    eventually(all_came)
+    assert came["choice"] >= 2
+    workers = Counter(
         entry.fields["worker"]
         for moment in Session(recording.close()).moments()
         for entry in moment.page.entries
         if entry.kind == "found"
-    ]
-    assert workers.count("choice") >= 2
-    assert {"detector", "surveyor", "prior", "choice"} <= set(workers)
-    same(files_of(tmp_path)[0], 40)
+    )
+    assert workers == came
+    same(files_of(tmp_path)[0], ticks)
 
 
 def test_a_run_that_goes_on_from_a_checkpoint(tmp_path):
@@ -230,7 +246,7 @@ def test_a_run_that_takes_up_its_map(tmp_path, monkeypatch, localised, boot, els
     killed = loop.service.keeper = Keeper(config, path, None)
     for _ in range(20):
         loop.step()
-    eventually(lambda: killed.places.idle and killed.places.written)
+    eventually(lambda: killed.places.idle and killed.places.written and path.exists())
     for suffix in ("", SUFFIX):
         shutil.copy(f"{path}{suffix}", f"{left}{suffix}")
     killed.close()

@@ -8,9 +8,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from patience import eventually
+from patience import PATIENCE_S, eventually
 
-STOP_S = 60.0
+STOP_S = PATIENCE_S
 
 
 class Process:
@@ -22,7 +22,8 @@ class Process:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         self.lines: list[str] = []
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _read(self) -> None:
         for line in self.process.stdout:
@@ -34,6 +35,8 @@ class Process:
             lambda: self.count(what) >= times or self.process.poll() is not None,
             f"never said {what!r}: {self.lines}",
         )
+        if self.process.poll() is not None:
+            self._reader.join(STOP_S)  # its last words may yet have to be read
         assert self.count(what) >= times, self.lines
 
     def count(self, what: str) -> int:

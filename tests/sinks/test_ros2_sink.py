@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from nav2 import ACTION, Nav2
-from patience import eventually
+from patience import PATIENCE_S, eventually
 from results import result
 from ros_messages import from_ros
 from ros_router import ours, router, zenoh_settings
@@ -155,7 +155,8 @@ def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, 
     nav2.close()
 
 
-def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers):
+def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch):
+    monkeypatch.setattr(navigate, "REPLACED_S", PATIENCE_S)
     sink = make()
     sink.tick(driving(1))
     old = first_goal(nav2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zenoh
-from patience import eventually
+from patience import PATIENCE_S, eventually
 from ros_messages import STORE, header, to_ros
 from ros_router import ours, router
 from ros_sdk import definition, peers, publisher, sdk, subscriber
@@ -146,7 +146,7 @@ def test_a_service_of_a_peer_answers(port, node):
         type_hash=names.known_hash(name),
     )  # fmt: skip
     store = server.session_mgr.store
-    client = node.client("/nav/cancel", name, 5.0)
+    client = node.client("/nav/cancel", name, PATIENCE_S)
     assert looked(node, client.served)
     reply = client.ask(navigation.encode_cancel(bytes(range(16))))
     payload = eventually(reply.poll)
