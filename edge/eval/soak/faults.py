@@ -106,7 +106,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("model-stopped", "model", "SIGSTOP to the model's process",
           made.model_signalled(signal.SIGSTOP),
           (8.0, 10.0), 40.0, needs=_process, shows=(says("no answer within"),)),
-    Fault("model-swapped", "model", "`edge models use --force` of the same model under another name",
+    Fault("model-swapped", "model", "`edge models use --force` of a twin under another name",
           made.swapped, (1.0, 2.0), 90.0, says="model .*: kept", needs=_onnx),
     Fault("bad-model", "model", "`edge models use` of a damaged model", made.badly_swapped,
           (1.0, 2.0), 40.0, says=f"model {BROKEN}: refused", needs=_onnx),
