@@ -87,12 +87,13 @@ _NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target"
 
 
 def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What `said_of` made, looked through, so that it can be compared and shown."""
-    if said is not None and not {"target", "phase", "goal", "sent"} <= said.keys():
+    """What `said_of` made, looked through: it will be compared, and shown where it differs."""
+    if said is None:
+        return None
+    if not {"target", "phase", "goal", "sent"} <= said.keys():
         raise ValueError(f"said only {list(said)}")
-    for goal in () if said is None else (said["goal"] or _NOWHERE, *said["sent"]):
-        pose = [float(v) for v in goal["pose"]]
-        if len(pose) != 3 or not _NOWHERE.keys() <= goal.keys():
+    for goal in (said["goal"] or _NOWHERE, *said["sent"]):
+        if not _NOWHERE.keys() <= goal.keys() or len([float(v) for v in goal["pose"]]) != 3:
             raise ValueError("not a goal")
         float(goal["score"])
     return said

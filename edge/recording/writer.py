@@ -1,8 +1,8 @@
 """How an MCAP file is laid out: messages in compressed chunks, and what finds them at the end.
 
 Rare records are written by the library `mcap`. Its writer for all of them takes a dozen small steps
-for each message, copies each chunk four times, and knows one level of each codec; recording with it
-costs a third more. https://mcap.dev/spec is the format.
+for each message, copies each chunk four times, and knows one level of each codec.
+https://mcap.dev/spec is the format.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ COMPRESSIONS: dict[str, tuple[str, Callable[[memoryview], Any]]] = {
     "lz4": ("lz4", partial(lz4.frame.compress, compression_level=-16)),
     "zstd": ("zstd", partial(zstandard.compress, level=1)),
 }
-"""By what the user calls it: what the format calls it, and what does it."""
+"""By what the user calls it: what the format calls it, and what does it. Depth at lz4's own level
+is half as large and takes 1.7 times as long; zstd's first level is nearly as small as its third."""
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_BYTES = _MESSAGE.size - 9  # without its opcode and its length
