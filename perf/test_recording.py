@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,10 @@ class Kept:
         self.results = []
 
     def tick(self, result) -> None:
-        self.results.append(result)
+        seen = result.observation
+        if seen is not None:
+            seen = replace(seen, rgb=seen.rgb.copy(), depth_m=seen.depth_m.copy())
+        self.results.append(replace(result, observation=seen))
 
     def close(self) -> None:
         pass

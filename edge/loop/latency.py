@@ -13,7 +13,7 @@ Stages beside the tick (the detector's worker) call `span` from their own thread
 from __future__ import annotations
 
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,7 +118,7 @@ class LatencyReport:
         """What goes out as JSON on `edge.bus.topics.LATENCY`; times in ms."""
 
         def brief(row: StageLatency) -> dict[str, Any]:
-            values = {key: _rounded(value) for key, value in asdict(row).items() if key != "name"}
+            values = {key: _rounded(getattr(row, key)) for key in _COLUMNS}
             return {**values, "verdict": row.verdict}
 
         return {
@@ -140,6 +140,9 @@ class LatencyReport:
         )
         lines.append(self.computer)
         return "\n".join(lines)
+
+
+_COLUMNS = tuple(field.name for field in fields(StageLatency) if field.name != "name")
 
 
 def _rounded(value: Any) -> Any:

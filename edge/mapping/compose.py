@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from edge.mapping.layers import OCCUPIED as RAW_OCCUPIED
-from edge.mapping.layers import Layers, on_trail
+from edge.mapping.layers import Layers, bit_get, on_trail
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 
@@ -23,7 +23,7 @@ def compose(
         inflated: value of cells that are only too near to something occupied.
         out: (h, w) int8: -1 unknown, 0 free, 100 occupied, or `inflated`.
     """
-    raw, near = layers.raw, layers.near
+    raw, near, trail = layers.raw, layers.near, layers.trail
     n = raw.shape[0]
     for i in range(out.shape[0]):
         sy = (y0 + i) % n
@@ -31,7 +31,10 @@ def compose(
         for j in range(out.shape[1]):
             if raw[sy, sx] >= RAW_OCCUPIED:
                 out[i, j] = OCCUPIED
-            elif near[sy, sx] > 0 and not on_trail(layers, sy, sx, body):
+            # Most are not on the trail; to call with all layers costs more than to look.
+            elif near[sy, sx] > 0 and not (
+                bit_get(trail, sy, sx) and on_trail(layers, sy, sx, body)
+            ):
                 out[i, j] = inflated
             elif raw[sy, sx] > 0:
                 out[i, j] = FREE

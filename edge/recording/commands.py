@@ -142,9 +142,19 @@ def spans_of(path: Path) -> list[Span]:
     spans: list[Span] = []
     for m in Session(path).messages():
         if m.topic == channels.SPANS.topic:
-            spans += (Span(*span) for span in json.loads(m.payload)["spans"])
+            spans += _spans(path, m.payload)
     if not spans:
         raise RecordingError(f"{path}: no tick in it")
+    return spans
+
+
+def _spans(path: Path, payload: bytes) -> list[Span]:
+    try:
+        spans = [Span(*span) for span in json.loads(payload)["spans"]]
+        trace_bytes(spans)
+    except Exception as error:  # whatever comes of bytes that nobody wrote
+        why = f"{type(error).__name__}: {one_line(error, 120)}"
+        raise RecordingError(f"{path}: damaged spans: {why}") from None
     return spans
 
 

@@ -8,30 +8,26 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import Channel as ChannelRecord
 from mcap.records import DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from edge.errors import FileError
 from edge.host.files import open_regular, sync
 from edge.recording.channels import Channel
+from edge.recording.writer import MAGIC, Writer
 from edge.text import one_line
 
-CHUNK_BYTES = 1 << 20
 PARTIAL = ".partial"
 _RECOVERING = ".recovering"
 """Another, since what is recovered may be the partial file of the very name."""
 _MOST_RECORD_BYTES = 1 << 28
-COMPRESSIONS = {
-    "none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD,
-}  # fmt: skip
 
 
 class RecordingError(FileError):
@@ -44,21 +40,15 @@ class _Whole:
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
         fcntl.flock(self._fd, fcntl.LOCK_SH)  # see `is_written`
-        self._at = 0
 
-    def write(self, data: bytes) -> int:
-        left = memoryview(data)
+    def write(self, parts: Sequence[Any]) -> None:
+        left = [memoryview(part) for part in parts if len(part)]
         while left:
-            n = os.write(self._fd, left)
-            self._at += n
-            left = left[n:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self._at
-
-    def flush(self) -> None:
-        """Nothing is kept back."""
+            n = os.writev(self._fd, left)
+            while left and n >= len(left[0]):
+                n -= len(left.pop(0))
+            if left:
+                left[0] = left[0][n:]
 
     def sync(self) -> None:
         os.fdatasync(self._fd)
@@ -87,7 +77,7 @@ class McapFile:
     ) -> None:
         self.path = Path(path)
         self.messages = 0
-        self._compression = COMPRESSIONS[compression]
+        self._compression = compression
         self._metadata = metadata or {}
         self._partial = self.path.with_name(self.path.name + suffix)
         self._channels: dict[Channel, int] = {}
@@ -115,29 +105,28 @@ class McapFile:
         """Begin the file; raises OSError, and there is none then."""
         self._file = _Whole(self._partial)
         try:
-            self._writer = Writer(self._file, CHUNK_BYTES, self._compression, enable_data_crcs=True)
-            self._writer.start(profile="ros2", library="edge")
-            for name, said in self._metadata.items():
-                self._writer.add_metadata(name, said)
+            self._writer = Writer(self._file.write, self._compression)
+            self._writer.start(self._metadata)
         except OSError:
             self.abandon()
             self._partial.unlink()
             raise
 
     def add(
-        self, channel: Channel, log_ns: int, stamp_ns: int, payload: bytes, sequence: int = 0
+        self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
-        """One message: when it was heard (or made), its stamp, and its bytes."""
+        """One message: when it was heard (or made), its stamp, and its bytes, which may come in
+        parts."""
         at = self._channels.get(channel)
         if at is None:
             at = self._channels[channel] = self._register(channel)
-        self._writer.add_message(at, max(0, log_ns), payload, max(0, stamp_ns), sequence)
+        self._writer.add(at, max(0, log_ns), max(0, stamp_ns), payload, sequence)
         self.messages += 1
 
     @property
     def bytes(self) -> int:
         """That were written so far; what is in the chunk at hand is not yet counted."""
-        return self._file.tell()
+        return self._writer.at
 
     def sync(self) -> None:
         """Have all that was added on the disk."""
@@ -157,10 +146,10 @@ class McapFile:
         self._file.close()
 
     def _register(self, channel: Channel) -> int:
-        schema = self._writer.register_schema(
-            channel.schema, channel.schema_encoding, channel.schema_text.encode()
-        )
-        return self._writer.register_channel(channel.topic, channel.encoding, schema)
+        return self._writer.register(
+            channel.topic, channel.encoding, channel.schema, channel.schema_encoding,
+            channel.schema_text.encode(),
+        )  # fmt: skip
 
 
 class Recorded(NamedTuple):
@@ -221,6 +210,8 @@ class McapReading:
                     self.metadata[record.name] = record.metadata
                 elif isinstance(record, DataEnd):
                     self.whole = True
+                elif self.whole:
+                    continue  # a summary has no messages
                 elif isinstance(record, Message) and record.channel_id in self.channels:
                     yield self._message(record)
 
@@ -242,8 +233,8 @@ class McapReading:
 def _has_end(file: BinaryIO) -> bool:
     """Whether a file is there to its last byte."""
     size = file.seek(0, os.SEEK_END)
-    file.seek(max(0, size - len(MCAP0_MAGIC)))
-    return file.read() == MCAP0_MAGIC
+    file.seek(max(0, size - len(MAGIC)))
+    return file.read() == MAGIC
 
 
 def is_written(path: Path) -> bool:
@@ -289,14 +280,14 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
                 m, first = first, next(messages, None)
                 if m.topic not in known:
                     known[m.topic] = _channel_of(reading, m)
-                copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, m.sequence)
+                copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, sequence=m.sequence)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
     return copy.messages, reading.cut
 
 
 def _channel_of(reading: McapReading, message: Recorded) -> Channel:
-    schema = next(s for s in reading.schemas.values() if s.name == message.schema)
-    return Channel(
-        message.topic, message.encoding, schema.name, schema.encoding, schema.data.decode()
-    )  # fmt: skip
+    of_name = (s for s in reading.schemas.values() if s.name == message.schema)
+    schema = next(of_name, Schema(0, b"", "", message.schema))  # there may be none
+    text = schema.data.decode(errors="replace")
+    return Channel(message.topic, message.encoding, schema.name, schema.encoding, text)

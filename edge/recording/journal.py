@@ -73,14 +73,30 @@ def decode_page(payload: bytes) -> Page:
     """What `encode_page` made.
 
     Raises:
-        ValueError, KeyError, TypeError: it did not.
+        Exception: it did not, whichever comes of that.
     """
     page = json.loads(payload)
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
         entries.append(Input(n, kind, _DECODE[kind](entry)))
-    return Page(entries, page["observation"], page["said"])
+    return Page(entries, page["observation"], _said(page["said"]))
+
+
+_NOWHERE = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
+
+
+def _said(said: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What `said_of` made, looked through: it will be compared, and shown where it differs."""
+    if said is None:
+        return None
+    if not {"target", "phase", "goal", "sent"} <= said.keys():
+        raise ValueError(f"said only {list(said)}")
+    for goal in (said["goal"] or _NOWHERE, *said["sent"]):
+        if not _NOWHERE.keys() <= goal.keys() or len([float(v) for v in goal["pose"]]) != 3:
+            raise ValueError("not a goal")
+        float(goal["score"])
+    return said
 
 
 def said_of(result: TickResult) -> dict[str, Any] | None:

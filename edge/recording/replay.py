@@ -37,6 +37,7 @@ from edge.recording.beside import Now, Replayed, Silent
 from edge.recording.file import RecordingError
 from edge.recording.journal import said_of
 from edge.recording.session import Moment, Session
+from edge.text import one_line
 from edge.types import Observation
 
 _BY_THE_MAP = ("surveyor", "prior")
@@ -291,7 +292,15 @@ def replay(
     with ExitStack() as stack:
         run = _Run(session, config, detect, stack)
         for moment in session.moments():
-            run.do(moment)
+            try:
+                run.do(moment)
+            except UserError:
+                raise
+            except Exception as error:  # what the loop outlived then, or bytes that nobody wrote
+                raise RecordingError(
+                    f"{session.head.path}: cannot be replayed any further, after {outcome.ticks} "
+                    f"ticks: {type(error).__name__}: {one_line(error, 120)}"
+                ) from error
             _compare(outcome, moment, run.sink.said)
             run.sink.said.clear()
             if moment.observation is not None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from typing import Any
 
 from edge.recording.channels import Channel
 from edge.recording.file import PARTIAL, McapFile, RecordingError, is_written
@@ -85,14 +86,14 @@ class Rolling:
             self._begin(now_s)
 
     def add(
-        self, channel: Channel, log_ns: int, stamp_ns: int, payload: bytes, sequence: int = 0
+        self, channel: Channel, log_ns: int, stamp_ns: int, *payload: Any, sequence: int = 0
     ) -> None:
         """One message; see `McapFile.add`."""
         if self._file is None:
             self.lost += 1
             return
         try:
-            self._file.add(channel, log_ns, stamp_ns, payload, sequence)
+            self._file.add(channel, log_ns, stamp_ns, *payload, sequence=sequence)
             self.messages += 1
             self._fresh += 1
         except OSError as error:

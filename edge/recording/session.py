@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.bus.wire import DecodeError, compressed, messages
+from edge.bus.wire import compressed, messages
 from edge.config import Config
 from edge.errors import ConfigError
 from edge.recording import channels, journal
@@ -65,9 +65,9 @@ def head_of(path: Path) -> Head:
             f"{one_line(said.get('version', '?'), 20)} of the format, this one reads {VERSION}"
         )
     try:
-        config = json.loads(said["config"])
+        config = dict(json.loads(said["config"]).items())
         return Head(path, said["session"], int(said["part"]), said["edge"], config)
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, AttributeError, RecursionError):
         raise RecordingError(f"{path}: damaged: what it says of itself cannot be read") from None
 
 
@@ -124,18 +124,20 @@ class Session:
         rig: dict[str, Any] = {}
         n = 0
         for m in self.messages():
-            if m.topic != channels.JOURNAL.topic:
-                if m.topic in _BESIDE:
-                    beside[m.topic] = m
-                elif m.topic == channels.LATENCY.topic:
-                    self.latency = json.loads(m.payload)
+            if m.topic in _BESIDE:
+                beside[m.topic] = m
+            if m.topic not in (channels.JOURNAL.topic, channels.LATENCY.topic):
                 continue
             try:
+                if m.topic == channels.LATENCY.topic:
+                    self.latency = _latency(m.payload)
+                    continue
                 page = journal.decode_page(m.payload)
                 moment = _moment(page, beside, rig)
-            except (ValueError, KeyError, TypeError, DecodeError) as error:
+            except Exception as error:  # whatever comes of bytes that nobody wrote
+                what = m.topic.lstrip("/")
                 raise RecordingError(
-                    f"{self.head.path}: damaged journal: {type(error).__name__}: "
+                    f"{self.head.path}: damaged {what}: {type(error).__name__}: "
                     f"{one_line(error, 120)}"
                 ) from None
             beside.clear()
@@ -166,6 +168,7 @@ def _from(head: Head) -> list[Path]:
     return files
 
 
+_MOST_PIXELS = 1 << 26
 _BESIDE = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
@@ -176,11 +179,22 @@ def _moment(page: Page, beside: dict[str, Recorded], rig: dict[str, Any]) -> Mom
     depth_m, cloud_m, rgb = _depth(beside), _cloud(beside), _picture(beside)
     picture = rgb is not None
     if rgb is None and said["rgb_hw"] is not None:
-        rgb = np.zeros((*said["rgb_hw"], 3), np.uint8)
+        height, width = said["rgb_hw"]
+        if not 0 <= height * width <= _MOST_PIXELS:
+            raise ValueError(f"a picture of {height}x{width} pixels")
+        rgb = np.zeros((height, width, 3), np.uint8)
     arrays = {"depth": depth_m, "cloud": cloud_m}
     lacks = tuple(name for name, array in arrays.items() if said[name] and array is None)
     observation = journal.observation_of(said, rig, rgb, depth_m, cloud_m)
     return Moment(page, observation, picture, lacks)
+
+
+def _latency(payload: bytes) -> dict[str, Any]:
+    said = json.loads(payload)
+    for row in (said["tick"], *said["stages"].values()):
+        if not all(isinstance(row[name], (int, float)) for name in ("p50_ms", "p95_ms")):
+            raise ValueError("no percentiles")
+    return said
 
 
 def _depth(beside: dict[str, Recorded]) -> np.ndarray | None:

@@ -94,7 +94,9 @@ class FoxgloveSink:
 
     def _send(self, moment: Moment) -> None:
         for told in self._teller.tell(moment):
-            self._channels[told.channel].log(told.payload, log_time=max(0, moment.now_ns))
+            payload = b"".join(told.payload)
+            self._channels[told.channel].log(payload, log_time=max(0, moment.now_ns))
+        self._teller.let_go(moment)
 
 
 def _sdk() -> Any:

@@ -10,6 +10,8 @@ import errno
 import json
 import threading
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from edge import __version__
@@ -21,9 +23,9 @@ from edge.host.worker import Worker
 from edge.loop.journal import Input
 from edge.loop.result import TickResult
 from edge.recording import channels, journal
-from edge.recording.file import COMPRESSIONS
 from edge.recording.rolling import Limits, Rolling
-from edge.sinks.telling import Moment, Teller
+from edge.recording.writer import COMPRESSIONS
+from edge.sinks.telling import Moment, Teller, Told
 from edge.text import one_line
 
 PAGE_NS = 500_000_000  # a page is not held back for longer
@@ -160,26 +162,38 @@ class McapSink:
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _write(self, batch: list[_Item]) -> None:
-        for item in batch:
-            try:
-                self._write_one(*item)
-            except Exception as error:  # costs what it was at, and not what follows
-                self._problem = one_line(f"{type(error).__name__}: {error}")
-                self._failed += 1
+        """Make all before any is written: between images, which push all else out of the caches,
+        what is small would cost twice as much."""
+        made = [list(self._made(item)) for item in batch]
+        for item, messages in zip(batch, made, strict=True):
+            with self._outlived():
+                self._files.ready()
+                for told in messages:
+                    self._files.add(
+                        told.channel, item.moment.now_ns, told.stamp_ns, *told.payload,
+                        sequence=told.sequence,
+                    )  # fmt: skip
+            self._teller.let_go(item.moment)
+            self._let_go(item.bytes)
         self._files.sync()
 
-    def _write_one(
-        self, moment: Moment, inputs: tuple[Input, ...], result: TickResult, size: int
-    ) -> None:
-        files, now_ns = self._files, moment.now_ns
+    def _made(self, item: _Item) -> Iterator[Told]:
+        """The messages of a moment, the journal's page last: by then its arrays are there."""
+        moment = item.moment
+        with self._outlived():  # what cannot be shown must not cost what is needed to replay it
+            yield from self._teller.tell(moment)
+        with self._outlived():
+            page = journal.encode_page(item.inputs, item.result, moment.seen, self._rig)
+            yield Told(channels.JOURNAL, moment.now_ns, (page,))
+
+    @contextmanager
+    def _outlived(self) -> Iterator[None]:
+        """A failure costs what it was at, and not what follows."""
         try:
-            files.ready()
-            for told in self._teller.tell(moment):
-                files.add(told.channel, now_ns, told.stamp_ns, told.payload, told.sequence)
-        finally:  # what cannot be shown must not cost what is needed to replay it
-            self._let_go(size)
-            page = journal.encode_page(inputs, result, moment.seen, self._rig)
-            files.add(channels.JOURNAL, now_ns, now_ns, page)
+            yield
+        except Exception as error:
+            self._problem = one_line(f"{type(error).__name__}: {error}")
+            self._failed += 1
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
         config = json.dumps(journal.config_text(self._config))

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.bus.wire import compressed, markers, messages, transforms
+from edge.bus.wire import clouds, compressed, images, markers, messages, transforms
 from edge.bus.wire.kernels import exact_millimetres
 from edge.bus.wire.messages import BASE_FRAME, MAP_FRAME
 from edge.bus.wire.transforms import Transform
@@ -48,11 +48,14 @@ _NOTHING = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
 
 class Told(NamedTuple):
-    """One message; `stamp_ns` is what it is about, `sequence` the observation's number."""
+    """One message; `stamp_ns` is what it is about, `sequence` the observation's number.
+
+    Its payload comes in parts, since pixels and points are copied by whoever keeps them.
+    """
 
     channel: Channel
     stamp_ns: int
-    payload: bytes
+    payload: tuple[bytes | memoryview, ...]
     sequence: int = 0
 
 
@@ -61,7 +64,7 @@ class _Later(NamedTuple):
 
     channel: Channel
     stamp_ns: int
-    encode: Callable[[], bytes]
+    encode: Callable[[], bytes | tuple[bytes | memoryview, ...]]
     sequence: int = 0
 
 
@@ -199,10 +202,16 @@ class Teller:
         return json_bytes({"spans": spans})
 
     def tell(self, moment: Moment) -> Iterator[Told]:
-        """The messages of a moment, in the order in which things happened."""
+        """The messages of a moment, in the order in which things happened; their payloads hold
+        until the moment is let go."""
         for channel, stamp_ns, encode, sequence in moment.messages:
             if self._wanted(channel):
-                yield Told(channel, stamp_ns, encode(), sequence)
+                made = encode()
+                payload = made if isinstance(made, tuple) else (made,)
+                yield Told(channel, stamp_ns, payload, sequence)
+
+    def let_go(self, moment: Moment) -> None:
+        """Nobody reads its payloads any more: its arrays may be used again."""
         depth = moment.arrays.pop("depth_m", None)
         if depth is not None and depth.dtype == np.uint16:
             self._spare.append(depth)
@@ -235,9 +244,10 @@ def _of_arrays(seen: Observation, arrays: dict[str, np.ndarray]) -> Iterator[_La
         yield _Later(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
 
 
-_ENCODERS: dict[str, tuple[Channel, str, Callable[[int, str, np.ndarray], bytes]]] = {
-    "cloud_m": (channels.CLOUD, LIDAR_FRAME, messages.encode_point_cloud),
-    "depth_m": (channels.DEPTH, CAMERA_FRAME, messages.encode_image),
+_Encoder = Callable[[int, str, np.ndarray], Any]
+_ENCODERS: dict[str, tuple[Channel, str, _Encoder]] = {
+    "cloud_m": (channels.CLOUD, LIDAR_FRAME, clouds.cloud_parts),
+    "depth_m": (channels.DEPTH, CAMERA_FRAME, images.image_parts),
     "rgb": (channels.PICTURE, CAMERA_FRAME, partial(compressed.encode_jpeg, quality=QUALITY)),
 }
 

@@ -307,7 +307,7 @@ def copied(path: Path, out: Path, change) -> Path:
             payload = change(m.topic, m.payload)
             if payload is not None:
                 channel = of_json(m.topic, m.schema) if m.encoding == "json" else DEPTH
-                file.add(channel, m.log_ns, m.stamp_ns, payload, m.sequence)
+                file.add(channel, m.log_ns, m.stamp_ns, payload, sequence=m.sequence)
     return out
 
 

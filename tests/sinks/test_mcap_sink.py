@@ -163,7 +163,7 @@ def test_pictures_come_at_their_rate(make, tmp_path):
 def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     sink = make(lockstep=False, pending_mb=0.05)
     gate, add = threading.Event(), sink._files.add
-    sink._files.add = lambda *told: (gate.wait(20.0), add(*told))
+    sink._files.add = lambda *told, **more: (gate.wait(20.0), add(*told, **more))
     depth_m = np.ones((30, 40), np.float32)  # 2400 bytes as millimetres
     for k in range(1, 31):
         sink.tick(tick(seen(k, depth_m)))

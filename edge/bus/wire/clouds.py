@@ -18,6 +18,14 @@ _MAX_FIELDS = 64
 
 def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> bytes:
     """sensor_msgs/PointCloud2 of (n, 3) float32 points: x, y, z and nothing else."""
+    return b"".join(cloud_parts(stamp_ns, frame_id, points_m))
+
+
+def cloud_parts(
+    stamp_ns: int, frame_id: str, points_m: np.ndarray
+) -> tuple[bytes, memoryview, bytes]:
+    """What `encode_point_cloud` puts together; the second part is the points' memory, if it
+    can be."""
     points = np.ascontiguousarray(points_m, dtype=np.float32)
     n = len(points)
     writer = Writer().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
@@ -25,7 +33,7 @@ def encode_point_cloud(stamp_ns: int, frame_id: str, points_m: np.ndarray) -> by
         writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
     writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
     is_dense = b"\x01"
-    return b"".join((writer.bytes(memoryview(points.reshape(-1).view(np.uint8))), is_dense))
+    return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
 
 
 def _xyz_offsets(reader: Reader) -> tuple[int, int, int]:

@@ -47,6 +47,11 @@ def encode_image(stamp_ns: int, frame_id: str, array: np.ndarray) -> bytes:
     Raises:
         ValueError: an array of another kind.
     """
+    return b"".join(image_parts(stamp_ns, frame_id, array))
+
+
+def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes, memoryview]:
+    """What `encode_image` puts together; the second part is the array's memory, if it can be."""
     encoding = _ENCODING_OF.get((array.dtype.name, array.ndim))
     if encoding is None or (array.ndim == 3 and array.shape[2] != 3):
         raise ValueError(f"no image encoding for {array.dtype} {array.shape}")
@@ -56,7 +61,7 @@ def encode_image(stamp_ns: int, frame_id: str, array: np.ndarray) -> bytes:
     writer.write(_HEIGHT_WIDTH, 4, height, width).string(encoding)
     writer.write(U8, 1, 0).write(U32, 4, step).write(U32, 4, height * step)
     pixels = np.ascontiguousarray(array).reshape(-1)
-    return writer.bytes(memoryview(pixels.view(np.uint8)))
+    return writer.bytes(), memoryview(pixels.view(np.uint8))
 
 
 def decode_image_header(payload: bytes) -> ImageHeader:
