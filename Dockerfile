@@ -31,7 +31,7 @@ COPY docker/constraints.txt /
 COPY --from=wheel /wheel /wheel
 RUN python3 -m venv /opt/edge \
     && /opt/edge/bin/pip install --no-cache-dir --only-binary=:all: -c /constraints.txt \
-       "$(echo /wheel/*.whl)[cpu,clip]" \
+       "$(echo /wheel/*.whl)[cpu,clip,choice]" \
     && /opt/edge/bin/pip uninstall --yes pip
 
 # With --system-site-packages, for the base's TensorRT. What its importer finds is looked for, not
@@ -45,7 +45,7 @@ RUN apt-get update && apt-get install --yes --no-install-recommends python3-venv
     && rm -rf /var/lib/apt/lists/* \
     && python3 -m venv --system-site-packages /opt/edge \
     && /opt/edge/bin/pip install --no-cache-dir --only-binary=:all: -c /constraints.txt \
-       "$(echo /wheel/*.whl)[cpu,clip,tensorrt]" \
+       "$(echo /wheel/*.whl)[cpu,clip,choice,tensorrt]" \
     && /opt/edge/bin/python -c \
        'import importlib.util as u; assert u.find_spec("tensorrt"), "no TensorRT for Python in the base"'
 
@@ -58,7 +58,7 @@ RUN apt-get update && apt-get install --yes --no-install-recommends python3-venv
     && rm -rf /var/lib/apt/lists/* \
     && python3 -m venv --system-site-packages /opt/edge \
     && /opt/edge/bin/pip install --no-cache-dir --only-binary=:all: -c /constraints.txt \
-       "$(echo /wheel/*.whl)[cpu,clip,tensorrt]" \
+       "$(echo /wheel/*.whl)[cpu,clip,choice,tensorrt]" \
     && /opt/edge/bin/python -c \
        'import importlib.util as u; assert u.find_spec("tensorrt"), "no TensorRT for Python in the base"'
 

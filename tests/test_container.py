@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 INSTRUCTIONS = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", DOCKERFILE, flags=re.MULTILINE))
 STAGES = dict(re.findall(r"^FROM \S+ AS (\S+)\n(.*?)(?=^FROM|\Z)", INSTRUCTIONS, re.M | re.S))
-EXTRAS = ("cpu", "clip", "tensorrt")
+EXTRAS = ("cpu", "clip", "choice", "tensorrt")
 JETSON = {"platform_machine": "aarch64", "sys_platform": "linux"}
 IMAGES = ("cpu", "jetson-jp6", "jetson-jp7")
 

@@ -336,7 +336,7 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     scorers.close()
     yield Finding("ok", f"scorers: {', '.join(names)}")
     choice = config.perception.choice
-    if choice.kind not in ("none", "cooccurrence") and not _listens(choice.url):
+    if choice.kind in ("openai", "text") and not _listens(choice.url):
         todo = "start the server or correct perception.choice.url; the service goes without it"
         yield Finding("warn", f"nothing listens at {without_secrets(choice.url)}", todo)
 

@@ -20,6 +20,7 @@ from edge.config.mission import (
 from edge.config.perception import (
     ChoiceCooccurrence,
     ChoiceNone,
+    ChoiceOnnx,
     ChoiceOpenai,
     ChoiceText,
     DetectorOnnx,
@@ -48,6 +49,7 @@ __all__ = [
     "Camera",
     "ChoiceCooccurrence",
     "ChoiceNone",
+    "ChoiceOnnx",
     "ChoiceOpenai",
     "ChoiceText",
     "Config",

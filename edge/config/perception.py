@@ -111,6 +111,23 @@ class ChoiceText(Section):
     rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
 
 
+class ChoiceOnnx(Section):
+    """The same by a model that runs here; `card` names one of task `choice` in `models/`.
+
+    With `perception.isolation: process` it has a process of its own, started again by the rules of
+    `perception.process`. Its threads give way to the detector's and the loop's.
+    """
+
+    kind: Literal["onnx"] = "onnx"
+    card: str
+    time_limit_s: Positive = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
+    providers: tuple[str, ...] = ("CPUExecutionProvider",)
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+    device_id: Annotated[int, Field(ge=0)] = 0
+
+
 class ChoiceCooccurrence(Section):
     """The same by the prior (`perception.prior`): what stands near a frontier makes it likely."""
 
@@ -133,7 +150,7 @@ class Perception(Section):
     swap: Swap = Swap()
     similarity: str | None = None
     choice: Annotated[
-        Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceCooccurrence],
+        Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
         Field(discriminator="kind"),
     ] = ChoiceNone()
     detector: Annotated[

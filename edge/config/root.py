@@ -31,7 +31,7 @@ ValueSource = Literal["similarity", "choice"]
 _GOES_BY: dict[str, ValueSource] = {"vlfm": "similarity", "directional": "choice"}
 _SCORER = {
     "similarity": "perception.similarity to a card, such as cooccurrence-similarity",
-    "choice": "perception.choice.kind to openai, text or cooccurrence",
+    "choice": "perception.choice.kind to openai, text, onnx or cooccurrence",
 }
 
 

@@ -157,7 +157,7 @@ class ClosedLoop:
 def wants_colour(config: Config) -> bool:
     """Whether anything that the configuration names looks at the pictures' colours."""
     perception = config.perception
-    scored = perception.similarity is not None or perception.choice.kind == "openai"
+    scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
     # One's own may look at the image; those in `edge` (`edge.eval.bounds`) do not.
     own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
     return scored or own or perception.detector.kind != "sim"

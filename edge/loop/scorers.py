@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from edge.config.root import ValueSource
 from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.mapping.values import Sight, ValueMap
+from edge.perception.choice.factory import ViewScorer, make_choice
 from edge.perception.choice.picture import visible_marks
 from edge.perception.choice.question import Choice, Mark, Sighting, View
-from edge.perception.choice.scorer import make_choice
 from edge.perception.instances import InstanceTracker
 from edge.perception.sightings import Sightings
 from edge.perception.similarity import (
@@ -39,18 +39,6 @@ MAX_SIGHTINGS = 20
 
 ScoreOf = Callable[[Detections], np.ndarray]
 """(n,) float32 in [0, 1], a score for each prompt."""
-
-
-class ViewScorer(Protocol):
-    """Chooses among the frontiers of a view; a `Scorer` of `edge.perception.worker`."""
-
-    name: str
-
-    def look(self, view: View) -> Any: ...
-
-    def answer(self, looked: Any) -> Choice | None: ...
-
-    def close(self) -> None: ...
 
 
 class _Question(NamedTuple):
@@ -349,7 +337,7 @@ def make_scorers(
     if isinstance(choice, ChoiceCooccurrence):
         asked = PriorChoice()
     elif not isinstance(choice, ChoiceNone):
-        asked = make_choice(choice)
+        asked = make_choice(choice, perception)
     if card is None and asked is None:
         return None
     how = {

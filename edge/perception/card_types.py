@@ -13,6 +13,9 @@ from edge.host import resources
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+FilePath = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$")
+]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
@@ -233,8 +236,77 @@ class SimilarityCard(BaseCard):
         return self
 
 
+class PartFile(_Part):
+    """One file of a model that has several.
+
+    Attributes:
+        file: below the model's folder.
+        sha256: None where nobody tells it; then that of the first pull counts from then on.
+        mb: megabytes, as its publisher lists it; None where that is not known.
+    """
+
+    file: FilePath
+    sha256: Sha256 | None = None
+    mb: Annotated[float, Field(gt=0)] | None = None
+
+
+class ChoiceCard(BaseCard):
+    """A language model that chooses among directions, with eyes or without (ViTL eq. 4 and 5).
+
+    Attributes:
+        folder: in the models' cache, with the files; variants of one model share it.
+        url: what `file` is appended to; None: the files are brought or made here.
+        decoder: takes `inputs_embeds`, or `input_ids` where there is no `embed_tokens`.
+        others: what says how to feed it: `config.json`, `tokenizer.json`, `tokenizer_config.json`,
+            and what else it has; also the files that its networks keep weights in.
+        image_tokens: the most that an image may become.
+        max_tokens: of a whole question; a longer one is not asked.
+    """
+
+    task: Literal["choice"]
+    sources: tuple[()] = ()
+    derived_from: str | None = None
+    parity: Parity | None = None
+    precision: Literal["fp32", "fp16", "int8", "uint8", "q4", "q4f16", "bnb4"]
+    folder: FileName
+    url: Annotated[str, Field(pattern=r"^https?://.*/$")] | None = None
+    vision_encoder: PartFile | None = None
+    embed_tokens: PartFile | None = None
+    decoder: PartFile
+    others: tuple[PartFile, ...]
+    image_tokens: Positive = 64
+    max_tokens: Positive = 1024
+
+    @model_validator(mode="after")
+    def _can_be_shown_images(self) -> ChoiceCard:
+        if self.vision_encoder is not None and self.embed_tokens is None:
+            raise ValueError("vision_encoder: needs embed_tokens, whose rows its features replace")
+        return self
+
+    @property
+    def networks(self) -> tuple[PartFile, ...]:
+        """The ONNX files."""
+        named = (self.vision_encoder, self.embed_tokens, self.decoder)
+        return tuple(part for part in named if part is not None)
+
+    @property
+    def files(self) -> tuple[PartFile, ...]:
+        return (*self.networks, *self.others)
+
+    @property
+    def folder_path(self) -> Path:
+        return resources.models_dir() / self.folder
+
+    def path_of(self, part: PartFile) -> Path:
+        return self.folder_path / part.file
+
+    def is_here(self) -> bool:
+        """Whether all its files are there."""
+        return all(os.path.isfile(self.path_of(part)) for part in self.files)
+
+
 FileCard = Union[DetectCard, TextCard, ImageCard]
-Card = Union[DetectCard, TextCard, ImageCard, SimilarityCard]
+Card = Union[DetectCard, TextCard, ImageCard, SimilarityCard, ChoiceCard]
 
 
 def _locate(file: str) -> Path:

@@ -20,15 +20,17 @@ from edge.host.files import read_regular
 from edge.perception.card_types import (
     BaseCard,
     Card,
+    ChoiceCard,
     DetectCard,
     FileCard,
     ImageCard,
     Parity,
+    PartFile,
     SimilarityCard,
     TextCard,
 )
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
-from edge.perception.onnx_file import check_file
+from edge.perception.onnx_file import check_file, check_network
 from edge.text import one_line, read_json_object
 
 log = logging.getLogger(__name__)
@@ -40,6 +42,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "text": TextCard,
     "image": ImageCard,
     "similarity": SimilarityCard,
+    "choice": ChoiceCard,
 }
 
 
@@ -155,6 +158,39 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
     return path
 
 
+def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
+    """The same for each file of a model that has several; the networks' formats too.
+
+    Args:
+        believe_cache: see `verify_model`.
+
+    Raises:
+        ModelError: as `verify_model`.
+    """
+    for part in card.files:
+        path = card.path_of(part)
+        if not os.path.isfile(path):
+            raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
+        sha256, size = expected_of_part(card, part)
+        if sha256 is None:
+            raise ModelError(
+                f"{_sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
+            )
+        _hold_to(card, path, sha256, size, believe_cache)
+    covered = {part.file for part in card.files}
+    for part in card.networks:
+        beside = os.path.dirname(part.file)
+        check_network(card.path_of(part), lambda where, d=beside: os.path.join(d, where) in covered)
+
+
+def expected_of_part(card: ChoiceCard, part: PartFile) -> tuple[str | None, int | None]:
+    """(sha256, size in bytes) from the card, else from what was put beside the file when it was
+    made or first pulled."""
+    if part.sha256 is not None:
+        return part.sha256, None
+    return _told_beside(card.path_of(part))
+
+
 def verify_file(card: FileCard, path: Path) -> bool:
     """Whether a hash was there to compare; else as `verify_model`, for any file.
 
@@ -173,6 +209,14 @@ def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bo
     expected, size = _expected(card, path)
     if expected is None:
         return False
+    _hold_to(card, path, expected, size, believe_cache)
+    return True
+
+
+def _hold_to(
+    card: FileCard | ChoiceCard, path: Path, expected: str, size: int | None, believe_cache: bool
+) -> None:
+    """Raise ModelError for a file of another hash or size."""
     found = path.stat().st_size
     if size is not None and found != size:
         what = "truncated" if found < size else "longer than it was made"
@@ -182,11 +226,13 @@ def _has_its_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bo
         raise ModelError(
             f"{path}: damaged or another model: sha256 is not {expected[:12]}…; {how_to_get(card)}"
         )
-    return True
 
 
-def how_to_get(card: FileCard) -> str:
+def how_to_get(card: FileCard | ChoiceCard) -> str:
     """What to do for a model's file: a command, for the end of a message."""
+    if isinstance(card, ChoiceCard):
+        from_where = "" if card.url is not None else " --from FOLDER"
+        return f"run `edge models pull {card.name}{from_where}`"
     if card.path.parent == resources.data_dir("models"):
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):
@@ -203,6 +249,10 @@ def _expected(card: FileCard, path: Path) -> tuple[str | None, int | None]:
     """(sha256, size in bytes) from the card, else from what the export put beside the file."""
     if card.sha256 is not None:
         return card.sha256, None
+    return _told_beside(path)
+
+
+def _told_beside(path: Path) -> tuple[str | None, int | None]:
     made = _made(path)
     digest, size = made.get("sha256"), made.get("bytes")
     return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None

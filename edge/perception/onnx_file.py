@@ -8,7 +8,7 @@ Field numbers: onnx.proto3 of ONNX 1.20 (github.com/onnx/onnx, onnx/onnx.proto3)
 from __future__ import annotations
 
 import mmap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,14 +97,30 @@ def check_file(path: Path, card: FileCard) -> None:
     """Raise ModelError unless the file is an ONNX model that a session can be made of, and has
     the card's inputs and outputs.
     """
+    model = _read(path)
+    check_format(path, model)
+    check_interface(path, model, card)
+
+
+def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
+    """Raise ModelError unless the file is an ONNX model that a session can be made of.
+
+    Args:
+        is_covered: whether a file that it keeps weights in, named as from its folder, is one that
+            a hash covers.
+    """
+    model = _read(path)
+    outside = [where for where in model.external if not is_covered(where)]
+    check_format(path, model._replace(external=outside))
+
+
+def _read(path: Path) -> OnnxFile:
     try:
-        model = read_onnx(path)
+        return read_onnx(path)
     except NotOnnx as error:
         raise ModelError(f"{path}: not an ONNX model: {error}; get or make it again") from None
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
-    check_format(path, model)
-    check_interface(path, model, card)
 
 
 def check_format(path: Path, model: OnnxFile) -> None:

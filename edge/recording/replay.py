@@ -198,7 +198,7 @@ class _Run:
         scorers = make_scorers(
             self.config, targets,
             make_similarity=lambda card, *_: Silent(card.name),
-            make_choice=lambda choice: Silent(choice.kind),
+            make_choice=lambda choice, perception: Silent(choice.kind),
         )  # fmt: skip
         if scorers is not None:
             self._stack.callback(scorers.close)

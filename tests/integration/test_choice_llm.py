@@ -19,7 +19,7 @@ from edge.config import ChoiceOpenai, ChoiceText
 from edge.eval.closed_loop import ClosedLoop
 from edge.loop.status import status_of
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, Sighting, View
-from edge.perception.choice.scorer import ChoiceScorer, make_choice
+from edge.perception.choice.scorer import ChoiceScorer, make_server_choice
 from edge.types import Observation
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
@@ -47,7 +47,7 @@ def put_to(scorer: ChoiceScorer, question: View) -> Choice:
 
 @pytest.fixture(scope="module")
 def scorer(url: str) -> ChoiceScorer:
-    return make_choice(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
+    return make_server_choice(ChoiceText(url=url, model="default", time_limit_s=PATIENCE_S))
 
 
 @pytest.mark.parametrize("n_marks", [1, 3, MAX_MARKS])
@@ -87,7 +87,7 @@ def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monk
 
 
 def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
-    blind = make_choice(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
+    blind = make_server_choice(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
     with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
         put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))
     assert "\n" not in str(raised.value)

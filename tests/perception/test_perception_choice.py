@@ -21,6 +21,7 @@ from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.perception.choice import scorer
+from edge.perception.choice.answers import MISSING_NATS, NoAnswerError, probabilities
 from edge.perception.choice.picture import data_url, draw, place, visible_marks
 from edge.perception.choice.question import (
     LETTERS,
@@ -33,7 +34,7 @@ from edge.perception.choice.question import (
     direction_question,
     scene_question,
 )
-from edge.perception.choice.scorer import MISSING_NATS, NoAnswerError, make_choice, probabilities
+from edge.perception.choice.scorer import make_server_choice
 from edge.types import Observation
 
 LOG_HALF, LOG_QUARTER = math.log(0.5), math.log(0.25)
@@ -337,7 +338,7 @@ SCENE = {"Yes": LOG_QUARTER, "No": LOG_HALF, " yes": LOG_QUARTER}
 
 def scorer_of(server, kind="openai", **settings):
     make = ChoiceOpenai if kind == "openai" else ChoiceText
-    return make_choice(make(url=server.url, model="vlm", **settings))
+    return make_server_choice(make(url=server.url, model="vlm", **settings))
 
 
 def put_to(asks, question):
@@ -431,7 +432,7 @@ def test_a_server_that_lies_is_one_clear_line(make_observation, behave, expected
 
 
 def test_the_time_limit_is_for_both_questions(make_observation, monkeypatch):
-    made = make_choice(ChoiceText(url="http://127.0.0.1:1/v1", model="m", time_limit_s=5.0))
+    made = make_server_choice(ChoiceText(url="http://127.0.0.1:1/v1", model="m", time_limit_s=5.0))
     clock = itertools.count(100.0, 2.0)
     monkeypatch.setattr(scorer, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     left = []
@@ -459,4 +460,4 @@ def test_the_key_is_sent_and_never_shown(make_observation, monkeypatch, caplog):
 @pytest.mark.parametrize("url", ["", "localhost:8080", "ftp://host/v1", "http://user:pw@host/v1"])
 def test_an_unusable_url_is_refused_at_once(url):
     with pytest.raises(ChatError, match=r"^perception\.choice: .*http://HOST:PORT/v1"):
-        make_choice(ChoiceText(url=url, model="m"))
+        make_server_choice(ChoiceText(url=url, model="m"))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from edge.chat import ChatClient, ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.errors import UserError
+from edge.perception.choice.answers import YES_NO, NoAnswerError, probabilities
 from edge.perception.choice.picture import data_url, draw
 from edge.perception.choice.question import (
     LETTERS,
@@ -26,15 +23,6 @@ from edge.perception.choice.question import (
     direction_question,
     scene_question,
 )
-
-YES_NO = ("Yes", "No")
-MISSING_NATS = 1.0
-"""How much less likely than the least likely token that the server told of an answer is taken to
-be which it did not tell of. At most as likely is known, and that all of them together have no more
-than what the told tokens leave of 1."""
-_LEAST_LEFT = 1e-9  # so that what is left has a logarithm, also where rounding leaves nothing
-
-_WRAPPING = " \t\r\n▁ĠĊ\"'`*_([{<>}]).,:;"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +125,7 @@ def _content(part: dict[str, Any], question: str) -> str | list[dict[str, Any]]:
     return [part, {"type": "text", "text": question}]
 
 
-def make_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
+def make_server_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
     """The scorer that a configuration names; the key comes from the environment.
 
     Raises:
@@ -151,49 +139,3 @@ def make_choice(config: ChoiceOpenai | ChoiceText) -> ChoiceScorer:
     if config.kind == "openai":
         return ChoiceScorer(client, partial(show_picture, config.max_image_px))
     return ChoiceScorer(client, show_words)
-
-
-class NoAnswerError(UserError):
-    """The model is about to say something else than any of the answers."""
-
-
-def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -> np.ndarray:
-    """Softmax over exactly the answers that were offered.
-
-    log-probabilities are logits up to a constant, which falls out. The tokens of one answer
-    ("A", " A", "(A") are one event, so their probabilities are added. Words are compared without
-    regard to case; single letters are not, since "a" begins a sentence about anything.
-
-    Args:
-        tokens: the likeliest next tokens with their log-probabilities, at most 0.
-        answers: at least one, all different.
-
-    Returns:
-        (n,) float32, positive or zero, sums to 1.
-
-    Raises:
-        NoAnswerError: none of the answers is among the tokens.
-    """
-    place = {_key(answer): i for i, answer in enumerate(answers)}
-    logits = np.full(len(answers), -math.inf)
-    for token, logprob in tokens:
-        i = place.get(_key(token.strip(_WRAPPING)))
-        if i is not None:
-            logits[i] = np.logaddexp(logits[i], logprob)
-    if not np.isfinite(logits).any():
-        said = ", ".join(repr(token) for token, _ in tokens[:3])
-        raise NoAnswerError(
-            f"the model begins its answer with {said:.60}, not with {', '.join(answers)}; "
-            "use one that answers at once"
-        )
-    missing = np.isneginf(logits)
-    if missing.any():
-        left = max(1.0 - math.fsum(math.exp(logprob) for _, logprob in tokens), _LEAST_LEFT)
-        least = min(logprob for _, logprob in tokens) - MISSING_NATS
-        logits[missing] = min(least, math.log(left / missing.sum()))
-    p = np.exp(logits - logits.max())
-    return (p / p.sum()).astype(np.float32)
-
-
-def _key(text: str) -> str:
-    return text if len(text) == 1 else text.casefold()
