@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,17 @@ import numpy as np
 from edge.models.make import with_file
 from edge.models.pull import cards_of
 from edge.perception.backends.runtime import open_session
-from edge.perception.card_types import DetectCard, FileCard, ImageCard
+from edge.perception.card_types import ChoiceCard, DetectCard, FileCard, ImageCard
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
+from edge.perception.choice.onnx_scorer import asked_of
+from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
+from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line
 
 _TEXTS = 2
-"""Rows of text that a model is tried with."""
+"""Rows of text that a model is tried with; marks in a view."""
+_TARGET = "chair"
+_VIEW_HWC = (480, 640, 3)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,7 +57,7 @@ def _report(models: list[tuple[FileCard, Path | None]]) -> int:
     return 1 if failed else 0
 
 
-def check_model(card: FileCard, file: Path | None = None) -> str:
+def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     """Hash, format, names and shapes, and one inference on noise.
 
     Args:
@@ -63,6 +69,8 @@ def check_model(card: FileCard, file: Path | None = None) -> str:
     Raises:
         ModelError: with what is wrong and what to do.
     """
+    if isinstance(card, ChoiceCard):
+        return _check_choice(card)
     if file is None:
         path, compared = verify_model(card), True
     else:
@@ -87,6 +95,21 @@ def _check_detector(path: Path, session: Any, card: DetectCard) -> str:
     if scores.size and (scores.min() < 0.0 or scores.max() > 1.0):
         raise ModelError(f"{path}: scores must lie in 0..1 (after the sigmoid): export it again")
     return f"{a} boxes, finite"
+
+
+def _check_choice(card: ChoiceCard) -> str:
+    """All files, and both questions of ViTL about a view of noise."""
+    model = LanguageModel(card, asked_of(MAX_MARKS, _TARGET))
+    noise = np.random.default_rng(0).integers(0, 255, _VIEW_HWC, np.uint8)
+    view = noise if model.sees else "The robot sees:\n- nothing that it knows"
+    began = time.perf_counter()
+    p, scene = model.ask(SYSTEM, view, asked_of(_TEXTS, _TARGET), FIRST_RUN_S)
+    took_ms = (time.perf_counter() - began) * 1e3
+    letters = ", ".join(f"{letter} {share:.2f}" for letter, share in zip(LETTERS, p, strict=False))
+    return (
+        f"{card.name}: ok (hashes of {len(card.files)} files, interface, template, tokens; "
+        f"of noise: {letters}, Yes {scene[0]:.2f}; {took_ms:.0f} ms)"
+    )
 
 
 def _check_encoder(path: Path, session: Any, card: FileCard) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
+from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import Card, all_cards, made_parity
 from edge.text import aligned, one_line, without_secrets
 
@@ -35,6 +36,9 @@ def as_table() -> str:
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]
+    """Its file, or the folder of its files; None where it has none, or they are not all here."""
+    if isinstance(card, ChoiceCard):
+        return card.folder_path if card.is_here() else None
     return card.path if hasattr(card, "path") and card.is_here() else None
 
 
@@ -47,10 +51,13 @@ def _row(card: Card) -> tuple[str, ...]:
 
 
 def _file(card: Card) -> str:
-    if not hasattr(card, "path"):
+    if isinstance(card, ChoiceCard):
+        paths = [card.path_of(part) for part in card.files] if card.is_here() else []
+    elif hasattr(card, "path"):
+        paths = [card.path] if card.is_here() else []
+    else:
         return "-"
-    path = _path(card)
-    return "missing" if path is None else _megabytes(path.stat().st_size)
+    return _megabytes(sum(path.stat().st_size for path in paths)) if paths else "missing"
 
 
 def _megabytes(size: int) -> str:

@@ -73,6 +73,10 @@ def with_file(name: str) -> FileCard:
     if card.task == "similarity":
         parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
         raise ModelError(f"model {name!r}: has no file of its own, it uses {' and '.join(parts)}")
+    if card.task == "choice":
+        raise ModelError(
+            f"model {name!r}: has several files; its card is for those in {card.folder}"
+        )
     return card
 
 

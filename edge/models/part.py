@@ -125,6 +125,11 @@ class Part:
         self._digest = hashlib.sha256()
         self.have, self._resumed = 0, False
 
+    @property
+    def digest(self) -> str:
+        """The sha256 of what is there."""
+        return self._digest.hexdigest()
+
     def is_whole(self) -> bool:
         """Whether nothing is missing, as far as the hash tells."""
         return self._digest.hexdigest() == self.sha256

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 from edge.host import resources
 from edge.host.children import python_module
-from edge.host.files import read_regular
+from edge.host.files import read_regular, write_atomically
 from edge.host.private_folder import private_folder
 from edge.models.download import LIMITS, Limits, download, read_small, shown
 from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
 from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
-from edge.perception.card_types import Card, FileCard, Source, TextCard
-from edge.perception.cards import ModelError, load_card
+from edge.perception.card_types import Card, ChoiceCard, FileCard, PartFile, Source, TextCard
+from edge.perception.cards import ModelError, expected_of_part, load_card, sidecar
 from edge.perception.model_file import fresh_sha256
 
 
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def cards_of(name: str) -> list[FileCard]:
+def cards_of(name: str) -> list[FileCard | ChoiceCard]:
     """The cards with files that a card stands for: its own, and those it names."""
     found: dict[str, Card] = {}
     names = [name]
@@ -87,12 +87,14 @@ def cards_of(name: str) -> list[FileCard]:
     return [card for card in found.values() if card.task != "similarity"]
 
 
-def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
+def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
     """Fetch what a card needs and is not here yet; a line for each file, and what to do next.
 
     Raises:
         ModelError: a file that none of its sources gives.
     """
+    if isinstance(card, ChoiceCard):
+        return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.files]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: comes with edge-vln: {card.path}"]
     files, lines = wanted(card), []
@@ -215,6 +217,66 @@ def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
         f"{reason}); get {source_file_name(file.sources[0])} elsewhere, then "
         f"`edge models pull {name} --from FILE_OR_FOLDER`"
     )
+
+
+def _pull_part(card: ChoiceCard, file: PartFile, where: Where) -> str:
+    """Fetch one file of a model that has several, if it is not here; what there is to say.
+
+    Where nobody tells its hash, that of the first pull is put beside it and counts from then on.
+
+    Raises:
+        ModelError: no place gives it.
+    """
+    target = card.path_of(file)
+    known, size = expected_of_part(card, file)
+    if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
+        return f"was here already: {target}"
+    reason: FetchError | str = "its card names no address"
+    for place in (*where.places, *([] if card.url is None else [card.url])):
+        said = {} if known else _what_export_said(place, f"{file.file}.json", where)
+        told = said.get("sha256") if isinstance(said.get("sha256"), str) else None
+        with Part(target, known or told, size) as part:
+            try:
+                _take_part(place, file, part, where)
+            except FetchError as error:
+                _note(card.name, error)
+                reason = error
+                continue
+        if known is None:
+            beside = said if told else {"sha256": part.digest, "bytes": part.have}
+            _write_beside(target, beside)
+            return f"{target}: sha256 {part.digest[:12]}… from now on"
+        return str(target)
+    raise ModelError(
+        f"{card.name}: its {file.file} could not be had (the last: {reason}); get the model's "
+        f"folder elsewhere, then `edge models pull {card.name} --from FOLDER`"
+    )
+
+
+def _take_part(place: str, file: PartFile, part: Part, where: Where) -> None:
+    """A file from a folder as its publisher has it, or a flat one; or below an address.
+
+    Raises:
+        FetchError: the place does not give it, or one of another size.
+    """
+    if _is_address(place):
+        _download(f"{place.rstrip('/')}/{file.file}", part, where)
+    else:
+        folder = local_path(place)
+        found = [path for path in (folder / file.file, folder / part.target.name) if path.is_file()]
+        if not found:
+            raise FetchError(f"{folder}: has no {file.file}")
+        copy_from(found[0], part, ())
+    if file.mb is not None and abs(part.have / 1e6 - file.mb) > 0.1 * file.mb + 0.1:
+        part.target.unlink()
+        raise FetchError(f"{file.file}: {part.have / 1e6:.1f} MB, its card lists {file.mb:g}")
+
+
+def _write_beside(path: Path, said: dict[str, Any]) -> None:
+    try:
+        write_atomically(sidecar(path), (json.dumps(said, indent=2) + "\n").encode())
+    except OSError as error:
+        raise ModelError(f"{sidecar(path)}: cannot be written ({error.strerror})") from None
 
 
 def _note(name: str, error: FetchError) -> None:

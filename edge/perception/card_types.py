@@ -269,7 +269,7 @@ class ChoiceCard(BaseCard):
     parity: Parity | None = None
     precision: Literal["fp32", "fp16", "int8", "uint8", "q4", "q4f16", "bnb4"]
     folder: FileName
-    url: Annotated[str, Field(pattern=r"^https?://.*/$")] | None = None
+    url: Annotated[str, Field(pattern=r"^https://.*/$")] | None = None
     vision_encoder: PartFile | None = None
     embed_tokens: PartFile | None = None
     decoder: PartFile

@@ -152,7 +152,7 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
         raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
     if not _has_its_hash(card, path, believe_cache):
         raise ModelError(
-            f"{_sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
+            f"{sidecar(path)}: no sha256 to check the model against; {how_to_get(card)}"
         )
     check_file(path, card)
     return path
@@ -174,7 +174,7 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
         sha256, size = expected_of_part(card, part)
         if sha256 is None:
             raise ModelError(
-                f"{_sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
+                f"{sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
             )
         _hold_to(card, path, sha256, size, believe_cache)
     covered = {part.file for part in card.files}
@@ -258,14 +258,14 @@ def _told_beside(path: Path) -> tuple[str | None, int | None]:
     return digest if isinstance(digest, str) else None, size if isinstance(size, int) else None
 
 
-def _sidecar(path: Path) -> Path:
+def sidecar(path: Path) -> Path:
     """What an export says of the file that it made."""
     return path.with_name(path.name + ".json")
 
 
 def _made(path: Path) -> dict[str, Any]:
     try:
-        return read_json_object(read_regular(_sidecar(path)))
+        return read_json_object(read_regular(sidecar(path)))
     except (OSError, ValueError):
         return {}
 

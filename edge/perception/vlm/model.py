@@ -23,7 +23,7 @@ from edge.perception.vlm.pictures import make_prepare, positions
 from edge.perception.vlm.prompt import Prompter
 
 PROVIDERS_KEY = "perception.choice.providers"
-_FIRST_RUN_S = 600.0
+FIRST_RUN_S = 600.0
 _BLANK_PX = 64
 
 
@@ -79,7 +79,7 @@ class LanguageModel:
         self._decoder = Decoder(files, open_part(card.decoder), embedding, self._deadline)
         self._kept_ids, self._kept = np.empty(0, np.int64), self._decoder.nothing
         blank = np.zeros((_BLANK_PX, _BLANK_PX, 3), np.uint8)
-        self.ask("Be brief.", blank if self.sees else "Nothing.", asked, _FIRST_RUN_S)
+        self.ask("Be brief.", blank if self.sees else "Nothing.", asked, FIRST_RUN_S)
 
     def _spelled(self, answers: set[str]) -> dict[str, np.ndarray]:
         ordered = sorted(answers)

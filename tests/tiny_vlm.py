@@ -67,9 +67,13 @@ TEMPLATE = {"smolvlm": SMOLVLM, "qwen2-vl": QWEN, "text": PLAIN}
 
 
 def publish(
-    models_dir: Path, family: str, name: str = "tiny", half: bool = False, seed: int = 0
+    models_dir: Path, family: str, name: str = "tiny", half: bool = False, pinned: bool = True
 ) -> ChoiceCard:
-    """Write a model of a family as it is published, and its card; the card."""
+    """Write a model of a family as it is published, and its card; the card.
+
+    Args:
+        pinned: it lies in the models' cache, and was pulled.
+    """
     folder = models_dir / f"{name}-files"
     (folder / "onnx").mkdir(parents=True)
     tokenizer = train_tokenizer(SPECIAL[family])
@@ -92,7 +96,7 @@ def publish(
         others["preprocessor_config.json"] = PREPROCESSOR[family]
     for file, content in others.items():
         (folder / file).write_text(json.dumps(content))
-    vocabulary, rng = tokenizer.get_vocab_size(), np.random.default_rng(seed)
+    vocabulary, rng = tokenizer.get_vocab_size(), np.random.default_rng(0)
     dtype = F16 if half else F32
     networks = {"decoder": ("decoder_model_merged", decoder(vocabulary, rng, family, dtype))}
     if sees:
@@ -110,7 +114,8 @@ def publish(
     }  # fmt: skip
     (models_dir / f"{name}.yaml").write_text(yaml.safe_dump(said))
     card = ChoiceCard.model_validate(said)
-    pin(card)
+    if pinned:
+        pin(card)
     return card
 
 

@@ -1,0 +1,137 @@
+"""`edge models pull`, `check` and `list` of models that have several files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from tiny_vlm import publish
+
+from edge.cli.main import main
+from edge.host import resources
+from edge.models import pull
+from edge.perception.card_types import ChoiceCard
+from edge.perception.cards import all_cards, load_card
+
+DECODER = "onnx/decoder_model_merged.onnx"
+
+
+@pytest.fixture
+def published(tmp_path, monkeypatch):
+    """A model's folder as its publisher has it, and a card of it; the cache is empty."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
+    place = tmp_path / "place"
+    folder = place / publish(place, "smolvlm", pinned=False).folder
+    resources.models_dir().mkdir(parents=True)
+    shutil.copy(place / "tiny.yaml", resources.models_dir())
+    return folder
+
+
+def change_card(**changes):
+    path = resources.models_dir() / "tiny.yaml"
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}))
+
+
+def says(capsys, *args, code=0):
+    assert main(["models", *args]) == code
+    out, err = capsys.readouterr()
+    return out + err
+
+
+def test_from_a_folder_to_a_sound_model(published, capsys):
+    assert "missing" in next(line for line in says(capsys, "list").splitlines() if "tiny" in line)
+    assert "run `edge models pull tiny --from FOLDER`" in says(capsys, "check", "tiny", code=1)
+    lines = says(capsys, "pull", "tiny", "--from", str(published)).splitlines()
+    card = load_card("tiny")
+    assert len(lines) == len(card.files) == 9
+    assert all("from now on" in line for line in lines)
+    assert card.is_here()
+    checked = says(capsys, "check", "tiny")
+    assert "tiny: ok (hashes of 9 files, interface, template, tokens; of noise: A 0." in checked
+    assert " MB" in next(line for line in says(capsys, "list").splitlines() if "tiny" in line)
+    (row,) = (row for row in json.loads(says(capsys, "list", "--json")) if row["name"] == "tiny")
+    assert row["path"] == str(card.folder_path)
+    again = says(capsys, "pull", "tiny", "--from", str(published))
+    assert again.count("was here already") == 9
+
+
+def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
+    says(capsys, "pull", "tiny", "--from", str(published))
+    kept = load_card("tiny").folder_path / DECODER
+    sound = kept.read_bytes()
+    kept.write_bytes(sound[:-1] + b"?")
+    assert "damaged or another model" in says(capsys, "check", "tiny", code=1)
+    (published / DECODER).write_bytes(sound[:-1] + b"!")  # the publisher has another one now
+    refused = says(capsys, "pull", "tiny", "--from", str(published), code=69)
+    assert "sha256 is" in refused
+    assert "tiny: its onnx/decoder_model_merged.onnx could not be had" in refused
+    (published / DECODER).write_bytes(sound)
+    says(capsys, "pull", "tiny", "--from", str(published))
+    assert kept.read_bytes() == sound
+
+
+def test_what_an_export_says_beside_a_file_is_held_against_it(published, capsys):
+    beside = published / f"{DECODER}.json"
+    beside.write_text(json.dumps({"sha256": "0" * 64, "bytes": 3}))
+    assert "sha256 is" in says(capsys, "pull", "tiny", "--from", str(published), code=69)
+    assert not (load_card("tiny").folder_path / DECODER).exists()
+
+
+@pytest.mark.parametrize("at", ["the card's", "--from"])
+def test_from_a_server(published, capsys, server, monkeypatch, at):
+    says(capsys, "pull", "tiny", "--from", str(published))
+    card = load_card("tiny")
+    for path in card.folder_path.glob("onnx/decoder*"):
+        path.unlink()
+    server.put(f"/repo/{DECODER}", (published / DECODER).read_bytes())
+    if at == "--from":
+        told = says(capsys, "pull", "tiny", "--from", server.url("/repo"))
+    else:  # cards name none but addresses of https
+        ours = card.model_copy(update={"url": server.url("/repo/")})
+        monkeypatch.setattr(pull, "load_card", lambda name: ours)
+        told = says(capsys, "pull", "tiny")
+    assert told.count("was here already") == 8
+    assert told.count("from now on") == 1
+    assert card.is_here()
+
+
+def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
+    change_card(decoder={"file": DECODER, "mb": 87.0})
+    said = says(capsys, "pull", "tiny", "--from", str(published), code=69)
+    assert "0.0 MB, its card lists 87" in said
+    assert not (load_card("tiny").folder_path / DECODER).exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "says_so"),
+    [
+        ({"decoder": {"file": "../decoder.onnx"}}, "decoder.file"),
+        ({"folder": "../x"}, "folder"),
+        ({"url": "http://example.org/"}, "url"),
+        ({"url": "https://example.org/no-slash"}, "url"),
+        ({"embed_tokens": None}, "vision_encoder: needs embed_tokens"),
+    ],
+)
+def test_a_card_that_cannot_be(published, capsys, change, says_so):
+    change_card(**change)
+    assert says_so in says(capsys, "check", "tiny", code=69)
+
+
+def test_it_has_no_single_file(published, capsys):
+    said = says(capsys, "check", "tiny", "--file", str(published / DECODER), code=69)
+    assert "tiny': has several files" in said
+
+
+def test_cards_of_the_package_name_what_their_families_need():
+    cards = [card for card in all_cards() if isinstance(card, ChoiceCard)]
+    assert {"smolvlm-256m-q4", "qwen2-vl-2b-q4f16", "smollm2-135m-q4"} <= {c.name for c in cards}
+    for card in cards:
+        names = [Path(part.file).name for part in card.files]
+        assert len(set(names)) == len(names)
+        assert {"config.json", "tokenizer.json", "tokenizer_config.json"} <= set(names)
+        assert ("preprocessor_config.json" in names) == (card.vision_encoder is not None)
+        assert card.url.startswith("https://huggingface.co/")
+        assert card.image_tokens < card.max_tokens
