@@ -1,13 +1,22 @@
-"""The loop's place among the threads of the machine."""
+"""The place of the loop, and of what runs beside it, among the threads of the machine."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TypeVar
 
 log = logging.getLogger("edge.host.priority")
+
+BESIDE = 10
+"""How nice threads are whose work can wait: against one that is not, they get a tenth of a core."""
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -44,3 +53,35 @@ def _schedule(policy: int, priority: int) -> bool:
         )
         return False
     return True
+
+
+def give_way() -> None:
+    """Let this thread, and those that it starts, get what the others leave."""
+    with suppress(OSError):  # where it is that nice already, or nicer
+        os.setpriority(os.PRIO_PROCESS, 0, BESIDE)
+
+
+def give_way_as_process() -> None:
+    """The same for a process that leads a session: Linux may weigh those against each other."""
+    give_way()
+    with suppress(OSError):  # a kernel that does not weigh them
+        Path("/proc/self/autogroup").write_text(str(BESIDE), encoding="ascii")
+
+
+def made_beside(make: Callable[[], T]) -> T:
+    """What `make` returns, made on a thread that gives way: so do the threads that it leaves.
+
+    Raises:
+        whatever `make` raises.
+    """
+    outcome: Future[T] = Future()
+
+    def run() -> None:
+        give_way()
+        try:
+            outcome.set_result(make())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, name="making", daemon=True).start()
+    return outcome.result()

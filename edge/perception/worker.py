@@ -154,7 +154,7 @@ class Scorer(Protocol[Q, A]):
 
 class ScorerWorker(Worker[Q, A]):
     """Puts questions to a scorer, one at a time, and leaves it alone for a while after a failure:
-    a server that refuses at once must not be asked at the loop's rate.
+    a server that refuses at once must not be asked at the loop's rate. The detector goes before it.
 
     Args:
         kind: what the scorer is for, in messages.
@@ -171,7 +171,7 @@ class ScorerWorker(Worker[Q, A]):
     ) -> None:
         self.name, self._scorer = scorer.name, scorer
         super().__init__(
-            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s,
+            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s, gives_way=True,
             drop=lambda question: question.observation.release(),
         )  # fmt: skip
 

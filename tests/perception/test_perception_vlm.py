@@ -15,11 +15,12 @@ from onnx import TensorProto, helper, save
 from patience import PATIENCE_S, eventually
 from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 
-from edge.config import ChoiceOnnx
+from edge.config import Perception
 from edge.host import resources
 from edge.perception.cards import ModelError, load_card
 from edge.perception.choice.answers import probabilities, shares, spellings
-from edge.perception.choice.onnx_scorer import OnnxChoice, asked_of, make_onnx_choice
+from edge.perception.choice.factory import make_choice
+from edge.perception.choice.onnx_scorer import OnnxChoice, asked_of
 from edge.perception.choice.question import SYSTEM, Mark, Sighting, View
 from edge.perception.vlm.files import read_files, vocabulary
 from edge.perception.vlm.model import LanguageModel
@@ -281,6 +282,17 @@ def test_places_of_tokens(ids, grid, expected):
 # -- a choice ---------------------------------------------------------------------------------
 
 
+def made(isolation="thread", **choice):
+    perception = Perception.model_validate(
+        {
+            "isolation": isolation, "detector": {"kind": "onnx"},
+            "process": {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.01},
+            "choice": {"kind": "onnx", "threads": 1, **choice},
+        }
+    )  # fmt: skip
+    return make_choice(perception.choice, perception)
+
+
 def view_of(make_observation, **arrays):
     marks = (Mark(7, 20.0, 40.0, 0.3, 2.0), Mark(9, 60.0, 40.0, -0.3, 4.0))
     return View(make_observation(seq=3, **arrays), "lamp", marks, (Sighting("bed", 0.5, 1.0),))
@@ -289,7 +301,7 @@ def view_of(make_observation, **arrays):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     publish(models_dir, family)
-    asks = make_onnx_choice(ChoiceOnnx(card="tiny", threads=1, time_limit_s=PATIENCE_S))
+    asks = made(card="tiny", time_limit_s=PATIENCE_S)
     rgb = np.random.default_rng(0).integers(0, 255, (64, 80, 3), np.uint8)
     shown = asks.look(view_of(make_observation, rgb=rgb))
     choice = asks.answer(shown)
@@ -470,7 +482,7 @@ def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
         ("mini-house-text", "of task 'text', not 'choice'"),
     ]:
         with pytest.raises(ModelError, match=f"perception.choice.card: .*{says}"):
-            make_onnx_choice(ChoiceOnnx(card=name))
+            made(card=name)
 
 
 def test_weights_beside_a_network_must_be_among_the_cards_files(models_dir):

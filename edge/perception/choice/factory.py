@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Protocol
 
 from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, Perception
+from edge.host.priority import made_beside
 from edge.perception.choice.question import Choice, View
 from edge.perception.choice.scorer import make_server_choice
 
@@ -34,7 +36,17 @@ def make_choice(
         ModelError: a model or its card is missing or unusable.
     """
     if isinstance(choice, ChoiceOnnx):
-        from edge.perception.choice.onnx_scorer import make_onnx_choice
-
-        return make_onnx_choice(choice)
+        return _make_onnx(choice, perception)
     return make_server_choice(choice)
+
+
+def _make_onnx(choice: ChoiceOnnx, perception: Perception) -> ViewScorer:
+    from edge.perception.choice.onnx_scorer import OnnxChoice, choice_card, open_model
+
+    if perception.isolation == "process":
+        from edge.perception.process.language import ProcessModel
+
+        model = ProcessModel(choice_card(choice), choice, perception.process)
+    else:
+        model = made_beside(partial(open_model, choice))
+    return OnnxChoice(model, choice.max_image_px, choice.time_limit_s)

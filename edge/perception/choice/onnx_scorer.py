@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -114,16 +114,15 @@ def open_model(config: ChoiceOnnx) -> LanguageModel:
     Raises:
         ModelError: there is no such card, it is of another task, or its model is unusable.
     """
+    every = asked_of(MAX_MARKS, "chair")
+    return LanguageModel(
+        choice_card(config), every, config.providers, config.threads, config.device_id
+    )
+
+
+def choice_card(config: ChoiceOnnx) -> ChoiceCard:
+    """The card that a configuration names; see `open_model`."""
     try:
-        card = load_card_of(ChoiceCard, config.card)
+        return load_card_of(ChoiceCard, config.card)
     except ModelError as error:
         raise ModelError(f"perception.choice.card: {error}") from None
-    every = asked_of(MAX_MARKS, "chair")
-    return LanguageModel(card, every, config.providers, config.threads, config.device_id)
-
-
-def make_onnx_choice(
-    config: ChoiceOnnx, open_it: Callable[[ChoiceOnnx], Model] = open_model
-) -> OnnxChoice:
-    """The scorer of a configuration; see `open_model`."""
-    return OnnxChoice(open_it(config), config.max_image_px, config.time_limit_s)

@@ -1,6 +1,7 @@
-"""A detector in a process of its own: it may crash, hang or run out of memory, the robot goes on.
+"""A model in a process of its own: it may crash, hang or run out of memory, the robot goes on.
 
-The protocol, between the service (`detector.py`, `link.py`) and the model process (`serve.py`):
+The protocol of a detector, between the service (`detector.py`, `link.py`) and the model process
+(`serve.py`):
 
  1. The service starts the program `edge.perception.process.serve`, writes one JSON object to its
     stdin: configuration, prompts, logging, and descriptors of two sockets and the frame file.
@@ -17,4 +18,8 @@ The protocol, between the service (`detector.py`, `link.py`) and the model proce
     request is under way at a time: who does not answer it within `timeout_s`, or answers nonsense,
     is killed. A process that ended is started again by the rules of `detector.Restarts`.
  7. The process ends with SIGTERM, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
+
+A language model that chooses directions (`language.py`, `serve_language.py`) is asked on `images`
+{seq, hw, rules, view, asked, limit_s}, where hw is null for a view in words, and answers
+{seq, p}. There is nothing to be asked on its `control`; it gives way to whatever else runs.
 """

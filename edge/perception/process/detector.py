@@ -211,7 +211,9 @@ class ProcessDetector:
             return self._run_with(self._looked_for, first)
 
     def _run_with(self, prompts: Sequence[str], first: Future[None]) -> tuple[float, str]:
-        link = Link(self._perception, prompts, self.name, self._frames)
+        perception = self._perception.model_dump(mode="json")
+        told = {"perception": perception, "prompts": list(prompts)}
+        link = Link(told, self.name, self._frames)
         try:
             link.wait_ready(
                 self._config.start_timeout_s, lambda: self._told_to_end(first), self._load

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from edge import config
 from edge.host.children import python_module
 from edge.logs import LEVELS, JsonFormatter
 from edge.perception.detector import Tell
@@ -48,9 +47,13 @@ class Link:
     """
 
     def __init__(
-        self, perception: config.Perception, prompts: Sequence[str], name: str, frames: FrameFile
+        self, told: dict[str, Any], name: str, frames: FrameFile, program: Sequence[str] = ()
     ) -> None:
         """
+        Args:
+            told: what the program is to do, beside what all are told.
+            program: other than the one for detectors.
+
         Raises:
             ModelProcessError: it cannot be started.
         """
@@ -59,13 +62,13 @@ class Link:
         self._asked = self._checked = 0
         self._ended = threading.Event()
         self._asking, self._checking = threading.Lock(), threading.Lock()
-        told = {"perception": perception.model_dump(mode="json"), "prompts": list(prompts)}
         with contextlib.ExitStack() as stack:
             try:
                 self._images, images = _channel(stack)
                 self._control, control = _channel(stack)
                 with images, control:
-                    self._process = _start((images.fileno(), control.fileno(), frames.fd), told)
+                    fds = images.fileno(), control.fileno(), frames.fd
+                    self._process = _start(program or PROGRAM, fds, told)
             except OSError as error:
                 raise ModelProcessError(
                     f"model {name}: its process cannot be started: {error}"
@@ -115,29 +118,54 @@ class Link:
         """Have it look for the prompts in an image.
 
         Args:
-            timeout_s: how long it may take; what it waits for a core in that time is added, at
-                most `timeout_s` again.
+            timeout_s: see `ask`; of `perception.process.timeout_s`.
 
         Raises:
-            ModelProcessError: it ended; it was given up since it answered too late or nonsense;
-                or its model raised something.
             PromptError: a prompt cannot be looked for.
+            ModelProcessError: see `ask`.
+        """
+        return self.ask(
+            {"prompts": prompts}, rgb, timeout_s, "perception.process.timeout_s", wire.decode_answer
+        )
+
+    def ask(
+        self,
+        request: dict[str, Any],
+        rgb: np.ndarray | None,
+        timeout_s: float,
+        limit: str,
+        decode: Callable[[int, dict[str, Any], bytes], T],
+    ) -> T:
+        """Put a request about an image, or about none.
+
+        Args:
+            timeout_s: how long it may take; what it waits for a core in that time is added, at
+                most `timeout_s` again.
+            limit: the key that says so.
+            decode: (sequence number, header, block) → the answer; a ValueError where it is none.
+
+        Raises:
+            ModelError, PromptError: as the model raised them.
+            ModelProcessError: it ended; it was given up since it answered too late or nonsense;
+                or its model raised something else.
         """
         with self._asking:
             if self.fault:
                 raise ModelProcessError(self.fault)
             seq = self._asked = self._asked + 1
-            try:
-                self._frames.write(seq, rgb)
-            except OSError as error:
-                raise ModelProcessError(f"{shared_dir()}: no room for images: {error}") from None
-            said = self._exchange(
-                wire.encode(seq=seq, hw=rgb.shape[:2], prompts=prompts), timeout_s
-            )
+            if rgb is not None:
+                try:
+                    self._frames.write(seq, rgb)
+                except OSError as error:
+                    raise ModelProcessError(
+                        f"{shared_dir()}: no room for images: {error}"
+                    ) from None
+            hw = None if rgb is None else rgb.shape[:2]
+            said = self._exchange(wire.encode(seq=seq, hw=hw, **request), timeout_s, limit)
         try:
             head, _, block = said.partition(wire.END_OF_HEADER)
             header = read_json_object(head)
-            answer = None if "error" in header else wire.decode_answer(seq, header, block)
+            answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
             raise self.give_up(f"damaged answer ({error}): killed") from None
         if header.get("error") == "MemoryError":
@@ -146,7 +174,7 @@ class Link:
         assert answer is not None
         return answer
 
-    def _exchange(self, request: bytes, timeout_s: float) -> bytes:
+    def _exchange(self, request: bytes, timeout_s: float, limit: str) -> bytes:
         deadline_s = time.monotonic() + timeout_s
         sent, before_s = _send(self._images, request), None
         while (said := _receive(self._images)) is None:
@@ -157,7 +185,6 @@ class Link:
             elif time.monotonic() - deadline_s >= min(
                 _queued_s(self._process.pid) - before_s, timeout_s
             ):
-                limit = "perception.process.timeout_s"
                 raise self.give_up(f"no answer within {timeout_s:g} s ({limit}): killed")
         if not (sent and said):  # there is nobody at the other end
             self._ended.wait(_END_S)
@@ -238,17 +265,19 @@ def _channel(stack: contextlib.ExitStack) -> tuple[socket.socket, socket.socket]
     return stack.enter_context(ours), theirs
 
 
-def _start(descriptors: tuple[int, int, int], told: dict[str, Any]) -> subprocess.Popen[bytes]:
+def _start(
+    program: Sequence[str], descriptors: tuple[int, int, int], told: dict[str, Any]
+) -> subprocess.Popen[bytes]:
     """Start the program, and tell it what it is to do; see `edge.perception.process`."""
     level, as_json = _logging()
-    told |= {"fds": descriptors, "parent": os.getpid(), "log_level": level, "log_json": as_json}
+    ours = {"fds": descriptors, "parent": os.getpid(), "log_level": level, "log_json": as_json}
     # A session of its own keeps the terminal's Ctrl-C for this process, which ends it in order;
     # what libraries print goes to stderr, as stdout is for reports.
     process = subprocess.Popen(
-        PROGRAM, stdin=subprocess.PIPE, stdout=2, pass_fds=descriptors, start_new_session=True
+        program, stdin=subprocess.PIPE, stdout=2, pass_fds=descriptors, start_new_session=True
     )
     with contextlib.suppress(BrokenPipeError), process.stdin:  # it ended: `wait_ready` says how
-        process.stdin.write(json.dumps(told).encode())
+        process.stdin.write(json.dumps({**told, **ours}).encode())
     return process
 
 

@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,15 +42,7 @@ def main(make: Make = make_detector) -> int:
     Args:
         make: makes the detector.
     """
-    told = json.loads(sys.stdin.buffer.read())
-    _end_with(told["parent"])
-    faulthandler.enable()
-    show_stacks_on_signals()
-    logs.setup(told["log_level"], told["log_json"])
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
-    images_fd, control_fd, frames_fd = told["fds"]
-    images, control = socket.socket(fileno=images_fd), socket.socket(fileno=control_fd)
+    told, images, control, frames = begin()
     speaking = threading.Lock()
 
     def progress(health: Health) -> None:  # from any thread, but only until `make` returns
@@ -66,11 +59,24 @@ def main(make: Make = make_detector) -> int:
     control.send(wire.encode())
     threading.Thread(target=check_prompts, args=(control, detector), daemon=True).start()
     try:
-        answer_images(images, detector, FrameView(frames_fd))
+        answer_images(images, detector, frames)
     except BaseException:
         log.exception("model %s: its process ends", detector.name)
         os._exit(1)  # the thread above waits for ever
     return 0
+
+
+def begin() -> tuple[dict[str, Any], socket.socket, socket.socket, FrameView]:
+    """What a model process is told, its two sockets, `images` and `control`, and the images."""
+    told = json.loads(sys.stdin.buffer.read())
+    _end_with(told["parent"])
+    faulthandler.enable()
+    show_stacks_on_signals()
+    logs.setup(told["log_level"], told["log_json"])
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
+    images, control, frames = told["fds"]
+    return told, socket.socket(fileno=images), socket.socket(fileno=control), FrameView(frames)
 
 
 def _end_with(parent: int) -> None:
@@ -109,12 +115,12 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
             if not frames.is_whole(seq):
                 raise ValueError(f"frame {seq}: torn, another was written meanwhile")
         except Exception as error:
-            images.send(wire.encode_error(_by_kind(error), seq=seq))
+            images.send(wire.encode_error(by_kind(error), seq=seq))
         else:
             images.send(wire.encode_answer(seq, found, detector))
 
 
-def _by_kind(error: Exception) -> Exception:
+def by_kind(error: Exception) -> Exception:
     """Want of memory as what it is: onnxruntime and CUDA have types of their own for it."""
     text = str(error).lower()
     return MemoryError(str(error)) if any(sign in text for sign in _NO_MEMORY) else error

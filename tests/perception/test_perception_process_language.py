@@ -1,0 +1,98 @@
+"""A language model in a process of its own: asked, killed, brought back, ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import psutil
+import pytest
+from patience import PATIENCE_S, eventually
+from tiny_vlm import publish
+
+from edge.config import ChoiceOnnx, ModelProcess
+from edge.host import priority, resources
+from edge.perception.choice.onnx_scorer import asked_of, open_model
+from edge.perception.choice.question import SYSTEM
+from edge.perception.model_file import ModelError
+from edge.perception.process.language import ProcessModel, _decode
+
+RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S, backoff_s=0.01)
+ASKED = asked_of(2, "lamp")
+
+
+@pytest.fixture
+def opened(tmp_path, monkeypatch):
+    """opened(family): a model in a process, and its configuration; closed at the end."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    made = []
+
+    def opened(family, spoil=lambda card: None):
+        card = publish(resources.models_dir(), family)
+        spoil(card)
+        choice = ChoiceOnnx(card="tiny", threads=1)
+        made.append(ProcessModel(card, choice, RULES))
+        return made[-1], choice
+
+    yield opened
+    for model in made:
+        model.close()
+
+
+def test_it_says_the_same_and_comes_back(opened):
+    model, choice = opened("smolvlm")
+    here = open_model(choice)
+    for seed, hw in [(0, (48, 64)), (1, (240, 320))]:
+        view = np.random.default_rng(seed).integers(0, 255, (*hw, 3), np.uint8)
+        told = (one.ask(SYSTEM, view, ASKED, PATIENCE_S) for one in (model, here))
+        for there, ours in zip(*told, strict=True):
+            np.testing.assert_array_equal(there, ours)
+    with pytest.raises(ModelError, match=r"tiny: no answer within 0 s .*time_limit_s"):
+        model.ask(SYSTEM, view, ASKED, 0.0)
+    pid = model._link._process.pid
+    assert os.getpriority(os.PRIO_PROCESS, pid) == priority.BESIDE
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: not psutil.pid_exists(pid))
+    eventually(lambda: model._link is not None and model._link._process.pid != pid)
+    assert len(model.ask(SYSTEM, view, ASKED, PATIENCE_S)) == 2
+    last = model._link._process.pid
+    model.close()
+    assert not psutil.pid_exists(last)
+    with pytest.raises(ModelError, match="its process"):
+        model.ask(SYSTEM, view, ASKED, PATIENCE_S)
+
+
+def test_words_go_there_too(opened):
+    model, choice = opened("text")
+    assert not model.sees
+    told = (one.ask(SYSTEM, "a bed", ASKED, PATIENCE_S) for one in (model, open_model(choice)))
+    for there, ours in zip(*told, strict=True):
+        np.testing.assert_array_equal(there, ours)
+
+
+def test_what_keeps_it_from_loading_is_told_as_in_this_process(opened):
+    with pytest.raises(ModelError, match="is not there; run `edge models pull tiny") as raised:
+        opened("text", spoil=lambda card: card.path_of(card.decoder).unlink())
+    assert "process" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"seq": 1, "p": [[0.5, 0.5]]}, "seq 1, expected 2"),
+        ({"seq": 2}, "p None"),
+        ({"seq": 2, "p": []}, "p"),
+        ({"seq": 2, "p": [["x", 1]]}, "p"),
+        ({"seq": 2, "p": [[1.0]]}, "for 2 answers"),
+        ({"seq": 2, "p": [[0.5, float("nan")]]}, "for 2 answers"),
+        ({"seq": 2, "p": [[1.5, -0.5]]}, "for 2 answers"),
+        ({"seq": 2, "p": [[0.5, 0.2]]}, "for 2 answers"),
+    ],
+)
+def test_a_dying_process_may_say_anything(header, says):
+    with pytest.raises(ValueError, match=says):
+        _decode([2], 2, header, b"")
+    (p,) = _decode([2], 2, {"seq": 2, "p": [[0.25, 0.75]]}, b"")
+    assert p.tolist() == [0.25, 0.75]
