@@ -115,7 +115,7 @@ class ChoiceOnnx(Section):
     """The same by a model that runs here; `card` names one of task `choice` in `models/`.
 
     With `perception.isolation: process` it has a process of its own, started again by the rules of
-    `perception.process`. Its threads give way to the detector's and the loop's.
+    `perception.process`, which gets what the loop and the detector leave of the cores.
     """
 
     kind: Literal["onnx"] = "onnx"

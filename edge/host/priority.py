@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
 
 log = logging.getLogger("edge.host.priority")
 
 BESIDE = 10
-"""How nice threads are whose work can wait: against one that is not, they get a tenth of a core."""
-
-T = TypeVar("T")
+"""How nice a process is whose work can wait: beside one that is not, it gets a tenth of a core."""
 
 
 @contextmanager
@@ -56,32 +51,13 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def give_way() -> None:
-    """Let this thread, and those that it starts, get what the others leave."""
+    """Let this process, and the threads that it will start, get what others leave.
+
+    Not for a thread of a process whose other threads must not wait: while it has the interpreter's
+    lock and no core, they do.
+    """
     with suppress(OSError):  # where it is that nice already, or nicer
         os.setpriority(os.PRIO_PROCESS, 0, BESIDE)
-
-
-def give_way_as_process() -> None:
-    """The same for a process that leads a session: Linux may weigh those against each other."""
-    give_way()
-    with suppress(OSError):  # a kernel that does not weigh them
+    # Linux may weigh sessions against each other, whatever their threads.
+    with suppress(OSError):
         Path("/proc/self/autogroup").write_text(str(BESIDE), encoding="ascii")
-
-
-def made_beside(make: Callable[[], T]) -> T:
-    """What `make` returns, made on a thread that gives way: so do the threads that it leaves.
-
-    Raises:
-        whatever `make` raises.
-    """
-    outcome: Future[T] = Future()
-
-    def run() -> None:
-        give_way()
-        try:
-            outcome.set_result(make())
-        except BaseException as error:
-            outcome.set_exception(error)
-
-    threading.Thread(target=run, name="making", daemon=True).start()
-    return outcome.result()

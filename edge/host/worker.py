@@ -10,7 +10,6 @@ from time import perf_counter_ns
 from typing import Generic, TypeVar
 
 from edge.errors import UserError
-from edge.host.priority import give_way
 from edge.text import one_line
 
 log = logging.getLogger(__name__)
@@ -71,7 +70,6 @@ class Worker(Generic[Item, Result]):
         drop_result: called with a result that is not polled.
         finishes: what waits when it is closed is worked on, not dropped.
         beat: called after each item, and every `BEAT_S` where none comes.
-        gives_way: its thread gets what the others leave (`edge.host.priority`).
     """
 
     def __init__(
@@ -87,13 +85,12 @@ class Worker(Generic[Item, Result]):
         drop_result: Callable[[Result], object] = lambda result: None,
         finishes: bool = False,
         beat: Callable[[], object] | None = None,
-        gives_way: bool = False,
     ) -> None:
         self.stats = Stats()
         self._what, self._work, self._every = what, work, every
         self._rest_s, self._pause_s = rest_s, pause_s
         self._drop, self._drop_result = drop, drop_result
-        self._finishes, self._beat, self._gives_way = finishes, beat, gives_way
+        self._finishes, self._beat = finishes, beat
         self._changed = threading.Condition()
         self._waiting: dict[Hashable, Item] = {}
         self._result: Result | None = None
@@ -190,8 +187,6 @@ class Worker(Generic[Item, Result]):
             self._passes = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:
-        if self._gives_way:
-            give_way()
         while not self._closed or self._waiting:
             for item in self._take():
                 self._rest(self._rest_s if self._do(item) else self._pause())

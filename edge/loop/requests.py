@@ -13,11 +13,13 @@ from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
-from edge.perception.cards import load_detector_card
-from edge.perception.swap.swapper import Swapper
+from edge.perception.card_types import ChoiceCard, DetectCard
+from edge.perception.cards import load_card, load_detector_card
+from edge.perception.swap.swapper import SwapError, Swapper
 from edge.text import one_line
 
 if TYPE_CHECKING:
+    from edge.loop.scorers import Scorers
     from edge.loop.service import Service
 
 MAX_NAME_CHARS = 200
@@ -40,7 +42,10 @@ def served(
             mission_verbs(prepare),
             partial(handle_mission, service, amiss=amiss),
         ),
-        topics.MODELS_REQUEST: (MODEL_VERBS, partial(handle_model, service.swapper)),
+        topics.MODELS_REQUEST: (
+            MODEL_VERBS,
+            partial(handle_model, service.swapper, scorers=service.scorers),
+        ),
     }
 
 
@@ -167,20 +172,51 @@ def _model(fields: dict) -> dict:
     return {"model": name, "force": check_flag("force", fields)}
 
 
+def _card_to_use(fields: dict) -> DetectCard | ChoiceCard:
+    """Raises ModelError for no card, and for one that nothing can be swapped for."""
+    card = load_card(fields["model"])
+    return card if isinstance(card, ChoiceCard) else load_detector_card(fields["model"])
+
+
 MODEL_VERBS = {
-    "use": Verb(("model", "force"), _model, lambda fields: load_detector_card(fields["model"])),
+    "use": Verb(("model", "force"), _model, _card_to_use),
+    "pause": Verb(),
+    "resume": Verb(),
     "status": Verb(reads=True),
 }
-"""`{"do": "use", "model": NAME, "force": true | false}` or `{"do": "status"}`; the card of a model
-is found, and a detector's, before the loop hears of it."""
+"""`{"do": "use", "model": NAME, "force": true | false}`, `{"do": "status"}`, or
+`{"do": "pause" | "resume"}` for the scorers; the card of a model is found, and one that can be
+swapped in, before the loop hears of it."""
 
 
-def handle_model(swapper: Swapper, request: Request, now_ns: int) -> dict:
-    """Answer how the swap stands, once it has begun if that is asked for.
+def handle_model(
+    swapper: Swapper, request: Request, now_ns: int, scorers: Scorers | None = None
+) -> dict:
+    """Answer how the newest swap stands, once it has begun if that is asked for.
 
     Raises:
         SwapError: it cannot be begun.
+        UserError: there are no scorers to be paused.
     """
-    if request.do == "use":
+    swap = None if scorers is None else scorers.swap
+    if request.do in ("pause", "resume"):
+        if scorers is None:
+            raise UserError("no scorers are configured: nothing to pause")
+        scorers.paused = request.do == "pause"
+    elif request.do == "use" and isinstance(request.prepared, ChoiceCard):
+        if swap is None:
+            raise SwapError(
+                "no model that runs here chooses directions: set perception.choice.kind to onnx"
+            )
+        swap.request(request.fields["model"])
+        scorers.newest_swap = True
+    elif request.do == "use":
         swapper.request(request.fields["model"], request.fields["force"], now_ns)
-    return swapper.status()
+        if scorers is not None:
+            scorers.newest_swap = False
+    if swap is None:
+        return swapper.status()
+    newest = swap if scorers.newest_swap else swapper
+    # One count for both: whoever follows a swap sees that another has begun.
+    number = int(swapper.status()["number"]) + swap.number
+    return {**newest.status(), "number": number, "paused": scorers.paused}

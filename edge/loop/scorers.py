@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edge import names
-from edge.config import ChoiceCooccurrence, ChoiceNone, Config
+from edge.config import ChoiceCooccurrence, ChoiceNone, ChoiceOnnx, Config
 from edge.config.root import ValueSource
 from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
@@ -30,6 +30,7 @@ from edge.perception.similarity import (
     make_similarity,
     similarity_card,
 )
+from edge.perception.swap.choice import ChoiceSwap
 from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Answers, Candidates, Prior, Similarity
 from edge.types import Detections, Observation
@@ -108,6 +109,9 @@ class Scorers:
     Attributes:
         answers: the newest ones.
         feeds: which of the two the value maps are written from; may be set.
+        paused: nothing is asked.
+        swap: puts another model in the place of the choice scorer's; None where there are none.
+        newest_swap: it was asked later than the detector's was; may be set.
     """
 
     def __init__(
@@ -119,6 +123,7 @@ class Scorers:
         inline: bool = False,
         rest_s: float = 0.0,
         feeds: ValueSource | None = None,
+        remake: Callable[[str], ViewScorer] | None = None,
     ) -> None:
         """
         Args:
@@ -127,6 +132,7 @@ class Scorers:
             rest_s: how long the choice scorer is left alone after an answer.
             inline: answer inside `ask`, so that a run replays the same.
             feeds: see the attribute.
+            remake: makes the choice scorer of another card; None: there are no others of its kind.
         """
         self.answers = Answers()
         self._from_detections, self._score_of = from_detections, score_of
@@ -142,6 +148,11 @@ class Scorers:
             if to_choose is None
             else ScorerWorker("choice", to_choose, rest_s, inline or self._by_prior)
         )
+        self.paused = False
+        self.newest_swap = False
+        self.swap: ChoiceSwap | None = None
+        if remake is not None and self._choice is not None:
+            self.swap = ChoiceSwap(self._choice, lambda card: _ChoiceAnswers(remake(card)))
 
     @property
     def _workers(self) -> list[ScorerWorker]:
@@ -175,6 +186,8 @@ class Scorers:
             prior: for the choice that goes by it.
             around: has what else was detected.
         """
+        if self.paused:
+            return
         similarity, choice = self._similarity, self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
             sight = values.sight(observation) if self.feeds == "similarity" else None
@@ -206,6 +219,8 @@ class Scorers:
     def take_up(self, values: ValueMap) -> None:
         """Answers that came meanwhile are the newest; what they say is written where they were
         asked, frontiers that are gone included."""
+        if self.swap is not None:
+            self.swap.step()
         similarity = None if self._similarity is None else self._similarity.poll()
         if similarity is not None:
             question, said = similarity
@@ -264,6 +279,7 @@ class Scorers:
         if self._choice is not None:
             said["choice"] = {
                 **self._choice.counts(),
+                **({} if self.swap is None else {"swap": self.swap.status()}),
                 "stamp_ns": None if choice is None else choice.stamp_ns,
                 "target": None if choice is None else choice.target,
                 "scene": None if choice is None else choice.scene,
@@ -274,6 +290,8 @@ class Scorers:
 
     def close(self) -> None:
         """Give up every question; waits for no server."""
+        if self.swap is not None:
+            self.swap.close()
         for worker in self._workers:
             worker.close()
 
@@ -345,6 +363,12 @@ def make_scorers(
         "rest_s": getattr(choice, "rest_s", 0.0),
         "feeds": config.value_source,
     }
+    if isinstance(choice, ChoiceOnnx):
+
+        def remake(name: str) -> ViewScorer:
+            return make_choice(choice.model_copy(update={"card": name}), perception)
+
+        how["remake"] = remake
     if card is None:
         return Scorers(None, asked, **how)
     if is_running_detector(card, perception):

@@ -17,6 +17,7 @@ from edge.text import one_line
 _LOOK_S = 0.25
 _ANSWER_S = 5.0
 _WHAT = "models"
+_DETECTOR_KEY = "perception.detector.model"
 
 Ask = Callable[[dict], dict]
 
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
             print(one_line(": ".join(filter(None, (state, swap["detail"]))), 1000), flush=True)
     if state == "kept":
         print(
-            f"until the service stops; for good: perception.detector.model: {args.name} "
+            f"until the service stops; for good: {swap.get('key', _DETECTOR_KEY)}: {args.name} "
             f"in {args.config}"
         )
     return 0 if state == "kept" else 1

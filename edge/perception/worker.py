@@ -154,7 +154,7 @@ class Scorer(Protocol[Q, A]):
 
 class ScorerWorker(Worker[Q, A]):
     """Puts questions to a scorer, one at a time, and leaves it alone for a while after a failure:
-    a server that refuses at once must not be asked at the loop's rate. The detector goes before it.
+    a server that refuses at once must not be asked at the loop's rate.
 
     Args:
         kind: what the scorer is for, in messages.
@@ -169,11 +169,28 @@ class ScorerWorker(Worker[Q, A]):
         inline: bool = False,
         pause_s: float = PAUSE_S,
     ) -> None:
-        self.name, self._scorer = scorer.name, scorer
+        self._scorer, self._using = scorer, None
+        self._hand = threading.Lock()
         super().__init__(
-            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s, gives_way=True,
+            kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s,
             drop=lambda question: question.observation.release(),
         )  # fmt: skip
+
+    @property
+    def name(self) -> str:
+        """Of the scorer that is asked next."""
+        return self._scorer.name
+
+    def exchange(self, scorer: Scorer[Q, A]) -> Scorer[Q, A]:
+        """Ask another scorer from the next question on; the one before, still open."""
+        with self._hand:
+            before, self._scorer = self._scorer, scorer
+        return before
+
+    def uses(self, scorer: Scorer[Q, A]) -> bool:
+        """Whether it is asked now, or will be: such a one must not be closed yet."""
+        with self._hand:
+            return scorer is self._scorer or scorer is self._using
 
     def submit(self, question: Q) -> None:
         """Answer this, unless another is being answered, or rested from."""
@@ -197,11 +214,16 @@ class ScorerWorker(Worker[Q, A]):
         }  # fmt: skip
 
     def _put(self, question: Q) -> A | None:
+        with self._hand:
+            scorer = self._using = self._scorer
         try:
-            looked = self._scorer.look(question)
+            try:
+                looked = scorer.look(question)
+            finally:
+                question.observation.release()
+            return scorer.answer(looked)
         finally:
-            question.observation.release()
-        return self._scorer.answer(looked)
+            self._using = None
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; what is given up has not failed."""

@@ -6,6 +6,8 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 from tiny_vlm import publish
@@ -13,6 +15,9 @@ from tiny_vlm import publish
 from edge.cli.main import main
 from edge.host import resources
 from edge.models import pull
+from edge.models.bench import choices
+from edge.models.bench.boxes import Truth
+from edge.models.bench.frames import Frames
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import all_cards, load_card
 
@@ -135,3 +140,40 @@ def test_cards_of_the_package_name_what_their_families_need():
         assert ("preprocessor_config.json" in names) == (card.vision_encoder is not None)
         assert card.url.startswith("https://huggingface.co/")
         assert card.image_tokens < card.max_tokens
+
+
+def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    for name, half in (("tiny-fp32", False), ("tiny-fp16", True)):
+        publish(resources.models_dir(), "smolvlm", name, half=half)
+    said = yaml.safe_load((resources.models_dir() / "tiny-fp16.yaml").read_text())
+    lost = {**said, "name": "tiny-lost", "folder": "nowhere"}
+    (resources.models_dir() / "tiny-lost.yaml").write_text(yaml.safe_dump(lost))
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for k in range(2):
+        picture = np.random.default_rng(k).integers(0, 255, (120, 160, 3), np.uint8)
+        cv2.imwrite(str(pictures / f"{k}.png"), picture)
+    told = says(
+        capsys, "bench", "smolvlm", "--images", str(pictures), "--threads", "1",
+        "--providers", "cpu", "--json", str(tmp_path / "out.json"),
+    )  # fmt: skip
+    reference, half, missing = json.loads((tmp_path / "out.json").read_text())
+    assert (reference["name"], half["name"]) == ("tiny-fp32", "tiny-fp16")
+    assert "same" not in reference
+    assert half["same"] == 1.0
+    assert half["difference"] < 0.05
+    assert missing["why"].startswith("not here: run `edge models pull tiny-lost")
+    assert "tiny-fp16  cpu" in told
+    assert "tiny-lost on cpu: not here" in told
+
+
+def test_views_have_letters_and_what_is_in_them():
+    rgb = np.zeros((40, 60, 3), np.uint8)
+    boxes = np.zeros((2, 4), np.float32)
+    truth = Truth(boxes, np.array([1, 0], np.int32), np.array([True, False]))
+    assert choices.views_of(Frames("nothing", [], (), None)) == []
+    (view,) = choices.views_of(Frames("one", [rgb], ("bed", "sofa"), [truth]))
+    assert len(view.marks) == 3
+    assert [s.label for s in view.sightings] == ["sofa"]

@@ -19,7 +19,7 @@ from edge.errors import UserError
 from edge.host import machine
 from edge.host.children import python_module
 from edge.host.private_folder import private_folder
-from edge.models.bench import boxes, frames, report
+from edge.models.bench import boxes, choices, frames, report
 from edge.models.bench.frames import Frames
 from edge.models.bench.measure import Job, Measured
 from edge.models.bench.report import Report
@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
         UserError: an option, the configuration or the world cannot be used.
     """
     config = load(args.config)
+    if args.family in choices.families():
+        return choices.run(args, config)
     todo = variants(_family(args.family, config), providers_here(args.providers))
     if args.images is not None:
         pictures = frames.from_folder(args.images, args.frames)

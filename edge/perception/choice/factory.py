@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, Protocol
 
 from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, Perception
-from edge.host.priority import made_beside
 from edge.perception.choice.question import Choice, View
 from edge.perception.choice.scorer import make_server_choice
 
@@ -48,5 +46,5 @@ def _make_onnx(choice: ChoiceOnnx, perception: Perception) -> ViewScorer:
 
         model = ProcessModel(choice_card(choice), choice, perception.process)
     else:
-        model = made_beside(partial(open_model, choice))
+        model = open_model(choice)
     return OnnxChoice(model, choice.max_image_px, choice.time_limit_s)

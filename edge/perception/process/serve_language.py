@@ -8,7 +8,7 @@ import socket
 import sys
 
 from edge.config import ChoiceOnnx
-from edge.host.priority import give_way_as_process
+from edge.host.priority import give_way
 from edge.perception.choice.onnx_scorer import open_model
 from edge.perception.process import wire
 from edge.perception.process.serve import begin, by_kind
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 def main() -> int:
     """Read from stdin what to do, load the model, answer until told to end."""
     told, questions, control, frames = begin()
-    give_way_as_process()  # before its threads are started
+    give_way()  # before its threads are started
     try:
         model = open_model(ChoiceOnnx.model_validate(told["choice"]))
     except Exception as error:

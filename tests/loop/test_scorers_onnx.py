@@ -1,0 +1,122 @@
+"""A model that runs here chooses among frontiers: in the loop, paused, swapped, failing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from patience import PATIENCE_S, eventually
+from simulated import simulated
+from tiny_vlm import publish
+
+from edge.bus.verbs import Request
+from edge.errors import UserError
+from edge.eval.closed_loop import ClosedLoop
+from edge.host import resources
+from edge.loop.requests import MODEL_VERBS, handle_model
+from edge.loop.status import status_of
+from edge.perception.cards import ModelError
+from edge.perception.swap.swapper import SwapError
+
+
+@pytest.fixture
+def models_dir(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    return resources.models_dir()
+
+
+def settings(card="words"):
+    choice = {"kind": "onnx", "card": card, "threads": 1, "time_limit_s": PATIENCE_S}
+    return simulated(
+        {
+            "sim": {"lockstep": True},
+            "loop": {"lockstep": False},
+            "mission": {"target": "surfboard"},
+            "perception": {"choice": choice},
+        }
+    )
+
+
+class Failing:
+    """In the place of a model: what it fails with is one line (see tests/perception)."""
+
+    name = "words"
+
+    def look(self, question):
+        raise ModelError("model words: no answer within 5 s")
+
+    def close(self):
+        """Nothing is open."""
+
+
+def request(loop, **fields):
+    do = fields.pop("do")
+    verb = MODEL_VERBS[do]
+    fields = verb.read(fields)
+    prepared = verb.prepare(fields) if verb.prepare else None
+    swapper = loop.service.swapper
+    return handle_model(swapper, Request(do, fields, prepared), 0, loop.scorers)
+
+
+def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
+    publish(models_dir, "text", "words")
+    publish(models_dir, "smolvlm", "eyes")
+    loop = ClosedLoop(settings())
+    choice = eventually(lambda: loop.step() or loop.scorers.answers.choice)
+    assert choice.p.sum() + choice.elsewhere == pytest.approx(1.0, abs=1e-5)
+    assert request(loop, do="status")["state"] == "idle"
+    begun = request(loop, do="use", model="eyes")
+    assert (begun["state"], begun["model"], begun["number"]) == ("loading", "eyes", 1)
+    with pytest.raises(SwapError, match="eyes is still loading"):
+        request(loop, do="use", model="eyes")
+
+    def kept():
+        loop.step()
+        return request(loop, do="status")["state"] == "kept"
+
+    eventually(kept)
+    since_ns = loop.service.stamp_ns
+    seen = eventually(
+        lambda: (
+            loop.step()
+            or (loop.scorers.answers.choice.stamp_ns > since_ns and loop.scorers.answers.choice)
+        )
+    )
+    status = status_of(loop.service.result())["scorers"]["choice"]
+    assert (status["model"], status["failed"]) == ("eyes", 0)
+    assert status["swap"]["state"] == "kept"
+    assert not np.array_equal(seen.p, choice.p)
+    assert loop.service.status.phase == "searching"
+
+    assert request(loop, do="pause")["paused"]
+    eventually(lambda: loop.scorers._choice.idle)
+    asked = loop.scorers.status()["choice"]["asked"]
+    for _ in range(10):
+        loop.step()
+    assert loop.scorers.status()["choice"]["asked"] == asked
+    assert not request(loop, do="resume")["paused"]
+    eventually(lambda: loop.step() or loop.scorers.status()["choice"]["asked"] > asked)
+    with pytest.raises(ModelError, match="no such card"):
+        request(loop, do="use", model="none")
+    loop.close()
+
+
+def test_a_model_that_fails_is_counted_and_the_loop_goes_on(models_dir, caplog):
+    publish(models_dir, "text", "words")
+    loop = ClosedLoop(settings())
+    loop.scorers._choice.exchange(Failing())
+    eventually(lambda: loop.step() or loop.scorers.status()["choice"]["failed"])
+    assert loop.scorers.status()["choice"]["last_error"] == "model words: no answer within 5 s"
+    assert loop.service.status.phase == "searching"
+    loop.close()
+    assert len([r for r in caplog.records if "no answer within" in r.getMessage()]) == 1
+
+
+def test_what_cannot_be_paused_or_swapped_is_refused(models_dir):
+    publish(models_dir, "text", "words")
+    loop = ClosedLoop(simulated({"sim": {"lockstep": True}, "loop": {"lockstep": True}}))
+    with pytest.raises(UserError, match="no scorers are configured"):
+        request(loop, do="pause")
+    with pytest.raises(SwapError, match=r"set perception\.choice\.kind to onnx"):
+        request(loop, do="use", model="words")
+    loop.close()

@@ -1,0 +1,151 @@
+"""Another model that chooses directions in the running service."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from patience import eventually
+
+from edge.errors import UserError
+from edge.perception.swap.choice import CARD_KEY, ChoiceSwap
+from edge.perception.swap.swapper import SwapError
+from edge.perception.worker import ScorerWorker
+from edge.types import Observation
+
+
+class Named:
+    """Answers with its name, once `go` is set."""
+
+    def __init__(self, name):
+        self.name, self.go, self.asked, self.closed = name, threading.Event(), threading.Event(), 0
+        self.go.set()
+
+    def look(self, question):
+        return question
+
+    def answer(self, looked):
+        self.asked.set()
+        self.go.wait()
+        return self.name
+
+    def close(self):
+        self.closed += 1
+
+
+class Question:
+    observation = Observation(0, 0, None)
+
+
+@pytest.fixture
+def swapping():
+    """(swap, worker, old, made): what is made waits until its name is among `made`."""
+    made = {}
+    ready = threading.Condition()
+
+    def make(name):
+        with ready:
+            ready.wait_for(lambda: name in made)
+        if isinstance(made[name], Exception):
+            raise made[name]
+        return made[name]
+
+    def give(name, what):
+        with ready:
+            made[name] = what
+            ready.notify_all()
+        return what
+
+    old = Named("old")
+    worker = ScorerWorker("choice", old)
+    swap = ChoiceSwap(worker, make)
+    yield swap, worker, old, give
+    swap.close()
+    worker.close()
+
+
+def stepped(swap, state):
+    def look():
+        swap.step()
+        return swap.status()["state"] == state
+
+    eventually(look)
+
+
+def answer(worker):
+    worker.submit(Question())
+    return eventually(worker.poll)
+
+
+def test_nothing_is_asked_for():
+    swap = ChoiceSwap(ScorerWorker("choice", Named("old"), inline=True), None)
+    swap.step()
+    swap.close()
+    assert swap.status()["state"] == "idle"
+    assert swap.number == 0
+
+
+def test_the_old_one_answers_until_the_new_one_is_loaded(swapping):
+    swap, worker, old, give = swapping
+    swap.request("new")
+    assert swap.status() == {
+        "state": "loading", "model": "new", "previous": "old", "detail": "", "progress": "",
+        "number": 1, "key": CARD_KEY,
+    }  # fmt: skip
+    with pytest.raises(SwapError, match="new is still loading"):
+        swap.request("other")
+    swap.step()
+    assert answer(worker) == "old"
+    new = give("new", Named("new"))
+    stepped(swap, "kept")
+    assert "loaded and asked in" in swap.status()["detail"]
+    eventually(lambda: old.closed == 1)
+    assert answer(worker) == worker.name == worker.counts()["model"] == "new"
+    assert new.closed == 0
+    with pytest.raises(SwapError, match="new runs already"):
+        swap.request("new")
+
+
+def test_who_is_being_asked_is_closed_afterwards(swapping):
+    swap, worker, old, give = swapping
+    old.go.clear()
+    worker.submit(Question())
+    old.asked.wait()
+    swap.request("new")
+    give("new", Named("new"))
+    stepped(swap, "kept")
+    assert worker.uses(old)
+    assert old.closed == 0
+    old.go.set()
+    assert eventually(worker.poll) == "old"
+    eventually(lambda: old.closed == 1)
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (UserError("no such card"), "no such card; old goes on"),
+        (RuntimeError("no\nluck"), "it fails: RuntimeError: no luck; old goes on"),
+    ],
+)
+def test_what_cannot_be_loaded_changes_nothing(swapping, error, says):
+    swap, worker, old, give = swapping
+    swap.request("bad")
+    give("bad", error)
+    stepped(swap, "refused")
+    assert swap.status()["detail"] == says
+    assert answer(worker) == "old"
+    assert old.closed == 0
+    swap.request("new")
+    assert swap.status()["number"] == 2
+    give("new", Named("new"))
+    stepped(swap, "kept")
+
+
+def test_what_is_loaded_too_late_is_closed(swapping):
+    swap, worker, _, give = swapping
+    swap.request("new")
+    swap.close()
+    new = give("new", Named("new"))
+    eventually(lambda: new.closed == 1)
+    assert worker.name == "old"
