@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -18,7 +19,19 @@ from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 from edge.perception.card_types import ChoiceCard
 from edge.perception.choice.question import DIRECTION, SCENE, SYSTEM
 
-HIDDEN, HEADS, LAYERS, SIDE = 16, 2, 2, 32
+SIDE = 32
+
+
+class Size(NamedTuple):
+    """Of a decoder."""
+
+    hidden: int
+    heads: int
+    layers: int
+
+
+TINY = Size(16, 2, 2)
+HIDDEN = TINY.hidden
 F32, F16, I64, BOOL = TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.INT64, TensorProto.BOOL
 
 SMOLVLM = (
@@ -67,19 +80,25 @@ TEMPLATE = {"smolvlm": SMOLVLM, "qwen2-vl": QWEN, "text": PLAIN}
 
 
 def publish(
-    models_dir: Path, family: str, name: str = "tiny", half: bool = False, pinned: bool = True
+    models_dir: Path,
+    family: str,
+    name: str = "tiny",
+    half: bool = False,
+    pinned: bool = True,
+    size: Size = TINY,
 ) -> ChoiceCard:
     """Write a model of a family as it is published, and its card; the card.
 
     Args:
         pinned: it lies in the models' cache, and was pulled.
+        size: other than `TINY` for the text family only.
     """
     folder = models_dir / f"{name}-files"
     (folder / "onnx").mkdir(parents=True)
     tokenizer = train_tokenizer(SPECIAL[family])
     tokenizer.save(str(folder / "tokenizer.json"))
     sees = family in IMAGE_TOKEN
-    config: dict = {"num_attention_heads": HEADS, "hidden_size": HIDDEN}
+    config: dict = {"num_attention_heads": size.heads, "hidden_size": size.hidden}
     if sees:
         image_id = tokenizer.token_to_id(IMAGE_TOKEN[family])
         config = {"text_config": config, "image_token_id": image_id}
@@ -98,7 +117,7 @@ def publish(
         (folder / file).write_text(json.dumps(content))
     vocabulary, rng = tokenizer.get_vocab_size(), np.random.default_rng(0)
     dtype = F16 if half else F32
-    networks = {"decoder": ("decoder_model_merged", decoder(vocabulary, rng, family, dtype))}
+    networks = {"decoder": ("decoder_model_merged", decoder(vocabulary, rng, family, dtype, size))}
     if sees:
         networks["embed_tokens"] = ("embed_tokens", embedding(vocabulary, rng, dtype))
         make = {"smolvlm": idefics3_encoder, "qwen2-vl": qwen2_vl_encoder}[family]
@@ -188,21 +207,22 @@ def embedding(vocabulary: int, rng: np.random.Generator, dtype: int):
     return g.model({"input_ids": (I64, ["b", "n"])}, {"inputs_embeds": (dtype, ["b", "n", HIDDEN])})
 
 
-def decoder(vocabulary: int, rng: np.random.Generator, family: str, dtype: int):
+def decoder(vocabulary: int, rng: np.random.Generator, family: str, dtype: int, size: Size = TINY):
     """Attention over past and present with a causal mask; the text family embeds tokens itself."""
-    g, size = Graph(rng, dtype), HIDDEN // HEADS
+    hidden, heads, layers = size
+    g, width = Graph(rng, dtype), hidden // heads
     axes = 3 if family == "qwen2-vl" else 1
     if family == "text":
-        x, first = g("Gather", g.random(vocabulary, HIDDEN), "input_ids"), ("input_ids", I64, [])
+        x, first = g("Gather", g.random(vocabulary, hidden), "input_ids"), ("input_ids", I64, [])
     else:
-        x, first = "inputs_embeds", ("inputs_embeds", dtype, [HIDDEN])
+        x, first = "inputs_embeds", ("inputs_embeds", dtype, [hidden])
     places = "position_ids"
     if axes == 1:
         places = g("Unsqueeze", places, g.constant(np.array([0])))
     angles = g(
         "MatMul",
         g("Cast", g("Transpose", places, perm=[1, 2, 0]), to=dtype),
-        g.real(rng.uniform(0.05, 0.5, (axes, HIDDEN))),
+        g.real(rng.uniform(0.05, 0.5, (axes, hidden))),
     )
     x = g("Add", x, g("Sin", angles))
     one, zero = g.constant(np.int64(1)), g.constant(np.int64(0))
@@ -219,32 +239,32 @@ def decoder(vocabulary: int, rng: np.random.Generator, family: str, dtype: int):
         g("Unsqueeze", g("Range", old, total, one), g.constant([1])),
     )
     mask = g("Where", seen, g.real(0.0), g.real(-1e4))
-    shape = g.constant([0, 0, HEADS, size])
+    shape = g.constant([0, 0, heads, width])
     presents = {}
-    for layer in range(LAYERS):
+
+    def weights() -> str:
+        return g.random(hidden, hidden, scale=2 / hidden**0.5)
+
+    for layer in range(layers):
         q, k, v = (
-            g(
-                "Transpose",
-                g("Reshape", g("MatMul", x, g.random(HIDDEN, HIDDEN)), shape),
-                perm=[0, 2, 1, 3],
-            )
+            g("Transpose", g("Reshape", g("MatMul", x, weights()), shape), perm=[0, 2, 1, 3])
             for _ in range(3)
         )
         k = g("Concat", f"past_key_values.{layer}.key", k, axis=2, out=f"present.{layer}.key")
         v = g("Concat", f"past_key_values.{layer}.value", v, axis=2, out=f"present.{layer}.value")
         scores = g("Add", g("MatMul", q, g("Transpose", k, perm=[0, 1, 3, 2])), mask)
         heard = g("MatMul", g("Softmax", scores, axis=-1), v)
-        heard = g("Reshape", g("Transpose", heard, perm=[0, 2, 1, 3]), g.constant([0, 0, HIDDEN]))
-        x = g("Add", x, g("Tanh", g("MatMul", heard, g.random(HIDDEN, HIDDEN))))
+        heard = g("Reshape", g("Transpose", heard, perm=[0, 2, 1, 3]), g.constant([0, 0, hidden]))
+        x = g("Add", x, g("Tanh", g("MatMul", heard, weights())))
         for kind in ("key", "value"):
-            presents[f"{layer}.{kind}"] = (dtype, ["b", HEADS, "m", size])
-    g("MatMul", x, g.random(HIDDEN, vocabulary), out="logits")
+            presents[f"{layer}.{kind}"] = (dtype, ["b", heads, "m", width])
+    g("MatMul", x, g.random(hidden, vocabulary), out="logits")
     rank = ["b", "n"] if axes == 1 else [3, "b", "n"]
     inputs = {
         first[0]: (first[1], ["b", "n", *first[2]]),
         "attention_mask": (I64, ["b", "t"]),
         "position_ids": (I64, rank),
-        **{f"past_key_values.{k}": (v[0], ["b", HEADS, "p", size]) for k, v in presents.items()},
+        **{f"past_key_values.{k}": (v[0], ["b", heads, "p", width]) for k, v in presents.items()},
     }
     outputs = {
         "logits": (dtype, ["b", "n", vocabulary]),

@@ -323,7 +323,8 @@ def check_scorers(config: Config) -> Iterator[Finding]:
     """Configured scorers can be made; where a server is to answer, something listens."""
     from edge.loop.scorers import make_scorers
 
-    if config.perception.similarity is not None and _sessions_crash():
+    here = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
+    if here and _sessions_crash():
         return
     try:
         scorers = make_scorers(config, _targets(config))

@@ -1,0 +1,119 @@
+"""What reading rules and view once saves a model that chooses directions."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+
+from edge.host import resources
+from edge.perception.choice.onnx_scorer import asked_of
+from edge.perception.choice.question import SYSTEM, Mark, Sighting, View, describe
+from edge.perception.vlm.model import LanguageModel
+from edge.types import Observation
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from tiny_vlm import Size, publish
+
+LIMIT_S = 600.0
+MOST_TOKENS = 2048
+SIZE = Size(hidden=256, heads=4, layers=8)
+
+
+def view(k: int) -> str:
+    """In words, another one each time."""
+    seen = tuple(Sighting(f"thing {k + i}", 0.1 * i, 1.0 + i) for i in range(8))
+    marks = tuple(Mark(i, 0.0, 0.0, 0.3 * i, 2.0 + i) for i in range(4))
+    return describe(View(Observation(0, 0, np.eye(4)), "chair", marks, seen))
+
+
+def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkeypatch):
+    """Both questions about a new view, in processor time; the reference reads both whole, in a
+    session of its own that keeps nothing."""
+    benchmark.extra_info["budget"] = "choice_two_questions"
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    card = publish(resources.models_dir(), "text", size=SIZE)
+    asked, views = asked_of(4, "chair"), iter(range(1 << 30))
+    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    found = benchmark.pedantic(
+        lambda: model.ask(SYSTEM, view(next(views)), asked, LIMIT_S), rounds=15, warmup_rounds=2
+    )
+    assert found[0].sum() > 0.99
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = ort.InferenceSession(str(card.path_of(card.decoder)), options)
+    nothing = model._decoder.nothing.kept
+
+    def read_whole() -> None:
+        words = view(next(views))
+        for one in asked:
+            ids = model._prompter.ids(model._prompter.text(SYSTEM, words, one.question))
+            places = np.arange(len(ids))[None]
+            feeds = {"input_ids": ids[None], "attention_mask": np.ones_like(places)}
+            session.run(["logits"], {**feeds, "position_ids": places, **nothing})
+
+    against(read_whole)
+
+
+def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
+    """200 tokens of which 30 come behind what both questions share, in processor time, against
+    onnxruntime-genai on the same file, which says the same."""
+    genai = pytest.importorskip("onnxruntime_genai", reason="pip install onnxruntime-genai")
+    benchmark.extra_info["budget"] = "choice_prefill_200"
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    card = publish(resources.models_dir(), "text", size=SIZE)
+    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    tokens = model._prompter.tokenizer.get_vocab_size()
+    ids = np.random.default_rng(0).integers(0, tokens, 200)
+    places = np.tile(np.arange(200), (3, 1))
+
+    def ours() -> np.ndarray:
+        with model._deadline.within(LIMIT_S):
+            past = model._decoder.read(ids[:-30], places[:, :-30], model._decoder.nothing)
+            return model._decoder.next_logits(ids[-30:], places[:, -30:], past)
+
+    (card.folder_path / "genai_config.json").write_text(json.dumps(genai_config(tokens)))
+    theirs = genai.Model(str(card.folder_path))
+    parameters = genai.GeneratorParams(theirs)
+    parameters.set_search_options(max_length=MOST_TOKENS)
+
+    def peer() -> np.ndarray:
+        generator = genai.Generator(theirs, parameters)
+        generator.append_tokens(ids.astype(np.int32))
+        return np.asarray(generator.get_logits()).reshape(-1, tokens)[-1]
+
+    np.testing.assert_allclose(ours(), peer(), atol=1e-4)
+    benchmark.pedantic(ours, rounds=15, warmup_rounds=2)
+    against(peer)
+
+
+def genai_config(tokens: int) -> dict:
+    """What onnxruntime-genai is to know of the model."""
+    inputs = {name: name for name in ("input_ids", "attention_mask", "position_ids")}
+    for kind in ("key", "value"):
+        inputs[f"past_{kind}_names"] = f"past_key_values.%d.{kind}"
+    outputs = {f"present_{kind}_names": f"present.%d.{kind}" for kind in ("key", "value")}
+    decoder = {
+        "filename": "onnx/decoder_model_merged.onnx",
+        "hidden_size": SIZE.hidden,
+        "head_size": SIZE.hidden // SIZE.heads,
+        "num_attention_heads": SIZE.heads,
+        "num_key_value_heads": SIZE.heads,
+        "num_hidden_layers": SIZE.layers,
+        "session_options": {"intra_op_num_threads": 1, "provider_options": []},
+        "inputs": inputs,
+        "outputs": {"logits": "logits", **outputs},
+    }
+    ends = {"bos_token_id": 0, "eos_token_id": 0, "pad_token_id": 0}
+    model = {"type": "llama", "vocab_size": tokens, "context_length": MOST_TOKENS, **ends}
+    return {
+        "model": {**model, "decoder": decoder},
+        "search": {"max_length": MOST_TOKENS, "past_present_share_buffer": False},
+    }
