@@ -55,7 +55,7 @@ def request(loop, **fields):
     fields = verb.read(fields)
     prepared = verb.prepare(fields) if verb.prepare else None
     swapper = loop.service.swapper
-    return handle_model(swapper, Request(do, fields, prepared), 0, loop.scorers)
+    return handle_model(swapper, Request(do, fields, prepared=prepared), 0, loop.scorers)
 
 
 def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
