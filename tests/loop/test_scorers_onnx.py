@@ -75,7 +75,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
 
     def kept():
         # Of a tick the part that takes the step: the house is explored sooner than it is loaded.
-        loop.scorers.take_up(loop.service.grid.values)
+        loop.scorers.take_up(loop.service.map.grid.values)
         return request(loop, do="status")["state"] == "kept"
 
     eventually(kept)
