@@ -89,7 +89,7 @@ def refused(verbs, payload, text):
 @pytest.mark.parametrize(
     ("payload", "text"),
     [
-        (b"{}", "do: unknown None (choices: use, status)"),
+        (b"{}", "do: unknown None (choices: use, pause, resume, status)"),
         (b'{"do": ["use"]}', "do: unknown a list"),
         (b'{"do": "use"}', "model: expected text, got None"),
         (b'{"do": "use", "model": 3}', "model: expected text, got 3"),
