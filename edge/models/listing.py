@@ -18,7 +18,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_json() -> str:
-    """Every card with where its file is (null: it is not here, or the card has none)."""
+    """Every card with where its file, or the first of them, is (null: they are not all here, or
+    the card has none)."""
     rows = []
     for card in all_cards():
         path = _path(card)
@@ -35,7 +36,8 @@ def as_table() -> str:
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]
-    return card.path if hasattr(card, "path") and card.is_here() else None
+    here = [file.path for file in card.files if file.is_here()]
+    return here[0] if here and len(here) == len(card.files) else None
 
 
 def _row(card: Card) -> tuple[str, ...]:
@@ -47,10 +49,11 @@ def _row(card: Card) -> tuple[str, ...]:
 
 
 def _file(card: Card) -> str:
-    if not hasattr(card, "path"):
+    if not card.files:
         return "-"
-    path = _path(card)
-    return "missing" if path is None else _megabytes(path.stat().st_size)
+    if _path(card) is None:
+        return "missing"
+    return _megabytes(sum(file.path.stat().st_size for file in card.files))
 
 
 def _megabytes(size: int) -> str:
@@ -59,7 +62,7 @@ def _megabytes(size: int) -> str:
 
 def _parity(card: Card) -> str:
     """The recall of the reference's boxes and so on: as the card says, else as made here."""
-    p = card.parity or (made_parity(card) if hasattr(card, "path") else None)
+    p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"
     error = "" if p.score_error is None else f", score error {p.score_error:.2f}"

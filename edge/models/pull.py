@@ -84,7 +84,7 @@ def cards_of(name: str) -> list[FileCard]:
             found[card.name] = card
             named = (getattr(card, key, None) for key in _NAMING)
             names += [other for other in named if other]
-    return [card for card in found.values() if card.task != "similarity"]
+    return [file for card in found.values() for file in card.files]
 
 
 def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:

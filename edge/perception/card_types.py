@@ -13,6 +13,7 @@ from edge.host import resources
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+OnnxName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
@@ -131,6 +132,11 @@ class BaseCard(_Part):
     parity: Parity | None
     measured: Measured = {}
 
+    @property
+    def files(self) -> tuple[FileCard, ...]:
+        """What of it are files: a card that only names others has none of its own."""
+        return ()
+
 
 class _FileCard(BaseCard):
     """A card with an ONNX file.
@@ -140,9 +146,14 @@ class _FileCard(BaseCard):
         sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
     """
 
-    file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
+    file: OnnxName
     sha256: Sha256 | None
     precision: Precision
+
+    @property
+    def files(self) -> tuple[FileCard, ...]:
+        """See `BaseCard.files`."""
+        return (self,)
 
     @property
     def path(self) -> Path:
@@ -203,6 +214,65 @@ class ImageCard(_FileCard):
     dim: Positive
 
 
+class MaskEncoderCard(_FileCard):
+    """The image encoder of a `SegmentCard`: an image (1, 3, h, w) float32 → features, float32."""
+
+    task: Literal["segment"] = "segment"
+    input: Input
+
+
+class MaskDecoderCard(_FileCard):
+    """The prompt encoder and mask decoder of a `SegmentCard`: features, `point_coords` and
+    `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns), `iou_predictions` (1, k)."""
+
+    task: Literal["segment"] = "segment"
+
+
+class PartFile(_Part):
+    """One of the files of a model that has several."""
+
+    file: OnnxName
+    sha256: Sha256
+
+
+class SegmentCard(BaseCard):
+    """A segmenter that takes boxes as prompts, as SAM does: an image encoder and a mask decoder.
+
+    What the two take and make beyond their prompts, the files say themselves.
+
+    Attributes:
+        fit: how an image comes to the encoder's size: scaled and padded on its right and below
+            (`pad`: SAM, MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
+        prompt_px: longer side of the frame that points are given in; the encoder's own, but for
+            EfficientViT-SAM.
+    """
+
+    task: Literal["segment"]
+    encoder: PartFile
+    decoder: PartFile
+    precision: Precision
+    input: Input
+    preprocess: Normalise
+    fit: Literal["pad", "stretch"] = "pad"
+    prompt_px: Positive = 1024
+
+    @property
+    def files(self) -> tuple[MaskEncoderCard, MaskDecoderCard]:
+        """See `BaseCard.files`: image encoder and mask decoder."""
+        shared = {
+            key: getattr(self, key)
+            for key in ("name", "family", "license", "derived_from", "precision")
+        }
+        encoder, decoder = (
+            {
+                "file": part.file, "sha256": part.sha256, "parity": None,
+                "sources": tuple(s for s in self.sources if s.sha256 == part.sha256), **shared,
+            }
+            for part in (self.encoder, self.decoder)
+        )  # fmt: skip
+        return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
+
+
 RUNNING = "running detector"
 """What a similarity card names in the place of one detector: whichever runs."""
 
@@ -233,8 +303,8 @@ class SimilarityCard(BaseCard):
         return self
 
 
-FileCard = Union[DetectCard, TextCard, ImageCard]
-Card = Union[DetectCard, TextCard, ImageCard, SimilarityCard]
+FileCard = Union[DetectCard, TextCard, ImageCard, MaskEncoderCard, MaskDecoderCard]
+Card = Union[DetectCard, TextCard, ImageCard, SegmentCard, SimilarityCard]
 
 
 def _locate(file: str) -> Path:

@@ -24,6 +24,7 @@ from edge.perception.card_types import (
     FileCard,
     ImageCard,
     Parity,
+    SegmentCard,
     SimilarityCard,
     TextCard,
 )
@@ -39,6 +40,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "detect": DetectCard,
     "text": TextCard,
     "image": ImageCard,
+    "segment": SegmentCard,
     "similarity": SimilarityCard,
 }
 
@@ -191,6 +193,8 @@ def how_to_get(card: FileCard) -> str:
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):
         return f"run `edge models pull {card.name}`"
+    if card.task == "segment":
+        return "put it there, as the exporter of its own project makes it"
     return f"run `edge models export {card.name}`"
 
 

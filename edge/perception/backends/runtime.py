@@ -34,6 +34,7 @@ def open_session(
     threads: int,
     device_id: int = 0,
     engine: EngineOptions | None = None,
+    key: str = "perception.detector.providers",
 ) -> Any:
     """A session that runs on exactly the providers named.
 
@@ -44,12 +45,13 @@ def open_session(
         threads: of the CPU.
         device_id: which GPU.
         engine: for TensorRT; the default takes the file for an `fp32` model of fixed shapes.
+        key: of the configuration that named the providers, for messages.
 
     Raises:
         ModelError: a package or provider is not there, or the file is no model.
     """
     if not providers:
-        raise ModelError("perception.detector.providers: empty, name at least one")
+        raise ModelError(f"{key}: empty, name at least one")
     engine = engine or EngineOptions(path.stem, "fp32")
     if engine.precision == "int8-cpu" and TENSORRT_PROVIDERS.intersection(providers):
         raise ModelError(
@@ -58,15 +60,18 @@ def open_session(
         )
     if TENSORRT in providers:
         if len(providers) > 1:
-            raise ModelError(
-                f"perception.detector.providers: {TENSORRT!r} stands alone, without others"
-            )
+            raise ModelError(f"{key}: {TENSORRT!r} stands alone, without others")
         return tensorrt.open_engine(path, device_id, engine)
-    return _open_onnxruntime(path, providers, threads, device_id, engine)
+    return _open_onnxruntime(path, providers, threads, device_id, engine, key)
 
 
 def _open_onnxruntime(
-    path: Path, providers: Sequence[str], threads: int, device_id: int, engine: EngineOptions
+    path: Path,
+    providers: Sequence[str],
+    threads: int,
+    device_id: int,
+    engine: EngineOptions,
+    key: str,
 ) -> Any:
     try:
         import onnxruntime as ort
@@ -78,8 +83,7 @@ def _open_onnxruntime(
     for provider in providers:
         if provider not in available:
             raise ModelError(
-                f"perception.detector.providers: {provider!r} is not available here "
-                f"(available: {', '.join(available)})"
+                f"{key}: {provider!r} is not available here (available: {', '.join(available)})"
             )
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
@@ -90,7 +94,7 @@ def _open_onnxruntime(
 
     def load(folder: Path) -> Any:
         named = [(p, provider_options(p, device_id, engine, folder)) for p in providers]
-        return _load(ort, path, options, named)
+        return _load(ort, path, options, named, key)
 
     if ORT_TENSORRT not in providers:
         return load(engine.folder)
@@ -106,7 +110,9 @@ def _open_onnxruntime(
     return load(built)
 
 
-def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]]) -> Any:
+def _load(
+    ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[str, str]]], key: str
+) -> Any:
     try:
         # Its fallback would print, and go on with other providers than those named.
         session = ort.InferenceSession(str(path), options, providers=providers, enable_fallback=0)
@@ -117,7 +123,7 @@ def _load(ort: Any, path: Path, options: Any, providers: list[tuple[str, dict[st
         raise ModelError(
             f"{path}: {', '.join(missing)} did not start; onnxruntime would run on "
             f"{', '.join(session.get_providers())} instead: check the driver, or change "
-            "perception.detector.providers"
+            f"{key}"
         )
     return session
 
