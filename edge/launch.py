@@ -120,10 +120,10 @@ def open_service(
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
-        progress("loading the detector")
-        detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
         lockstep = config.loop.lockstep
         masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
+        progress("loading the detector")
+        detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
         worker = DetectorWorker(detector, lockstep, config.loop.detect_every, masker)
         stack.callback(worker.close)
         progress("loading the scorers")

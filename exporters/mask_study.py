@@ -27,7 +27,7 @@ from edge.perception import kernels
 from edge.perception.lift import Lifter
 from edge.perception.masks.masker import Masker
 from edge.perception.masks.segmenter import Deadline, make_segmenter, rasterise
-from edge.sim.base import World, free_poses
+from edge.sim.base import World, WorldError, free_poses
 from edge.sim.generator.house import HELD_OUT, generated_house
 from edge.sim.house import build_house
 from edge.sim.procthor import build_procthor, read_houses
@@ -161,7 +161,12 @@ def main(argv: list[str] | None) -> None:
     study, settings = Study(), config.load("demo")
     for number, world in enumerate(_worlds(args.file, args.first, args.houses, settings)):
         rig, random = CameraRig(settings, world), np.random.default_rng(number)
-        for pose in free_poses(world, args.views, 7, settings.robot.radius_m):
+        try:
+            poses = free_poses(world, args.views, 7, settings.robot.radius_m)
+        except WorldError as error:
+            print(f"passed over: {error}", file=sys.stderr)
+            continue
+        for pose in poses:
             rig.look(pose)
             seen = Observation(
                 0, 0, pose.matrix(), rig.rgb, rig.depth_m, rig.model, rig.T_base_camera

@@ -82,8 +82,8 @@ class ClosedLoop:
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
         brief = prepare(config.mission)
-        detector = make_detector(config.perception, brief.targets, truth=self.truth)
         masker = make_masker(config.perception, timed=False)
+        detector = make_detector(config.perception, brief.targets, truth=self.truth)
         self.worker = DetectorWorker(detector, True, config.loop.detect_every, masker)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]

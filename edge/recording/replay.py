@@ -160,8 +160,8 @@ class _Run:
                     "--detect: perception.detector.kind: sim finds nothing in pictures: name a "
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
-            detector = make_detector(config.perception, brief.targets)
             masker = make_masker(config.perception, timed=False)
+            detector = make_detector(config.perception, brief.targets)
             anew = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)

@@ -1,8 +1,8 @@
 """Segmenters in miniature, with the inputs and outputs of those that are published.
 
 The encoder's features are its image, a sixteenth as wide, so that a mask is where the image is
-bright, and within the box that the prompt names: a prompt or a mask in the wrong place is seen. Other
-features have random weights.
+bright, and within the box that the prompt names: a prompt or a mask in the wrong place is seen.
+Other features have random weights.
 """
 
 from __future__ import annotations

@@ -15,9 +15,10 @@ What is published agrees in the decoder's prompts; the rest differs, and the fil
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -94,19 +95,21 @@ class SamSegmenter:
         if not len(boxes):
             return 0
         scale = self._fill_pixels(rgb)
-        features = self._run(self._encoder, None, {self._pixel_input: self._pixels}, deadline)
-        if features is None:
-            return 0
-        made = dict(zip((v.name for v in self._encoder.get_outputs()), features, strict=True))
-        feed = {taken: made[given] for taken, given in self._features.items()} | self._prompt
-        if "orig_im_size" in feed:
-            feed["orig_im_size"][:] = rgb.shape[:2]
-        for i, box in enumerate(boxes):
-            self._prompt["point_coords"][:] = box.reshape(1, 2, 2) * scale
-            found = self._run(self._decoder, [self._mask_output, "iou_predictions"], feed, deadline)
-            if found is None:
-                return i
-            self._take(*found, scale, box, out[i])
+        with _stopped_at(deadline) as options:
+            features = _run(self._encoder, None, {self._pixel_input: self._pixels}, options)
+            if features is None:
+                return 0
+            made = dict(zip((v.name for v in self._encoder.get_outputs()), features, strict=True))
+            feed = {taken: made[given] for taken, given in self._features.items()} | self._prompt
+            if "orig_im_size" in feed:
+                feed["orig_im_size"][:] = rgb.shape[:2]
+            outputs = [self._mask_output, "iou_predictions"]
+            for i, box in enumerate(boxes):
+                self._prompt["point_coords"][:] = box.reshape(1, 2, 2) * scale
+                found = _run(self._decoder, outputs, feed, options)
+                if found is None:
+                    return i
+                self._take(*found, scale, box, out[i])
         return len(boxes)
 
     def close(self) -> None:
@@ -160,27 +163,35 @@ class SamSegmenter:
         to_mask = np.array([columns, rows], np.float32) / self.card.prompt_px
         rasterise(best, (0.0, 0.0), tuple(scale * to_mask), box, out)
 
-    def _run(
-        self, session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray],
-        deadline: Deadline,
-    ) -> list[np.ndarray] | None:  # fmt: skip
-        """What the session makes; None where the deadline came first: it is stopped then."""
-        left_s = deadline.left_s()
-        if math.isinf(left_s):
-            return session.run(outputs, feed)
-        if left_s <= 0.0:
-            return None
-        import onnxruntime as ort
 
-        options = ort.RunOptions()
-        timer = threading.Timer(left_s, setattr, (options, "terminate", True))
-        timer.daemon = True
-        timer.start()
-        try:
-            return session.run(outputs, feed, options)
-        except Exception:  # onnxruntime raises many types of its own
-            if options.terminate:
-                return None
-            raise
-        finally:
-            timer.cancel()
+@contextlib.contextmanager
+def _stopped_at(deadline: Deadline) -> Iterator[Any]:
+    """onnxruntime's options for runs that it breaks off at the deadline."""
+    import onnxruntime as ort
+
+    options, left_s = ort.RunOptions(), deadline.left_s()
+    if math.isinf(left_s):
+        yield options
+        return
+    options.terminate = left_s <= 0.0
+    timer = threading.Timer(max(0.0, left_s), setattr, (options, "terminate", True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield options
+    finally:
+        timer.cancel()
+
+
+def _run(
+    session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], options: Any
+) -> list[np.ndarray] | None:
+    """What the session makes; None where the deadline came first."""
+    if options.terminate:
+        return None
+    try:
+        return session.run(outputs, feed, options)
+    except Exception:  # onnxruntime raises many types of its own
+        if options.terminate:
+            return None
+        raise
