@@ -25,8 +25,8 @@ from edge import config
 from edge.eval.intervals import Interval, bootstrap
 from edge.perception import kernels
 from edge.perception.lift import Lifter
-from edge.perception.masks.masker import Masker
-from edge.perception.masks.segmenter import Deadline, make_segmenter, rasterise
+from edge.perception.masks.masker import Masker, make_segmenter
+from edge.perception.masks.segmenter import Deadline, rasterise
 from edge.sim.base import World, WorldError, free_poses
 from edge.sim.generator.house import HELD_OUT, generated_house
 from edge.sim.house import build_house

@@ -16,8 +16,7 @@ from edge.perception.cards import ModelError
 from edge.perception.factory import make_detector
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
-from edge.perception.masks.masker import Masker
-from edge.perception.masks.segmenter import make_segmenter
+from edge.perception.masks.masker import Masker, make_segmenter
 from edge.perception.sightings import SightingTracker
 from edge.perception.text import PromptError
 from edge.perception.warmup import warmup

@@ -1,22 +1,24 @@
-"""Adds masks to detections, beside the loop, and outlives whatever its segmenter does."""
+"""Which segmenters there are, and what adds the masks of the configured one to detections."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import replace
 from time import perf_counter_ns
+from typing import Union
 
 import numpy as np
 
 from edge import config
 from edge.errors import UserError
 from edge.perception.detector import check_rgb
-from edge.perception.masks.segmenter import Deadline, Segmenter, Settings, make_segmenter
+from edge.perception.masks.segmenter import Deadline, Segmenter
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections
 
 log = logging.getLogger(__name__)
 
+Settings = Union[config.SegmenterGrabcut, config.SegmenterOnnx]
 _LONGEST_ERROR = 300
 
 
@@ -79,6 +81,21 @@ class Masker:
         if self.failed == 1:
             log.error("segmenter %s: %s; boxes go on without masks (more of these are only "
                       "counted)", self._segmenter.name, self.last_error)  # fmt: skip
+
+
+def make_segmenter(settings: Settings) -> Segmenter:
+    """The segmenter that the configuration names, ready to use.
+
+    Raises:
+        ModelError: its model cannot be loaded, or not with the providers asked for.
+    """
+    if isinstance(settings, config.SegmenterGrabcut):
+        from edge.perception.masks.grabcut import GrabcutSegmenter
+
+        return GrabcutSegmenter()
+    from edge.perception.masks.sam import SamSegmenter
+
+    return SamSegmenter(settings)
 
 
 def make_masker(perception: config.Perception, timed: bool = True) -> Masker | None:

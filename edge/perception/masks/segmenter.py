@@ -1,18 +1,16 @@
-"""What a segmenter is, which there are, and the one that a configuration names."""
+"""What a segmenter is, and what segmenters share; nothing here knows which there are."""
 
 from __future__ import annotations
 
 import math
 from time import perf_counter
-from typing import Protocol, Union
+from typing import Protocol
 
 import cv2
 import numpy as np
 
-from edge import config
 from edge.types import MASK_SIDE
 
-Settings = Union[config.SegmenterGrabcut, config.SegmenterOnnx]
 _MIDDLES = (np.arange(MASK_SIDE, dtype=np.float32) + 0.5) / MASK_SIDE
 
 
@@ -56,21 +54,6 @@ class Segmenter(Protocol):
         ...
 
     def close(self) -> None: ...
-
-
-def make_segmenter(settings: Settings) -> Segmenter:
-    """The segmenter that the configuration names, ready to use.
-
-    Raises:
-        ModelError: its model cannot be loaded, or not with the providers asked for.
-    """
-    if isinstance(settings, config.SegmenterGrabcut):
-        from edge.perception.masks.grabcut import GrabcutSegmenter
-
-        return GrabcutSegmenter()
-    from edge.perception.masks.sam import SamSegmenter
-
-    return SamSegmenter(settings)
 
 
 def rasterise(
