@@ -24,8 +24,8 @@ class GrabcutSegmenter:
     """What is beside a box is its background, and so is what looks like that inside.
 
     Two colour models, of what is beside the box and of what is inside, part it by a cut along its
-    edges. Depth makes it worse: as a channel, as a seed of the background, and as a vote on its
-    result (measured, docs/models.md); and so does more than one iteration.
+    edges. Depth brings nothing, as a channel, as a seed of the background, or as a vote on the
+    result, nor does more than one iteration (measured, docs/models.md).
     """
 
     name = "grabcut (colour alone, no neural network)"
