@@ -36,6 +36,7 @@ from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, Health, log_progress
 from edge.perception.factory import make_detector
+from edge.perception.masks.masker import make_masker
 from edge.perception.sim_detector import TruthAt
 from edge.perception.worker import DetectorWorker
 from edge.policies import find_policy
@@ -119,9 +120,11 @@ def open_service(
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
         policy = unless_stopped(make_policy, stop)
+        lockstep = config.loop.lockstep
+        masker = unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
         detector = _load(config, brief.targets, make_truth(config, session), stop, progress)
-        worker = DetectorWorker(detector, config.loop.lockstep, config.loop.detect_every)
+        worker = DetectorWorker(detector, lockstep, config.loop.detect_every, masker)
         stack.callback(worker.close)
         progress("loading the scorers")
         scorers = unless_stopped(partial(make_scorers, config, brief.targets), stop)

@@ -84,6 +84,10 @@ class ContextBoxes:
         return len(self.score)
 
 
+MASK_SIDE = 48
+"""Rows and columns of the raster that a mask is, over its box."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
     """Boxes of one image, as parallel arrays, highest score first.
@@ -98,7 +102,9 @@ class Detections:
             prompt); None where nothing else was asked for.
         context: what else was found, in boxes of its own; None where the detector does not tell.
         model: card name of the model.
-        latency_ns: time from image to boxes.
+        latency_ns: time from image to boxes, and masks.
+        mask: (n, MASK_SIDE, MASK_SIDE) bool, which cells of a raster over each box show the thing
+            itself (row = y); a box without any such cell has no mask. None: no masks are made.
     """
 
     observation: Observation
@@ -110,6 +116,7 @@ class Detections:
     context: ContextBoxes | None = None
     model: str = ""
     latency_ns: int = 0
+    mask: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.score)
@@ -122,7 +129,7 @@ class Detections:
         c = self.context
         return replace(
             self, xyxy_px=c.xyxy_px, score=c.score, class_id=c.class_id, prompts=c.words,
-            rival=None, context=None,
+            rival=None, context=None, mask=None,
         )  # fmt: skip
 
     def unrivalled(self) -> np.ndarray:
@@ -140,6 +147,7 @@ class Detections:
             score=self.score[mine],
             class_id=self.class_id[mine],
             rival=None,
+            mask=None if self.mask is None else self.mask[mine],
         )
 
 

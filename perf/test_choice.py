@@ -79,8 +79,8 @@ def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
             past = model._decoder.read(ids[:-30], places[:, :-30], model._decoder.nothing)
             return model._decoder.next_logits(ids[-30:], places[:, -30:], past)
 
-    (card.folder_path / "genai_config.json").write_text(json.dumps(genai_config(tokens)))
-    theirs = genai.Model(str(card.folder_path))
+    (card.path / "genai_config.json").write_text(json.dumps(genai_config(tokens)))
+    theirs = genai.Model(str(card.path))
     parameters = genai.GeneratorParams(theirs)
     parameters.set_search_options(max_length=MOST_TOKENS)
 

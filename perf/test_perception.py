@@ -16,6 +16,7 @@ from edge.perception.cards import ModelError
 from edge.perception.factory import make_detector
 from edge.perception.instances import InstanceTracker
 from edge.perception.lift import Lifter
+from edge.perception.masks.masker import Masker, make_segmenter
 from edge.perception.sightings import SightingTracker
 from edge.perception.text import PromptError
 from edge.perception.warmup import warmup
@@ -121,6 +122,18 @@ def test_suppress(benchmark, against):
     lists = np.hstack((boxes[hot, :2], boxes[hot, 2:] - boxes[hot, :2])), scores[hot].max(axis=1)
     against(lambda: cv2.dnn.NMSBoxesBatched(*lists, scores[hot].argmax(axis=1), 0.05, 0.5))
     assert benchmark(decode) > 0
+
+
+def test_grabcut(benchmark):
+    """Masks of eight boxes of a 640 × 480 image: things of one colour each, on noise."""
+    benchmark.extra_info["budget"] = "grabcut_8_boxes"
+    seen, settings = observe(), config.SegmenterGrabcut()
+    found = boxes_in(seen, 8)
+    for i, (x0, y0, x1, y1) in enumerate(found.xyxy_px.astype(int)):
+        seen.rgb[y0 + 8 : y1 - 8, x0 + 8 : x1 - 8] = 20 + 25 * i
+    masker = Masker(make_segmenter(settings), settings, timed=False)
+    out = benchmark.pedantic(masker.add, (found,), rounds=40, warmup_rounds=3)
+    assert out.mask.any()
 
 
 @pytest.mark.parametrize("way", ["depth", "cloud"])

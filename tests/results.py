@@ -31,7 +31,10 @@ def facts(target: str = "chair") -> MissionFacts:
 
 
 def health() -> dict[str, Any]:
-    return {key: {} for key in ("loop", "checkpoint", "detector", "swap", "scorers", "sinks")}
+    return {
+        key: {}
+        for key in ("loop", "checkpoint", "detector", "segmenter", "swap", "scorers", "sinks")
+    }
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:

@@ -142,7 +142,7 @@ def pin(card: ChoiceCard) -> None:
     """Say beside each file what it hashes to, as the first pull does."""
     from edge.perception.model_file import sha256_of
 
-    for part in card.files:
+    for part in card.parts:
         path = card.path_of(part)
         told = {"sha256": sha256_of(path), "bytes": path.stat().st_size}
         path.with_name(path.name + ".json").write_text(json.dumps(told))

@@ -237,27 +237,23 @@ def _split(error: Exception) -> tuple[str, str]:
 
 
 def check_models(config: Config) -> Iterator[Finding]:
-    """Every card's file; the configured one must be there and whole."""
-    from edge.perception.card_types import SimilarityCard
+    """Every card's files; the configured ones must be there and whole."""
     from edge.perception.cards import ModelError, card_names, load_card, verify_model
 
     detector = config.perception.detector
-    needed = detector.model if detector.kind == "onnx" else None
+    segmenter = config.perception.segmenter
+    needed = [part.model for part in (detector, segmenter) if part.kind == "onnx"]
     names = card_names()
-    if needed is not None and needed not in names:
-        names.append(needed)
+    names += [name for name in needed if name not in names]
     if not names:
         yield Finding("warn", "no model cards", "this installation lacks models/: reinstall")
     for name in names:
         try:
-            card = load_card(name)
-            if isinstance(card, SimilarityCard):  # it has no file, but names cards that do
-                continue
-            verify_model(card)
+            paths = [verify_model(file) for file in load_card(name).files]
         except ModelError as error:
-            yield Finding("fail" if name == needed else "warn", *_split(error))
+            yield Finding("fail" if name in needed else "warn", *_split(error))
         else:
-            yield Finding("ok", f"model {name}: {card.path}")
+            yield from (Finding("ok", f"model {name}: {path}") for path in paths)
 
 
 def check_mission(config: Config) -> Iterator[Finding]:

@@ -27,6 +27,9 @@ from edge.config.perception import (
     DetectorSim,
     ModelProcess,
     Perception,
+    SegmenterGrabcut,
+    SegmenterNone,
+    SegmenterOnnx,
     Swap,
 )
 from edge.config.policy import (
@@ -79,6 +82,9 @@ __all__ = [
     "Robot",
     "Ros2",
     "Section",
+    "SegmenterGrabcut",
+    "SegmenterNone",
+    "SegmenterOnnx",
     "Sensors",
     "Sim",
     "Source",

@@ -47,6 +47,41 @@ class DetectorSim(Section):
     seed: int = 0
 
 
+class SegmenterNone(Section):
+    """No masks: lifting goes by depth and by the boxes alone."""
+
+    kind: Literal["none"] = "none"
+
+
+class SegmenterGrabcut(Section):
+    """Masks by colour: GrabCut in OpenCV, which needs no model.
+
+    The `max_boxes` boxes of the highest scores have masks, as many of them as are made in
+    `time_limit_s`.
+    """
+
+    kind: Literal["grabcut"] = "grabcut"
+    max_boxes: Annotated[int, Field(ge=1, le=64)] = 8
+    time_limit_s: Positive = 0.05
+
+
+class SegmenterOnnx(Section):
+    """Masks by a model that takes boxes as prompts, as SAM does; `model` names a card of task
+    `segment`.
+
+    `providers` are onnxruntime's, `device_id` is the GPU. An image that takes longer than
+    `time_limit_s` is given up: its boxes go on with the masks made until then.
+    """
+
+    kind: Literal["onnx"] = "onnx"
+    model: str
+    providers: tuple[str, ...] = ("CPUExecutionProvider",)
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+    device_id: Annotated[int, Field(ge=0)] = 0
+    max_boxes: Annotated[int, Field(ge=1, le=64)] = 8
+    time_limit_s: Positive = 1.0
+
+
 class ModelProcess(Section):
     """How a model in a process of its own is looked after (`isolation: process`).
 
@@ -143,6 +178,9 @@ class Perception(Section):
 
     `prior` says by what that was seen places are judged where no target is in view: what stands
     near (`cooccurrence`), which kind of room it is (`rooms`), or both. Policies weigh it.
+
+    `segmenter` says which pixels of a target's box are the target's, so that a thing behind another
+    in one box is lifted right; it works beside the loop, after the detector.
     """
 
     isolation: Literal["thread", "process"] = "thread"
@@ -160,6 +198,9 @@ class Perception(Section):
             description="a robot's camera wants onnx, sim sees nothing but the simulator's objects",
         ),
     ]
+    segmenter: Annotated[
+        Union[SegmenterNone, SegmenterGrabcut, SegmenterOnnx], Field(discriminator="kind")
+    ] = SegmenterNone()
     prior: Literal["none", "cooccurrence", "rooms", "both"] = "both"
     tau_det: Fraction = 0.3
     lift: Literal["depth", "cloud"] = "depth"

@@ -16,6 +16,7 @@ from edge.loop.service import Service
 from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.factory import make_detector
+from edge.perception.masks.masker import make_masker
 from edge.perception.sim_detector import Segmentation
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -81,8 +82,9 @@ class ClosedLoop:
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
         brief = prepare(config.mission)
+        masker = make_masker(config.perception, timed=False)
         detector = make_detector(config.perception, brief.targets, truth=self.truth)
-        self.worker = DetectorWorker(detector, inline=True, every=config.loop.detect_every)
+        self.worker = DetectorWorker(detector, True, config.loop.detect_every, masker)
         self.scorers = make_scorers(config, brief.targets)
         sinks = [self.notes, *self.sinks]
         truth = {"world": world, "robot_radius_m": config.robot.radius_m}
@@ -160,7 +162,8 @@ def wants_colour(config: Config) -> bool:
     scored = perception.similarity is not None or perception.choice.kind in ("openai", "onnx")
     # One's own may look at the image; those in `edge` (`edge.eval.bounds`) do not.
     own = isinstance(config.policy, PolicyOwn) and not config.policy.kind.startswith("edge.")
-    return scored or own or perception.detector.kind != "sim"
+    masked = perception.segmenter.kind != "none"
+    return scored or masked or own or perception.detector.kind != "sim"
 
 
 def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:

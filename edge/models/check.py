@@ -13,10 +13,19 @@ import numpy as np
 from edge.models.make import with_file
 from edge.models.pull import cards_of
 from edge.perception.backends.runtime import open_session
-from edge.perception.card_types import ChoiceCard, DetectCard, FileCard, ImageCard
+from edge.perception.card_types import (
+    ChoiceCard,
+    DetectCard,
+    FileCard,
+    ImageCard,
+    MaskDecoderCard,
+    MaskEncoderCard,
+)
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
+from edge.perception.masks.sam import DTYPES
+from edge.perception.onnx_file import MASK_OUTPUTS
 from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line
 
@@ -38,11 +47,11 @@ def run(args: argparse.Namespace) -> int:
         return _report([(with_file(args.name), args.file)])
     if args.name is not None:
         return _report([(card, None) for card in cards_of(args.name)])
-    present = [card for card in all_cards() if card.task != "similarity" and card.is_here()]
+    present = [file for card in all_cards() for file in card.files if file.is_here()]
     if not present:
         print("no model files here: run `edge models list` for what there is", file=sys.stderr)
         return 1
-    return _report([(card, None) for card in present])
+    return _report([(file, None) for file in present])
 
 
 def _report(models: list[tuple[FileCard, Path | None]]) -> int:
@@ -76,9 +85,7 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     else:
         path, compared = file, verify_file(card, file)
     session = open_session(path, ["CPUExecutionProvider"], threads=2)
-    seen = _check_detector(path, session, card) if card.task == "detect" else _check_encoder(
-        path, session, card
-    )  # fmt: skip
+    seen = _TRIALS.get(type(card), _check_encoder)(path, session, card)
     hashed = "hash" if compared else "hash not known"
     return f"{card.name}: ok ({hashed}, interface, {seen})"
 
@@ -107,7 +114,7 @@ def _check_choice(card: ChoiceCard) -> str:
     took_ms = (time.perf_counter() - began) * 1e3
     letters = ", ".join(f"{letter} {share:.2f}" for letter, share in zip(LETTERS, p, strict=False))
     return (
-        f"{card.name}: ok (hashes of {len(card.files)} files, interface, template, tokens; "
+        f"{card.name}: ok (hashes of {len(card.parts)} files, interface, template, tokens; "
         f"of noise: {letters}, Yes {scene[0]:.2f}; {took_ms:.0f} ms)"
     )
 
@@ -127,9 +134,50 @@ def _check_encoder(path: Path, session: Any, card: FileCard) -> str:
     return f"embeddings of {card.dim}, finite"
 
 
-def _infer(path: Path, session: Any, feed: dict[str, np.ndarray]) -> list[np.ndarray]:
+def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
+    pixels = np.random.default_rng(0).random(
+        (1, 3, card.input.height, card.input.width), dtype=np.float32
+    )
+    found = _infer(path, session, {session.get_inputs()[0].name: pixels})
+    for value, array in zip(session.get_outputs(), found, strict=True):
+        _hold_shape(path, value.name, array, array.shape)
+    return f"features {', '.join(str(array.shape) for array in found)}, finite"
+
+
+def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
+    """One box on features of nothing."""
+    feed = {
+        v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
+        for v in session.get_inputs()
+    }  # fmt: skip
+    feed["point_coords"] = np.array([[[0, 0], [64, 64]]], np.float32)
+    feed["point_labels"] = np.array([[2, 3]], feed["point_labels"].dtype)
+    if "orig_im_size" in feed:
+        feed["orig_im_size"][:] = 64
+    names = {value.name for value in session.get_outputs()}
+    output = next(name for name in MASK_OUTPUTS if name in names)
+    (masks,) = _infer(path, session, feed, [output])
+    if masks.ndim != 4 or len(masks) != 1:
+        raise ModelError(
+            f"{path}: {output} {masks.shape}, must be (1, k, rows, columns): export it again"
+        )
+    _hold_shape(path, output, masks, masks.shape)
+    return f"masks {masks.shape}, finite"
+
+
+_TRIALS = {
+    DetectCard: _check_detector,
+    MaskEncoderCard: _check_mask_encoder,
+    MaskDecoderCard: _check_mask_decoder,
+}
+"""How a model is tried out, where it is no encoder of one embedding."""
+
+
+def _infer(
+    path: Path, session: Any, feed: dict[str, np.ndarray], outputs: list[str] | None = None
+) -> list[np.ndarray]:
     try:
-        return session.run(None, feed)
+        return session.run(outputs, feed)
     except Exception as error:  # onnxruntime raises many types of its own
         reason = one_line(error)
         raise ModelError(f"{path}: does not run: {reason}: export it again") from None

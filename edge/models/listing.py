@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
-from edge.perception.card_types import ChoiceCard
+from edge.perception.card_types import ChoiceCard, FileCard
 from edge.perception.cards import Card, all_cards, made_parity
 from edge.text import aligned, one_line, without_secrets
 
@@ -19,7 +20,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_json() -> str:
-    """Every card with where its file is (null: it is not here, or the card has none)."""
+    """Every card with where its file, or the first of them, is (null: they are not all here, or
+    the card has none)."""
     rows = []
     for card in all_cards():
         path = _path(card)
@@ -36,10 +38,8 @@ def as_table() -> str:
 
 
 def _path(card: Card):  # type: ignore[no-untyped-def]
-    """Its file, or the folder of its files; None where it has none, or they are not all here."""
-    if isinstance(card, ChoiceCard):
-        return card.folder_path if card.is_here() else None
-    return card.path if hasattr(card, "path") and card.is_here() else None
+    here = [file.path for file in card.files if file.is_here()]
+    return here[0] if here and len(here) == len(card.files) else None
 
 
 def _row(card: Card) -> tuple[str, ...]:
@@ -51,13 +51,17 @@ def _row(card: Card) -> tuple[str, ...]:
 
 
 def _file(card: Card) -> str:
-    if isinstance(card, ChoiceCard):
-        paths = [card.path_of(part) for part in card.files] if card.is_here() else []
-    elif hasattr(card, "path"):
-        paths = [card.path] if card.is_here() else []
-    else:
+    if not card.files:
         return "-"
-    return _megabytes(sum(path.stat().st_size for path in paths)) if paths else "missing"
+    if _path(card) is None:
+        return "missing"
+    return _megabytes(sum(path.stat().st_size for file in card.files for path in _paths(file)))
+
+
+def _paths(file: FileCard | ChoiceCard) -> list[Path]:
+    if isinstance(file, ChoiceCard):
+        return [file.path_of(part) for part in file.parts]
+    return [file.path]
 
 
 def _megabytes(size: int) -> str:
@@ -66,7 +70,7 @@ def _megabytes(size: int) -> str:
 
 def _parity(card: Card) -> str:
     """The recall of the reference's boxes and so on: as the card says, else as made here."""
-    p = card.parity or (made_parity(card) if hasattr(card, "path") else None)
+    p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"
     error = "" if p.score_error is None else f", score error {p.score_error:.2f}"

@@ -11,6 +11,7 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
+from edge.perception.card_types import ChoiceCard, SegmentCard, SimilarityCard
 from edge.perception.cards import FileCard, ModelError, card_path, load_card, verify_model
 from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
@@ -70,18 +71,23 @@ def quantize(args: argparse.Namespace) -> int:
 def with_file(name: str) -> FileCard:
     """The card of a model that has a file; raises ModelError for one that has none."""
     card = load_card(name)
-    if card.task == "similarity":
+    if isinstance(card, SimilarityCard):
         parts = [n for n in (card.image_encoder, card.text_encoder, card.detector) if n]
         raise ModelError(f"model {name!r}: has no file of its own, it uses {' and '.join(parts)}")
-    if card.task == "choice":
+    if isinstance(card, ChoiceCard):
         raise ModelError(
             f"model {name!r}: has several files; its card is for those in {card.folder}"
         )
+    if isinstance(card, SegmentCard):
+        parts = [part.file for part in card.files]
+        raise ModelError(f"model {name!r}: has two files, {' and '.join(parts)}, made elsewhere")
     return card
 
 
 def how_to_make(card: FileCard) -> str:
-    """The command that makes a model's file, as a part of a sentence."""
+    """What makes a model's file, as a part of a sentence: a command, where there is one."""
+    if card.task == "segment":
+        return "the exporter of its own project makes it"
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 

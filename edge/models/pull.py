@@ -20,7 +20,7 @@ from edge.models.download import LIMITS, Limits, download, read_small, shown
 from edge.models.local import copy_from, extract, local_path, source_file_name, weights_path
 from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
-from edge.perception.card_types import Card, ChoiceCard, FileCard, PartFile, Source, TextCard
+from edge.perception.card_types import Card, ChoiceCard, FileCard, FolderFile, Source, TextCard
 from edge.perception.cards import ModelError, expected_of_part, load_card, sidecar
 from edge.perception.model_file import fresh_sha256
 
@@ -84,7 +84,7 @@ def cards_of(name: str) -> list[FileCard | ChoiceCard]:
             found[card.name] = card
             named = (getattr(card, key, None) for key in _NAMING)
             names += [other for other in named if other]
-    return [card for card in found.values() if card.task != "similarity"]
+    return [file for card in found.values() for file in card.files]
 
 
 def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
@@ -94,7 +94,7 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
         ModelError: a file that none of its sources gives.
     """
     if isinstance(card, ChoiceCard):
-        return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.files]
+        return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.parts]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: comes with edge-vln: {card.path}"]
     files, lines = wanted(card), []
@@ -219,7 +219,7 @@ def fetch(name: str, file: Wanted, where: Where = ANYWHERE) -> Path:
     )
 
 
-def _pull_part(card: ChoiceCard, file: PartFile, where: Where) -> str:
+def _pull_part(card: ChoiceCard, file: FolderFile, where: Where) -> str:
     """Fetch one file of a model that has several, if it is not here; what there is to say.
 
     Where nobody tells its hash, that of the first pull is put beside it and counts from then on.
@@ -253,7 +253,7 @@ def _pull_part(card: ChoiceCard, file: PartFile, where: Where) -> str:
     )
 
 
-def _take_part(place: str, file: PartFile, part: Part, where: Where) -> None:
+def _take_part(place: str, file: FolderFile, part: Part, where: Where) -> None:
     """A file from a folder as its publisher has it, or a flat one; or below an address.
 
     Raises:

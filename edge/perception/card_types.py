@@ -13,6 +13,7 @@ from edge.host import resources
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+OnnxName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
 FilePath = Annotated[
     str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$")
 ]
@@ -134,6 +135,11 @@ class BaseCard(_Part):
     parity: Parity | None
     measured: Measured = {}
 
+    @property
+    def files(self) -> tuple[FileCard | ChoiceCard, ...]:
+        """What of it are files: a card that only names others has none of its own."""
+        return ()
+
 
 class _FileCard(BaseCard):
     """A card with an ONNX file.
@@ -143,9 +149,14 @@ class _FileCard(BaseCard):
         sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
     """
 
-    file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
+    file: OnnxName
     sha256: Sha256 | None
     precision: Precision
+
+    @property
+    def files(self) -> tuple[FileCard, ...]:
+        """See `BaseCard.files`."""
+        return (self,)
 
     @property
     def path(self) -> Path:
@@ -206,6 +217,65 @@ class ImageCard(_FileCard):
     dim: Positive
 
 
+class MaskEncoderCard(_FileCard):
+    """The image encoder of a `SegmentCard`: an image (1, 3, h, w) float32 → features, float32."""
+
+    task: Literal["segment"] = "segment"
+    input: Input
+
+
+class MaskDecoderCard(_FileCard):
+    """The prompt encoder and mask decoder of a `SegmentCard`: features, `point_coords` and
+    `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns), `iou_predictions` (1, k)."""
+
+    task: Literal["segment"] = "segment"
+
+
+class PartFile(_Part):
+    """One of the files of a model that has several."""
+
+    file: OnnxName
+    sha256: Sha256
+
+
+class SegmentCard(BaseCard):
+    """A segmenter that takes boxes as prompts, as SAM does: an image encoder and a mask decoder.
+
+    What the two take and make beyond their prompts, the files say themselves.
+
+    Attributes:
+        fit: how an image comes to the encoder's size: scaled and padded on its right and below
+            (`pad`: SAM, MobileSAM, EfficientViT-SAM), or stretched (`stretch`: SAM 2).
+        prompt_px: longer side of the frame that points are given in; the encoder's own, but for
+            EfficientViT-SAM.
+    """
+
+    task: Literal["segment"]
+    encoder: PartFile
+    decoder: PartFile
+    precision: Precision
+    input: Input
+    preprocess: Normalise
+    fit: Literal["pad", "stretch"] = "pad"
+    prompt_px: Positive = 1024
+
+    @property
+    def files(self) -> tuple[MaskEncoderCard, MaskDecoderCard]:
+        """See `BaseCard.files`: image encoder and mask decoder."""
+        shared = {
+            key: getattr(self, key)
+            for key in ("name", "family", "license", "derived_from", "precision")
+        }
+        encoder, decoder = (
+            {
+                "file": part.file, "sha256": part.sha256, "parity": None,
+                "sources": tuple(s for s in self.sources if s.sha256 == part.sha256), **shared,
+            }
+            for part in (self.encoder, self.decoder)
+        )  # fmt: skip
+        return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
+
+
 RUNNING = "running detector"
 """What a similarity card names in the place of one detector: whichever runs."""
 
@@ -236,8 +306,8 @@ class SimilarityCard(BaseCard):
         return self
 
 
-class PartFile(_Part):
-    """One file of a model that has several.
+class FolderFile(_Part):
+    """One file in the folder of a model that has several.
 
     Attributes:
         file: below the model's folder.
@@ -270,10 +340,10 @@ class ChoiceCard(BaseCard):
     precision: Literal["fp32", "fp16", "int8", "uint8", "q4", "q4f16", "bnb4"]
     folder: FileName
     url: Annotated[str, Field(pattern=r"^https://.*/$")] | None = None
-    vision_encoder: PartFile | None = None
-    embed_tokens: PartFile | None = None
-    decoder: PartFile
-    others: tuple[PartFile, ...]
+    vision_encoder: FolderFile | None = None
+    embed_tokens: FolderFile | None = None
+    decoder: FolderFile
+    others: tuple[FolderFile, ...]
     image_tokens: Positive = 64
     max_tokens: Positive = 1024
 
@@ -284,29 +354,36 @@ class ChoiceCard(BaseCard):
         return self
 
     @property
-    def networks(self) -> tuple[PartFile, ...]:
+    def networks(self) -> tuple[FolderFile, ...]:
         """The ONNX files."""
         named = (self.vision_encoder, self.embed_tokens, self.decoder)
         return tuple(part for part in named if part is not None)
 
     @property
-    def files(self) -> tuple[PartFile, ...]:
+    def parts(self) -> tuple[FolderFile, ...]:
+        """All its files."""
         return (*self.networks, *self.others)
 
     @property
-    def folder_path(self) -> Path:
+    def files(self) -> tuple[ChoiceCard]:
+        """See `BaseCard.files`: they are pulled and checked together."""
+        return (self,)
+
+    @property
+    def path(self) -> Path:
+        """The folder that its files lie in."""
         return resources.models_dir() / self.folder
 
-    def path_of(self, part: PartFile) -> Path:
-        return self.folder_path / part.file
+    def path_of(self, part: FolderFile) -> Path:
+        return self.path / part.file
 
     def is_here(self) -> bool:
         """Whether all its files are there."""
-        return all(os.path.isfile(self.path_of(part)) for part in self.files)
+        return all(os.path.isfile(self.path_of(part)) for part in self.parts)
 
 
-FileCard = Union[DetectCard, TextCard, ImageCard]
-Card = Union[DetectCard, TextCard, ImageCard, SimilarityCard, ChoiceCard]
+FileCard = Union[DetectCard, TextCard, ImageCard, MaskEncoderCard, MaskDecoderCard]
+Card = Union[DetectCard, TextCard, ImageCard, SegmentCard, SimilarityCard, ChoiceCard]
 
 
 def _locate(file: str) -> Path:

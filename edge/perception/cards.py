@@ -23,9 +23,10 @@ from edge.perception.card_types import (
     ChoiceCard,
     DetectCard,
     FileCard,
+    FolderFile,
     ImageCard,
     Parity,
-    PartFile,
+    SegmentCard,
     SimilarityCard,
     TextCard,
 )
@@ -41,6 +42,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "detect": DetectCard,
     "text": TextCard,
     "image": ImageCard,
+    "segment": SegmentCard,
     "similarity": SimilarityCard,
     "choice": ChoiceCard,
 }
@@ -167,7 +169,7 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
     Raises:
         ModelError: as `verify_model`.
     """
-    for part in card.files:
+    for part in card.parts:
         path = card.path_of(part)
         if not os.path.isfile(path):
             raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
@@ -177,13 +179,13 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
                 f"{sidecar(path)}: no sha256 to check the file against; {how_to_get(card)}"
             )
         _hold_to(card, path, sha256, size, believe_cache)
-    covered = {part.file for part in card.files}
+    covered = {part.file for part in card.parts}
     for part in card.networks:
         beside = os.path.dirname(part.file)
         check_network(card.path_of(part), lambda where, d=beside: os.path.join(d, where) in covered)
 
 
-def expected_of_part(card: ChoiceCard, part: PartFile) -> tuple[str | None, int | None]:
+def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, int | None]:
     """(sha256, size in bytes) from the card, else from what was put beside the file when it was
     made or first pulled."""
     if part.sha256 is not None:
@@ -237,6 +239,8 @@ def how_to_get(card: FileCard | ChoiceCard) -> str:
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):
         return f"run `edge models pull {card.name}`"
+    if card.task == "segment":
+        return "put it there, as the exporter of its own project makes it"
     return f"run `edge models export {card.name}`"
 
 

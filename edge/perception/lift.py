@@ -10,7 +10,7 @@ import numpy as np
 from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception import lift_kernels as kernels
-from edge.types import Detections, Observation
+from edge.types import MASK_SIDE, Detections, Observation
 
 log = logging.getLogger(__name__)
 
@@ -20,6 +20,7 @@ _RASTER_COLUMNS = 320
 _NO_DEPTH = np.zeros((1, 1), np.float32)
 _NO_RASTER = np.full((1, 1), -1, np.int32)
 _NO_POINTS = np.zeros((1, 3), np.float32)
+_NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +56,8 @@ class Lifter:
 
     A box also shows what is in front of and behind the object. Of its inner part, the largest
     surface that ends with the box is taken, else the nearest that fills a good share of it (see
-    `lift_kernels.lift_boxes`), without the floor that the object stands on.
+    `lift_kernels.lift_boxes`), without the floor that the object stands on. Where the detections
+    have masks, only what lies on a box's mask is looked at.
 
     Attributes:
         unliftable: observations with boxes that lacked what lifting needs.
@@ -101,13 +103,14 @@ class Lifter:
         )
         if n and self._liftable(seen):
             camera, by_cloud = seen.camera, self.config.lift == "cloud"
+            masks = _NO_MASKS if detections.mask is None else detections.mask
             cell_px = self._project(seen, camera) if by_cloud else 0
             view = (
                 _NO_DEPTH if by_cloud else seen.depth_m, self._raster, self._cloud_points,
                 float(cell_px), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
             )  # fmt: skip
             kernels.lift_boxes(
-                view, boxes, word, seen.T_map_base @ seen.T_base_camera,
+                view, boxes, masks, word, seen.T_map_base @ seen.T_base_camera,
                 float(seen.T_map_base[2, 3]) + kernels.FLOOR_M, self.config.lift_max_range_m,
                 self.config.lift_min_points, self._scratch, out,
             )  # fmt: skip

@@ -29,6 +29,8 @@ left. (Of 6,100 boxes in 70 houses of `procthor_train` 2.0 % keep more than a qu
 thing's surface; 3.2 % where only the better fit counts, 2.4 % where a quarter has to be left.)"""
 NEARLY = 0.8
 MOSTLY = 0.5
+MASKED = 0.05
+"""A mask with less of the box's samples than that counts for nothing."""
 FLOOR_M = 0.06
 """Points lower than this over the ground count only when the box shows nothing else."""
 
@@ -132,6 +134,38 @@ def drop_floor(samples, n, T, floor_z):
             samples[k, 0], samples[k, 1], samples[k, 2] = x, y, d
             k += 1
     return k
+
+
+@njit(nogil=True, cache=True)
+def drop_unmasked(samples, n, view, boxes, masks, mine):
+    """Move the samples that lie on their box's mask to the front.
+
+    Args:
+        view, boxes, masks: as in `lift_boxes`; mine: index of the box that was sampled.
+
+    Returns:
+        How many count: all, where hardly any would be left, as with an empty mask.
+    """
+    if mine >= len(masks):
+        return n
+    box, mask = boxes[mine], masks[mine]
+    _, _, _, _, fx, fy, cx, cy = view
+    rows, columns = mask.shape
+    across, down = columns / (box[2] - box[0]), rows / (box[3] - box[1])
+    k = 0
+    for i in range(n):
+        z = samples[i, 2]
+        # The middle of a pixel lies half a pixel from its corner, where boxes count from.
+        c = int(np.floor((fx * samples[i, 0] / z + cx + 0.5 - box[0]) * across))
+        r = int(np.floor((fy * samples[i, 1] / z + cy + 0.5 - box[1]) * down))
+        if 0 <= r < rows and 0 <= c < columns and mask[r, c]:
+            # Swapped, not dropped: all are kept where too few would be left.
+            for axis in range(3):
+                kept = samples[k, axis]
+                samples[k, axis] = samples[i, axis]
+                samples[i, axis] = kept
+            k += 1
+    return k if k >= MASKED * n else n
 
 
 @njit(nogil=True, cache=True)
@@ -342,7 +376,9 @@ def choose(view, box, samples, n, T, floor_z, max_range, scratch):
 
 
 @njit(nogil=True, cache=True)
-def lift_boxes(view, boxes, word, T_map_camera, floor_z, max_range, min_points, scratch, out):
+def lift_boxes(
+    view, boxes, masks, word, T_map_camera, floor_z, max_range, min_points, scratch, out
+):
     """Lift every box; see `lift.Lifter`.
 
     Two boxes may take the same surface, where one thing hides much of the other: it stays with the
@@ -351,6 +387,7 @@ def lift_boxes(view, boxes, word, T_map_camera, floor_z, max_range, min_points, 
     Args:
         view: depth, raster, the raster's points, its cell_px (0: depth is sampled), fx, fy, cx, cy.
         boxes: (n, 4) float32; word: (n,) int32, what each is of.
+        masks: (m, rows, columns) bool, rasters over the first m boxes, m <= n.
         scratch: samples (SIDE*SIDE, 3), beside (4, SIDE*SIDE, 3), n_beside (4,) int32,
             histogram (BINS,) int32, found (BINS, 3), in_map (3, SIDE*SIDE); float32 where not said.
         out: center (n, 3), points (n, k, 3) float32 in `map`; n_points, n_samples (n,) int32,
@@ -369,6 +406,7 @@ def lift_boxes(view, boxes, word, T_map_camera, floor_z, max_range, min_points, 
         inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3] = x0 + dx, y0 + dy, x1 - dx, y1 - dy
         if np.isfinite(x0 + y0 + x1 + y1):
             n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
+            n = drop_unmasked(samples, n, view, boxes, masks, i)
             n = drop_floor(samples, n, T, floor_z)
             depth[i, 0], depth[i, 1], claim[i] = choose(
                 view, boxes[i], samples, n, T, floor_z, max_range, scratch
@@ -378,6 +416,7 @@ def lift_boxes(view, boxes, word, T_map_camera, floor_z, max_range, min_points, 
             continue
         low, high = depth[i]
         n = sample(view, inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3], max_range, samples)
+        n = drop_unmasked(samples, n, view, boxes, masks, i)
         whole = count_between(samples, n, low, high)
         left = drop_others(samples, n, view, boxes, word, i, depth, claim)
         rest = drop_floor(samples, left, T, floor_z)

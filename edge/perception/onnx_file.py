@@ -13,7 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from edge.host.files import open_regular
-from edge.perception.card_types import DetectCard, FileCard, TextCard
+from edge.perception.card_types import (
+    DetectCard,
+    FileCard,
+    MaskDecoderCard,
+    MaskEncoderCard,
+    TextCard,
+)
 from edge.perception.model_file import ModelError
 
 MAX_IR = 10
@@ -25,6 +31,12 @@ MAX_FIELDS = 1_000_000
 """Far more than a model has whose weights are stored as bytes."""
 MAX_PARTS = 200_000
 """Of those, messages that are looked into; each takes some 500 bytes of memory."""
+
+PROMPTS = {"point_coords", "point_labels", "mask_input", "has_mask_input", "orig_im_size"}
+"""Inputs of a mask decoder that are no features of the image."""
+MASK_OUTPUTS = ("low_res_masks", "masks")
+"""Outputs of a mask decoder that hold its masks, the one that is taken where both are there first:
+the other is enlarged to the image."""
 
 FLOAT, INT64 = 1, 7
 _TYPES = {1: "float32", 7: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
@@ -146,6 +158,8 @@ def check_format(path: Path, model: OnnxFile) -> None:
 
 def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
     """Raise ModelError unless inputs and outputs are what the card's task asks for."""
+    if isinstance(card, (MaskEncoderCard, MaskDecoderCard)):
+        return _check_segmenter(path, model, card)
     inputs, outputs = wanted(card)
     found = sorted(model.inputs), model.outputs
     fits = [len(some) == len(asked) for some, asked in zip(found, (inputs, outputs), strict=True)]
@@ -159,6 +173,30 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
             f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
             f"model {card.name} must have inputs {_list(inputs)}, "
             f"outputs {_list(outputs)}: export it again"
+        )
+
+
+def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard) -> None:
+    """As `check_interface`: exporters agree in a decoder's prompts, and in no other name."""
+    made, taken = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
+    if isinstance(card, MaskEncoderCard):
+        image = (_ANY, 3, card.input.height, card.input.width)
+        fits = len(taken) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
+        asked = f"one input {_list([Value('image', FLOAT, image)])}"
+    else:
+        coords = Value("point_coords", FLOAT, (_ANY, _ANY, 2))
+        masks = [made[name] for name in MASK_OUTPUTS if name in made]
+        fits = "point_coords" in taken and _fits(taken["point_coords"], coords)
+        fits = fits and "point_labels" in taken and bool(set(taken) - PROMPTS)
+        fits = fits and bool(masks) and "iou_predictions" in made
+        asked = (
+            f"features, {_list([coords])[1:-1]} and point_labels as inputs, "
+            f"{' or '.join(MASK_OUTPUTS)} and iou_predictions as outputs"
+        )
+    if not fits:
+        raise ModelError(
+            f"{path}: inputs {_list(model.inputs)}, outputs {_list(model.outputs)}; "
+            f"model {card.name} must have {asked}: export it again"
         )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol, TypeVar
 from edge.errors import UserError
 from edge.host.worker import Worker
 from edge.perception.detector import Detector
+from edge.perception.masks.masker import Masker
 from edge.types import Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -21,13 +22,14 @@ Watch = Callable[[Detector, Observation, "Detections | Exception"], None]
 
 
 class DetectorWorker(Worker[Observation, Detections]):
-    """Runs a detector, and lets another take its place.
+    """Runs a detector, and a segmenter on what it finds; lets another detector take its place.
 
     Observations are held (`Observation.hold`) while they wait and while they are detected in.
     Whoever polls detections owns that hold: call `detections.observation.release()` when done.
 
     Args:
         inline, every: see `Worker`.
+        masker: makes masks; None: there are none.
 
     Attributes:
         detector: runs on the next image.
@@ -35,8 +37,14 @@ class DetectorWorker(Worker[Observation, Detections]):
         watch: told of every image, on the thread that detects; what it raises is only logged.
     """
 
-    def __init__(self, detector: Detector, inline: bool = False, every: int = 1) -> None:
-        self.detector = detector
+    def __init__(
+        self,
+        detector: Detector,
+        inline: bool = False,
+        every: int = 1,
+        masker: Masker | None = None,
+    ) -> None:
+        self.detector, self.masker = detector, masker
         self.spare: Detector | None = None
         self.watch: Watch | None = None
         self._using: Detector | None = None
@@ -55,6 +63,8 @@ class DetectorWorker(Worker[Observation, Detections]):
         """Finish the image at hand, release every observation still held."""
         super().close()
         self.detector.close()
+        if self.masker is not None:
+            self.masker.close()
 
     def exchange(self, detector: Detector) -> Detector:
         """Have another detector run on the next image; the one before, still open."""
@@ -111,7 +121,7 @@ class DetectorWorker(Worker[Observation, Detections]):
         if isinstance(outcome, Exception):
             observation.release()
             raise outcome
-        return outcome
+        return outcome if self.masker is None else self.masker.add(outcome)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; excused is a detector that itself says that it is not `ok`."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edge.loop.journal import Input, Journal
-from edge.perception.detector import Detector, Health
+from edge.perception.detector import Health
 from edge.recording import journal
 from edge.recording.file import RecordingError
 from edge.types import Detections, Observation
@@ -115,11 +115,13 @@ class Replayed(Journal):
     """Puts what was recorded in the place of what runs beside the loop.
 
     Args:
-        anew: a detector that looks at the recorded pictures instead; None: there is none.
+        anew: detects in the recorded pictures instead; None: nothing does.
         own: workers that are to work.
     """
 
-    def __init__(self, now: Now, anew: Detector | None, own: Sequence[str]) -> None:
+    def __init__(
+        self, now: Now, anew: Callable[[Observation], Detections] | None, own: Sequence[str]
+    ) -> None:
         super().__init__()
         self.unseen = 0
         self._now, self._anew, self._own = now, anew, own
@@ -148,7 +150,7 @@ class Replayed(Journal):
         if said["seq"] not in self._now.pictures:
             self.unseen += 1
             return None
-        return self._anew.detect(observation)
+        return self._anew(observation)
 
     def _similarity(self, said: dict[str, Any], asked: Iterable[Any]) -> Any:
         similarity = journal.similarity_of(said)

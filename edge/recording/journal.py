@@ -232,6 +232,7 @@ def _boxes(found: Detections) -> dict[str, Any]:
             "class_id": _array(c.class_id), "words": list(c.words),
         },
         "model": found.model, "latency_ns": found.latency_ns,
+        "mask": None if found.mask is None else _array(np.packbits(found.mask, axis=-1)),
     }  # fmt: skip
 
 
@@ -246,8 +247,13 @@ def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
             _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
             tuple(c["words"]),
         ),
-        said["model"], said["latency_ns"],
+        said["model"], said["latency_ns"], _masks_of(said.get("mask")),
     )  # fmt: skip
+
+
+def _masks_of(said: dict[str, Any] | None) -> np.ndarray | None:
+    """None where none were made, as in a recording from before there were any."""
+    return None if said is None else np.unpackbits(_array_of(said), axis=-1).astype(np.bool_)
 
 
 def _rooms(r: Rooms) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from edge.mission.brief import brief_of
 from edge.mission.saved import Saved
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
+from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
 from edge.recording.beside import Now, Replayed, Silent
@@ -38,7 +39,7 @@ from edge.recording.file import RecordingError
 from edge.recording.journal import said_of
 from edge.recording.session import Moment, Session
 from edge.text import one_line
-from edge.types import Observation
+from edge.types import Detections, Observation
 
 _BY_THE_MAP = ("surveyor", "prior")
 
@@ -152,13 +153,16 @@ class _Run:
         brief = brief_of(config.mission, translation)
         keeper = self._keeper(saved, places)
         detector: Detector = Silent("replay")
+        anew: Callable[[Observation], Detections] | None = None
         if self._detect:
             if config.perception.detector.kind == "sim":
                 raise ReplayError(
                     "--detect: perception.detector.kind: sim finds nothing in pictures: name a "
                     "model with --config, or EDGE__PERCEPTION__DETECTOR__KIND=onnx"
                 )
+            masker = make_masker(config.perception, timed=False)
             detector = make_detector(config.perception, brief.targets)
+            anew = detector.detect if masker is None else lambda o: masker.add(detector.detect(o))
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
         scorers = self._scorers(brief.targets)
@@ -166,7 +170,7 @@ class _Run:
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
             own = (*_BY_THE_MAP, *(["choice"] if by_prior else []))
-        self._journal = Replayed(self._now, detector if self._detect else None, own)
+        self._journal = Replayed(self._now, anew, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
             config, brief, worker, policy, [self.sink], keeper, scorers,

@@ -51,21 +51,21 @@ def test_from_a_folder_to_a_sound_model(published, capsys):
     assert "run `edge models pull tiny --from FOLDER`" in says(capsys, "check", "tiny", code=1)
     lines = says(capsys, "pull", "tiny", "--from", str(published)).splitlines()
     card = load_card("tiny")
-    assert len(lines) == len(card.files) == 9
+    assert len(lines) == len(card.parts) == 9
     assert all("from now on" in line for line in lines)
     assert card.is_here()
     checked = says(capsys, "check", "tiny")
     assert "tiny: ok (hashes of 9 files, interface, template, tokens; of noise: A 0." in checked
     assert " MB" in next(line for line in says(capsys, "list").splitlines() if "tiny" in line)
     (row,) = (row for row in json.loads(says(capsys, "list", "--json")) if row["name"] == "tiny")
-    assert row["path"] == str(card.folder_path)
+    assert row["path"] == str(card.path)
     again = says(capsys, "pull", "tiny", "--from", str(published))
     assert again.count("was here already") == 9
 
 
 def test_the_hash_of_the_first_pull_counts_from_then_on(published, capsys):
     says(capsys, "pull", "tiny", "--from", str(published))
-    kept = load_card("tiny").folder_path / DECODER
+    kept = load_card("tiny").path / DECODER
     sound = kept.read_bytes()
     kept.write_bytes(sound[:-1] + b"?")
     assert "damaged or another model" in says(capsys, "check", "tiny", code=1)
@@ -82,14 +82,14 @@ def test_what_an_export_says_beside_a_file_is_held_against_it(published, capsys)
     beside = published / f"{DECODER}.json"
     beside.write_text(json.dumps({"sha256": "0" * 64, "bytes": 3}))
     assert "sha256 is" in says(capsys, "pull", "tiny", "--from", str(published), code=69)
-    assert not (load_card("tiny").folder_path / DECODER).exists()
+    assert not (load_card("tiny").path / DECODER).exists()
 
 
 @pytest.mark.parametrize("at", ["the card's", "--from"])
 def test_from_a_server(published, capsys, server, monkeypatch, at):
     says(capsys, "pull", "tiny", "--from", str(published))
     card = load_card("tiny")
-    for path in card.folder_path.glob("onnx/decoder*"):
+    for path in card.path.glob("onnx/decoder*"):
         path.unlink()
     server.put(f"/repo/{DECODER}", (published / DECODER).read_bytes())
     if at == "--from":
@@ -107,7 +107,7 @@ def test_a_page_in_the_place_of_a_file_is_refused(published, capsys):
     change_card(decoder={"file": DECODER, "mb": 87.0})
     said = says(capsys, "pull", "tiny", "--from", str(published), code=69)
     assert "0.0 MB, its card lists 87" in said
-    assert not (load_card("tiny").folder_path / DECODER).exists()
+    assert not (load_card("tiny").path / DECODER).exists()
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_cards_of_the_package_name_what_their_families_need():
     cards = [card for card in all_cards() if isinstance(card, ChoiceCard)]
     assert {"smolvlm-256m-q4", "qwen2-vl-2b-q4f16", "smollm2-135m-q4"} <= {c.name for c in cards}
     for card in cards:
-        names = [Path(part.file).name for part in card.files]
+        names = [Path(part.file).name for part in card.parts]
         assert len(set(names)) == len(names)
         assert {"config.json", "tokenizer.json", "tokenizer_config.json"} <= set(names)
         assert ("preprocessor_config.json" in names) == (card.vision_encoder is not None)

@@ -14,7 +14,7 @@ from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception import lift_kernels as kernels
 from edge.perception.lift import POINTS, Lifter
-from edge.types import ContextBoxes, Detections, Observation
+from edge.types import MASK_SIDE, ContextBoxes, Detections, Observation
 
 SIMULATED = config.Perception(detector=config.DetectorSim())
 
@@ -332,4 +332,48 @@ def test_samples_of_other_things_are_dropped_one_by_one(seed):
     whole = (np.zeros((1, 1), np.float32),) * 3 + view[3:]
     k = kernels.drop_others(left, n, whole, boxes, word, 0, depth, claim)
     assert {*map(tuple, left[:k])} == {*map(tuple, kept)}
+    assert {*map(tuple, left)} == {*map(tuple, samples)}
+
+
+def mask_over(box, shows):
+    """A mask (1, MASK_SIDE, MASK_SIDE) of the pixels of a depth image that `shows` holds for."""
+    out = np.zeros((1, MASK_SIDE, MASK_SIDE), np.bool_)
+    u = np.linspace(box[0], box[2], 2 * MASK_SIDE + 1)[1::2].astype(int)
+    v = np.linspace(box[1], box[3], 2 * MASK_SIDE + 1)[1::2].astype(int)
+    out[0] = shows[np.ix_(v, u)]
+    return out
+
+
+@pytest.mark.parametrize("way", ["depth", "cloud"])
+@pytest.mark.parametrize(("shown_m", "x_m"), [(None, 1.5), (3.0, 3.0), (99.0, 1.5)])
+def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m, way):
+    """An empty mask counts for nothing."""
+    depth = shelf_behind_a_cabinet()
+    seen = make_observation(depth_m=depth)
+    seen = dataclasses.replace(seen, cloud_m=cloud_of(seen))
+    found = detect(seen, SHELF)
+    if shown_m is not None:
+        found = dataclasses.replace(found, mask=mask_over(SHELF, depth == np.float32(shown_m)))
+    lifter = Lifter(config.Perception(detector=config.DetectorSim(), lift=way))
+    out, _ = lifter.lift(found)
+    assert out.valid.tolist() == [True]
+    assert out.center_m[0, 0] == pytest.approx(x_m, abs=0.1)
+
+
+@settings(max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.02, 0.3, 1.0]))
+def test_samples_off_the_mask_are_dropped_one_by_one(seed, share):
+    rng = np.random.default_rng(seed)
+    n, view = 60, (None, None, None, 0, 40.0, 40.0, 20.0, 20.0)
+    z = rng.uniform(1, 4, n)
+    u, v = rng.uniform(5, 35, (2, n))
+    samples = np.stack([(u - 20) / 40 * z, (v - 20) / 40 * z, z], axis=1).astype(np.float32)
+    boxes = np.array([[0, 0, 1, 1], [8, 3, 30, 37]], np.float32)
+    masks = rng.random((2, 16, 16)) < share
+    kept = twins.on_mask(samples, view, boxes[1], masks[1])
+    left = samples.copy()
+    whole = (np.zeros((1, 1), np.float32),) * 3 + view[3:]
+    assert kernels.drop_unmasked(left, n, whole, boxes, masks[:1], 1) == n
+    k = kernels.drop_unmasked(left, n, whole, boxes, masks, 1)
+    assert {*map(tuple, left[:k])} == {*map(tuple, kept.astype(np.float32))}
     assert {*map(tuple, left)} == {*map(tuple, samples)}

@@ -332,7 +332,7 @@ def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_o
 
 def change_json(file, **changes):
     def change(card):
-        path = card.folder_path / file
+        path = card.path / file
         path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
     return change
@@ -343,14 +343,14 @@ def template(text):
 
 
 def write(file, content):
-    return lambda card: (card.folder_path / file).write_bytes(content)
+    return lambda card: (card.path / file).write_bytes(content)
 
 
 def other_tokenizer(card):
     special = [token for token in tiny_vlm.SPECIAL["smolvlm"] if token != "<image>"]
     made = train_tokenizer([*special, "<image>"], letters="ABCDEFGH")
     assert not [t for t in vocabulary(made) if t.strip() == "J"]
-    made.save(str(card.folder_path / "tokenizer.json"))
+    made.save(str(card.path / "tokenizer.json"))
 
 
 def network(part, make):
@@ -591,7 +591,7 @@ def test_the_card_says_what_is_missing(models_dir):
     card = load_card("tiny")
     assert card.is_here()
     assert len(card.networks) == 3
-    assert math.isclose(sum(1 for part in card.files), 3 + len(card.others))
+    assert math.isclose(sum(1 for part in card.parts), 3 + len(card.others))
     bad = (models_dir / "tiny.yaml").read_text().replace("embed_tokens:\n", "x_tokens:\n")
     (models_dir / "tiny.yaml").write_text(bad)
     with pytest.raises(ModelError, match=r"x_tokens"):

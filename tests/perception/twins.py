@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge.perception.lift_kernels import APART, LEFT, NEARLY, OTHER_M
+from edge.perception.lift_kernels import APART, LEFT, MASKED, NEARLY, OTHER_M
 from edge.perception.look_kernels import LOOK_MIN_M, LOOK_RIM, MOST, OCCLUDED_M
 from edge.perception.sighting_kernels import FORGET, PARTIAL, PRIOR, SAME_M, WITHIN
 
@@ -253,3 +253,34 @@ def fuse(
             total[i] = half * (total[i] + w * now[i])
             confidence[i] = total[i] / (weight[i] + PRIOR)
     now[:] = 0.0
+
+
+def rasterised(values, origin, scale, box, side):
+    """Bilinear look-up of `values` at the middle of each cell over a box; -1 outside."""
+    around = np.pad(values, 1, constant_values=-1)
+    out = np.empty((side, side))
+    for r in range(side):
+        for c in range(side):
+            x = (box[0] + (c + 0.5) / side * (box[2] - box[0]) - origin[0]) * scale[0] + 0.5
+            y = (box[1] + (r + 0.5) / side * (box[3] - box[1]) - origin[1]) * scale[1] + 0.5
+            u, v = int(np.floor(x)), int(np.floor(y))
+            if not (0 <= u < around.shape[1] - 1 and 0 <= v < around.shape[0] - 1):
+                out[r, c] = -1
+                continue
+            a, b = x - u, y - v
+            top = (1 - a) * around[v, u] + a * around[v, u + 1]
+            out[r, c] = (1 - b) * top + b * ((1 - a) * around[v + 1, u] + a * around[v + 1, u + 1])
+    return out
+
+
+def on_mask(samples, view, box, mask):
+    """Those of the samples that lie on a box's mask; all, where hardly any do."""
+    *_, fx, fy, cx, cy = view
+    rows, columns = mask.shape
+    kept = []
+    for x, y, z in samples:
+        u = (fx * x / z + cx + 0.5 - box[0]) / (box[2] - box[0]) * columns
+        v = (fy * y / z + cy + 0.5 - box[1]) / (box[3] - box[1]) * rows
+        if 0 <= u < columns and 0 <= v < rows and mask[int(v), int(u)]:
+            kept.append((x, y, z))
+    return np.array(kept) if len(kept) >= MASKED * len(samples) else samples

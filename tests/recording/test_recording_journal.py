@@ -23,7 +23,7 @@ from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.recording import journal
 from edge.recording.journal import decode_page, encode_page
-from edge.types import ContextBoxes, Detections, GoalStatus, Observation
+from edge.types import MASK_SIDE, ContextBoxes, Detections, GoalStatus, Observation
 
 ROOT = Path(edge.__file__).parents[1]
 NOTED = re.compile(r"\.note\(\s*\"(\w+)\"")
@@ -94,15 +94,17 @@ def test_an_entry_comes_back(kind, fields):
 FLOATS = arrays(np.float32, st.integers(0, 4), elements=st.floats(width=32))
 
 
-@given(FLOATS, st.sampled_from([None, "rival"]))
-def test_detections_come_back_to_the_last_bit(score, rival):
+@given(FLOATS, st.sampled_from([None, "rival"]), st.none() | st.integers(0, 2**32 - 1))
+def test_detections_come_back_to_the_last_bit(score, rival, masked):
     n = len(score)
     boxes, labels = np.outer(score, np.ones(4, np.float32)), np.arange(n, dtype=np.int32)
     context = ContextBoxes(boxes, score, labels, ("rug",) * n)
     seen = Observation(5, 7, np.eye(4))
     found = Detections(
-        seen, boxes, score, labels, ("bed", "sofa"), rival and score, context, "model", 9
-    )
+        seen, boxes, score, labels, ("bed", "sofa"), rival and score, context, "model", 9,
+        None if masked is None
+        else np.random.default_rng(masked).random((n, MASK_SIDE, MASK_SIDE)) < 0.5,
+    )  # fmt: skip
     (entry,) = again(Input(0, "found", {"worker": "detector", "what": found}))
     back = journal.detections_of(entry.fields["what"], seen)
     for name in ("xyxy_px", "score", "class_id"):
@@ -112,6 +114,18 @@ def test_detections_come_back_to_the_last_bit(score, rival):
     assert (back.prompts, back.context.words) == (found.prompts, context.words)
     assert (back.model, back.latency_ns) == ("model", 9)
     assert (back.rival is None) == (rival is None)
+    assert (back.mask is None) == (masked is None)
+    if masked is not None:
+        np.testing.assert_array_equal(back.mask, found.mask)
+
+
+def test_recordings_of_before_there_were_masks_are_read():
+    one = np.ones(1, np.float32)
+    found = Detections(Observation(5, 7, np.eye(4)), np.ones((1, 4), np.float32), one,
+                       np.zeros(1, np.int32), ("bed",))  # fmt: skip
+    (entry,) = again(Input(0, "found", {"worker": "detector", "what": found}))
+    del entry.fields["what"]["mask"]
+    assert journal.detections_of(entry.fields["what"], found.observation).mask is None
 
 
 def test_what_was_found_beside_the_loop_comes_back():

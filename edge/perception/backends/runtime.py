@@ -21,7 +21,6 @@ from edge.perception.model_file import ModelError
 from edge.text import one_line
 
 TENSORRT = "tensorrt"
-PROVIDERS_KEY = "perception.detector.providers"
 ORT_TENSORRT = "TensorrtExecutionProvider"
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
 
@@ -35,7 +34,7 @@ def open_session(
     threads: int,
     device_id: int = 0,
     engine: EngineOptions | None = None,
-    key: str = PROVIDERS_KEY,
+    key: str = "perception.detector.providers",
 ) -> Any:
     """A session that runs on exactly the providers named.
 
@@ -46,7 +45,7 @@ def open_session(
         threads: of the CPU.
         device_id: which GPU.
         engine: for TensorRT; the default takes the file for an `fp32` model of fixed shapes.
-        key: where the providers were configured, for messages.
+        key: of the configuration that named the providers, for messages.
 
     Raises:
         ModelError: a package or provider is not there, or the file is no model.

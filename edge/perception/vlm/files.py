@@ -58,7 +58,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
     Raises:
         ModelError: a file is missing or is not what it should be.
     """
-    folder = card.folder_path
+    folder = card.path
     tokenizer = _read(card, TOKENIZER_CONFIG)
     processor = _read(card, PROCESSOR, needed=False)
     image = _read(card, PREPROCESSOR, needed=False) or processor.get("image_processor")
@@ -80,7 +80,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
 
 def _read(card: ChoiceCard, name: str, needed: bool = True) -> dict[str, Any]:
     """A JSON file of the model; empty where the card does not have it and it need not be there."""
-    path = card.folder_path / name
+    path = card.path / name
     if not any(part.file == name for part in card.others):
         if needed:
             raise ModelError(f"model {card.name}: its card names no {name} among its others")
@@ -107,7 +107,7 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
     for name in TEMPLATES:
         if name not in here:
             continue
-        path = card.folder_path / name
+        path = card.path / name
         try:
             text = read_regular(path).decode()
             return text if name.endswith(".jinja") else _text_of(json.loads(text)["chat_template"])

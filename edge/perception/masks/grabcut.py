@@ -1,0 +1,76 @@
+"""Masks by colour alone (Rother, Kolmogorov, Blake: GrabCut, SIGGRAPH 2004), in OpenCV."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from edge.perception.masks.segmenter import Deadline, rasterise
+from edge.types import MASK_SIDE
+
+SIDE_PX = 64
+"""The window around a box is scaled down until its longer side is so long."""
+MARGIN = 0.25
+"""Share of the box's width and height that is looked at on each side of it: the background."""
+ITERATIONS = 1
+SPAN = 0.7
+"""A mask that spans less of its box's width or height is of something else in it, and not taken: a
+box is fitted to its thing."""
+LEAST_PX = 4
+"""A box with a shorter side in the scaled window has no mask."""
+
+
+class GrabcutSegmenter:
+    """What is beside a box is its background, and so is what looks like that inside.
+
+    Two colour models, of what is beside the box and of what is inside, part it by a cut along its
+    edges. Depth brings nothing, as a channel, as a seed of the background, or as a vote on the
+    result, nor does more than one iteration (measured, docs/models.md).
+    """
+
+    name = "grabcut (colour alone, no neural network)"
+
+    def segment(
+        self, rgb: np.ndarray, boxes: np.ndarray, out: np.ndarray, deadline: Deadline
+    ) -> int:
+        """See `Segmenter.segment`."""
+        for i, box in enumerate(boxes):
+            if deadline.left_s() <= 0.0:
+                return i
+            _cut(rgb, box, out[i])
+        return len(boxes)
+
+    def close(self) -> None:
+        """Nothing to let go."""
+
+
+def _cut(rgb: np.ndarray, box: np.ndarray, out: np.ndarray) -> None:
+    """The mask of one box; left empty where there is no background to be seen beside it."""
+    height, width = rgb.shape[:2]
+    beside_u, beside_v = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
+    left, top = max(0, int(box[0] - beside_u)), max(0, int(box[1] - beside_v))
+    right, bottom = min(width, int(box[2] + beside_u) + 1), min(height, int(box[3] + beside_v) + 1)
+    if right <= left or bottom <= top:
+        return
+    shrink = min(1.0, SIDE_PX / max(right - left, bottom - top))
+    columns = max(1, round((right - left) * shrink))
+    rows = max(1, round((bottom - top) * shrink))
+    window = cv2.resize(rgb[top:bottom, left:right], (columns, rows), interpolation=cv2.INTER_AREA)
+    scale = columns / (right - left), rows / (bottom - top)
+    u0, u1 = (round((u - left) * scale[0]) for u in (box[0], box[2]))
+    v0, v1 = (round((v - top) * scale[1]) for v in (box[1], box[3]))
+    marks = np.full((rows, columns), cv2.GC_BGD, np.uint8)
+    marks[max(0, v0) : v1, max(0, u0) : u1] = cv2.GC_PR_FGD
+    inside = min(v1, rows) - max(0, v0), min(u1, columns) - max(0, u0)
+    if min(inside) < LEAST_PX or (marks == cv2.GC_BGD).sum() < LEAST_PX:
+        return
+    cv2.setRNGSeed(0)  # this thread's, for k-means: a run must replay the same
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(window, marks, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    thing = (marks & 1).astype(np.float32) - 0.5  # GC_FGD is 1, GC_PR_FGD is 3
+    rasterise(thing, (left, top), scale, box, out)
+    for axis in range(2):
+        reached = np.flatnonzero(out.any(axis=axis))
+        if len(reached) == 0 or reached[-1] - reached[0] + 1 < SPAN * MASK_SIDE:
+            out[:] = False
+            return

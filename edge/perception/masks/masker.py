@@ -1,0 +1,110 @@
+"""Which segmenters there are, and what adds the masks of the configured one to detections."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from time import perf_counter_ns
+from typing import Union
+
+import numpy as np
+
+from edge import config
+from edge.errors import UserError
+from edge.perception.detector import check_rgb
+from edge.perception.masks.segmenter import Deadline, Segmenter
+from edge.text import one_line
+from edge.types import MASK_SIDE, Detections
+
+log = logging.getLogger(__name__)
+
+Settings = Union[config.SegmenterGrabcut, config.SegmenterOnnx]
+_LONGEST_ERROR = 300
+
+
+class Masker:
+    """Masks for the targets' boxes with the highest scores; for the detector's thread.
+
+    Detections whose segmenter fails go on without masks: a place that is a little off is better
+    than none.
+
+    Args:
+        timed: False: no time limit, so that a run replays the same.
+
+    Attributes:
+        made: boxes that have got a mask.
+        late: boxes that there was no time for.
+        failed: images that the segmenter raised something at.
+        last_error: the newest of that, one line; empty when there was none.
+    """
+
+    def __init__(self, segmenter: Segmenter, settings: Settings, timed: bool = True) -> None:
+        self.made = self.late = self.failed = 0
+        self.last_error = ""
+        self._segmenter, self._most = segmenter, settings.max_boxes
+        self._limit_s = settings.time_limit_s if timed else None
+
+    def add(self, found: Detections) -> Detections:
+        """The same detections with `Detections.mask`."""
+        start_ns, n = perf_counter_ns(), len(found)
+        masks = np.zeros((n, MASK_SIDE, MASK_SIDE), np.bool_)
+        boxes = np.asarray(found.xyxy_px[: self._most], np.float32)
+        whole = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > boxes[:, :2]).all(axis=1)
+        rows = np.flatnonzero(whole)
+        if len(rows):
+            try:
+                drawn = np.zeros((len(rows), MASK_SIDE, MASK_SIDE), np.bool_)
+                rgb = check_rgb(found.observation)
+                done = self._segmenter.segment(rgb, boxes[rows], drawn, Deadline(self._limit_s))
+                masks[rows] = drawn
+                self.late += len(rows) - done
+                self.made += int(drawn.any(axis=(1, 2)).sum())
+            except Exception as error:  # the detector's work must not be lost for this
+                self._failed(error)
+        took_ns = perf_counter_ns() - start_ns
+        return replace(found, mask=masks, latency_ns=found.latency_ns + took_ns)
+
+    def status(self) -> dict[str, object]:
+        """For the status message, JSON-ready."""
+        return {
+            "model": self._segmenter.name, "made": self.made, "late": self.late,
+            "failed": self.failed, "last_error": self.last_error,
+        }  # fmt: skip
+
+    def close(self) -> None:
+        """Let the segmenter go."""
+        self._segmenter.close()
+
+    def _failed(self, error: Exception) -> None:
+        text = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        self.failed, self.last_error = self.failed + 1, one_line(text, _LONGEST_ERROR)
+        if self.failed == 1:
+            log.error("segmenter %s: %s; boxes go on without masks (more of these are only "
+                      "counted)", self._segmenter.name, self.last_error)  # fmt: skip
+
+
+def make_segmenter(settings: Settings) -> Segmenter:
+    """The segmenter that the configuration names, ready to use.
+
+    Raises:
+        ModelError: its model cannot be loaded, or not with the providers asked for.
+    """
+    if isinstance(settings, config.SegmenterGrabcut):
+        from edge.perception.masks.grabcut import GrabcutSegmenter
+
+        return GrabcutSegmenter()
+    from edge.perception.masks.sam import SamSegmenter
+
+    return SamSegmenter(settings)
+
+
+def make_masker(perception: config.Perception, timed: bool = True) -> Masker | None:
+    """What the configuration asks for; None: no masks.
+
+    Raises:
+        ModelError: see `make_segmenter`.
+    """
+    settings = perception.segmenter
+    if isinstance(settings, config.SegmenterNone):
+        return None
+    return Masker(make_segmenter(settings), settings, timed)

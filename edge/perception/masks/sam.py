@@ -1,0 +1,197 @@
+"""Masks by a model that takes boxes as prompts: SAM and its kin, as two ONNX files.
+
+The image encoder runs once an image, the prompt encoder and mask decoder, one file, once a box.
+What is published agrees in the decoder's prompts; the rest differs, and the files say how:
+
+- SAM, MobileSAM (github.com/ChaoningZhang/MobileSAM, scripts/export_onnx_model.py) and NanoSAM:
+  `image_embeddings` and prompts with `mask_input`, `has_mask_input`, in the whole export
+  `orig_im_size` too → `low_res_masks`, `iou_predictions`.
+- EfficientViT-SAM (github.com/mit-han-lab/efficientvit, applications/efficientvit_sam): prompts of
+  points alone → `masks` (not enlarged), `iou_predictions`; points count in 1024 where the image
+  encoder takes 512.
+- SAM 2 (github.com/vietanhdev/samexporter): three features, `image_embed` and two finer ones; the
+  image is stretched to a square, not padded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edge import config
+from edge.perception.backends.engines import EngineOptions
+from edge.perception.backends.runtime import TENSORRT, failing_as, open_session
+from edge.perception.card_types import SegmentCard
+from edge.perception.cards import ModelError, load_card_of, verify_model
+from edge.perception.masks.segmenter import Deadline, rasterise
+from edge.perception.onnx_file import MASK_OUTPUTS, PROMPTS
+from edge.types import MASK_SIDE
+
+_KEY = "perception.segmenter.providers"
+_BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
+"""SAM's labels of a box's upper left and lower right corner."""
+DTYPES = {"tensor(float)": np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
+"""onnxruntime's names of what a mask decoder takes."""
+
+
+class SamSegmenter:
+    """Every buffer is made once, but for those that onnxruntime returns."""
+
+    def __init__(self, settings: config.SegmenterOnnx) -> None:
+        """
+        Raises:
+            ModelError: card, files or providers are unusable, or the two files do not belong
+                together.
+        """
+        self.card = card = load_card_of(SegmentCard, settings.model)
+        self.name = card.name
+        if TENSORRT in settings.providers:
+            raise ModelError(
+                f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
+                "TensorrtExecutionProvider"
+            )
+        prompts = {"point_coords": ((1, 2, 2),) * 3, "point_labels": ((1, 2),) * 3}
+        self._encoder, self._decoder = (
+            open_session(
+                verify_model(part, believe_cache=True), settings.providers, settings.threads,
+                settings.device_id, EngineOptions(card.name, card.precision, shapes), key=_KEY,
+            )
+            for part, shapes in zip(card.files, ({}, prompts), strict=True)
+        )  # fmt: skip
+        self._pixel_input = self._encoder.get_inputs()[0].name
+        self._features = self._match_features()
+        self._prompt = {
+            value.name: np.zeros([n if isinstance(n, int) else 1 for n in value.shape],
+                                 DTYPES[value.type])
+            for value in self._decoder.get_inputs() if value.name in PROMPTS
+        }  # fmt: skip
+        self._prompt["point_coords"] = np.zeros((1, 2, 2), np.float32)
+        self._prompt["point_labels"] = _BOX_LABELS.astype(self._prompt["point_labels"].dtype)
+        made = {value.name for value in self._decoder.get_outputs()}
+        self._mask_output = next(name for name in MASK_OUTPUTS if name in made)
+        self._pixels = np.zeros((1, 3, card.input.height, card.input.width), np.float32)
+        std = np.array(card.preprocess.std, np.float32)
+        self._gain = np.float32(card.preprocess.scale) / std
+        self._offset = -np.array(card.preprocess.mean, np.float32) / std
+        with failing_as(f"model {self.name}: it fails at its first image"):
+            whole = np.array([[0, 0, 32, 32]], np.float32)
+            out = np.zeros((1, MASK_SIDE, MASK_SIDE), np.bool_)
+            self.segment(np.zeros((32, 32, 3), np.uint8), whole, out, Deadline(None))
+
+    def segment(
+        self, rgb: np.ndarray, boxes: np.ndarray, out: np.ndarray, deadline: Deadline
+    ) -> int:
+        """See `Segmenter.segment`.
+
+        Raises:
+            ModelError: a mask is not finite.
+        """
+        if not len(boxes):
+            return 0
+        scale = self._fill_pixels(rgb)
+        with _stopped_at(deadline) as options:
+            features = _run(self._encoder, None, {self._pixel_input: self._pixels}, options)
+            if features is None:
+                return 0
+            made = dict(zip((v.name for v in self._encoder.get_outputs()), features, strict=True))
+            feed = {taken: made[given] for taken, given in self._features.items()} | self._prompt
+            if "orig_im_size" in feed:
+                feed["orig_im_size"][:] = rgb.shape[:2]
+            outputs = [self._mask_output, "iou_predictions"]
+            for i, box in enumerate(boxes):
+                self._prompt["point_coords"][:] = box.reshape(1, 2, 2) * scale
+                found = _run(self._decoder, outputs, feed, options)
+                if found is None:
+                    return i
+                self._take(*found, scale, box, out[i])
+        return len(boxes)
+
+    def close(self) -> None:
+        """Let the sessions go; no segment afterwards."""
+        self._encoder = self._decoder = None
+
+    def _match_features(self) -> dict[str, str]:
+        """Which of the encoder's outputs each input of the decoder takes that is no prompt: the one
+        of its name, or the only one."""
+        made = [value.name for value in self._encoder.get_outputs()]
+        taken = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
+        if taken and set(taken) <= set(made):
+            return dict(zip(taken, taken, strict=True))
+        if len(taken) == len(made) == 1:
+            return {taken[0]: made[0]}
+        encoder, decoder = self.card.files
+        raise ModelError(
+            f"{decoder.file}: takes {', '.join(taken) or 'no features'}, {encoder.file} makes "
+            f"{', '.join(made)}: take both from one export"
+        )
+
+    def _fill_pixels(self, rgb: np.ndarray) -> np.ndarray:
+        """The image as the encoder wants it; (2,) points of the prompt to a pixel, in x and y."""
+        height, width = rgb.shape[:2]
+        rows, columns = self._pixels.shape[2:]
+        if self.card.fit == "pad":
+            shrink = min(rows / height, columns / width)
+            shown = max(1, round(height * shrink)), max(1, round(width * shrink))
+        else:
+            shown = rows, columns
+        small = cv2.resize(rgb, (shown[1], shown[0]), interpolation=cv2.INTER_LINEAR)
+        self._pixels[:, :, shown[0] :] = 0.0
+        self._pixels[:, :, :, shown[1] :] = 0.0
+        for channel in range(3):
+            plane = self._pixels[0, channel, : shown[0], : shown[1]]
+            np.multiply(small[:, :, channel], self._gain[channel], out=plane)
+            plane += self._offset[channel]
+        across = self.card.prompt_px / columns * shown[1] / width
+        down = self.card.prompt_px / rows * shown[0] / height
+        return np.array([across, down], np.float32)
+
+    def _take(
+        self, logits: np.ndarray, iou: np.ndarray, scale: np.ndarray, box: np.ndarray,
+        out: np.ndarray,
+    ) -> None:  # fmt: skip
+        """Of the masks that a box may mean, the one that the model itself thinks best."""
+        best = np.ascontiguousarray(logits[0, int(np.argmax(iou[0]))], np.float32)
+        if not np.isfinite(best).all():
+            raise ModelError(f"{self.name}: masks that are not finite: export it again")
+        rows, columns = best.shape
+        to_mask = np.array([columns, rows], np.float32) / self.card.prompt_px
+        rasterise(best, (0.0, 0.0), tuple(scale * to_mask), box, out)
+
+
+@contextlib.contextmanager
+def _stopped_at(deadline: Deadline) -> Iterator[Any]:
+    """onnxruntime's options for runs that it breaks off at the deadline."""
+    import onnxruntime as ort
+
+    options, left_s = ort.RunOptions(), deadline.left_s()
+    if math.isinf(left_s):
+        yield options
+        return
+    options.terminate = left_s <= 0.0
+    timer = threading.Timer(max(0.0, left_s), setattr, (options, "terminate", True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield options
+    finally:
+        timer.cancel()
+
+
+def _run(
+    session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], options: Any
+) -> list[np.ndarray] | None:
+    """What the session makes; None where the deadline came first."""
+    if options.terminate:
+        return None
+    try:
+        return session.run(outputs, feed, options)
+    except Exception:  # onnxruntime raises many types of its own
+        if options.terminate:
+            return None
+        raise

@@ -1,0 +1,64 @@
+"""Masks in a whole run: made on the detector's side, lifted by, told of, and the same each time."""
+
+from __future__ import annotations
+
+import numpy as np
+from simulated import simulated
+
+from edge.eval.closed_loop import ClosedLoop, wants_colour
+from edge.loop.status import status_of
+
+STEPS = 6
+
+
+def settings(segmenter):
+    return simulated(
+        {
+            "loop": {"lockstep": True},
+            "sim": {"lockstep": True},
+            "mission": {"target": "sofa"},
+            "perception": {"segmenter": segmenter},
+        }
+    )
+
+
+class Seen:
+    """A sink that keeps the detections."""
+
+    def __init__(self):
+        self.detections = []
+
+    def tick(self, result):
+        self.detections += [] if result.detections is None else [result.detections]
+
+    def close(self): ...
+
+
+def seen_by(config):
+    """Detections of a few steps, and what the status says of the segmenter."""
+    loop = ClosedLoop(config, sinks=[sink := Seen()])
+    for _ in range(STEPS):
+        loop.step()
+    status = status_of(loop.service.result())["segmenter"]
+    loop.close()
+    return sink.detections, status
+
+
+def test_without_a_segmenter_there_are_no_masks():
+    config = settings({"kind": "none"})
+    assert not wants_colour(config)
+    seen, status = seen_by(config)
+    assert status is None
+    assert all(detections.mask is None for detections in seen)
+
+
+def test_masks_go_with_the_detections_and_a_run_replays_the_same():
+    config = settings({"kind": "grabcut"})
+    assert wants_colour(config)
+    (seen, status), (again, _) = seen_by(config), seen_by(config)
+    assert status["made"] > 0
+    assert (status["late"], status["failed"]) == (0, 0)
+    assert len(seen) == len(again) == STEPS
+    for one, other in zip(seen, again, strict=True):
+        assert len(one.mask) == len(one)
+        np.testing.assert_array_equal(one.mask, other.mask)
