@@ -170,6 +170,7 @@ def test_what_is_seen_is_approached_and_reached(tab):
 
 
 def test_without_sensors_it_says_what_to_look_at(page, house):
+    page.says("#camera-note", " × ")
     house.robot.blind = True
     page.says("#banner", "Not ready: nothing to be seen")
     page.says("#camera-note", "no new image for")
