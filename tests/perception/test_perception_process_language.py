@@ -11,8 +11,9 @@ import pytest
 from patience import PATIENCE_S, eventually
 from tiny_vlm import publish
 
-from edge.config import ChoiceOnnx, ModelProcess
+from edge.config import ChoiceOnnx, ModelProcess, Perception
 from edge.host import priority, resources
+from edge.perception.choice.factory import make_choice
 from edge.perception.choice.onnx_scorer import asked_of, open_model
 from edge.perception.choice.question import SYSTEM
 from edge.perception.model_file import ModelError
@@ -64,12 +65,28 @@ def test_it_says_the_same_and_comes_back(opened):
         model.ask(SYSTEM, view, ASKED, PATIENCE_S)
 
 
-def test_words_go_there_too(opened):
-    model, choice = opened("text")
-    assert not model.sees
-    told = (one.ask(SYSTEM, "a bed", ASKED, PATIENCE_S) for one in (model, open_model(choice)))
-    for there, ours in zip(*told, strict=True):
-        np.testing.assert_array_equal(there, ours)
+def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    publish(resources.models_dir(), "text")
+    choice = {"kind": "onnx", "card": "tiny", "threads": 1}
+    perception = Perception.model_validate(
+        {
+            "isolation": "process",
+            "process": RULES.model_dump(),
+            "detector": {"kind": "onnx"},
+            "choice": choice,
+        }
+    )
+    asks = make_choice(perception.choice, perception)
+    there = asks._model
+    assert isinstance(there, ProcessModel)
+    assert not there.sees
+    here = open_model(perception.choice)
+    told = (one.ask(SYSTEM, "a bed", ASKED, PATIENCE_S) for one in (there, here))
+    for one, other in zip(*told, strict=True):
+        np.testing.assert_array_equal(one, other)
+    asks.close()
 
 
 def test_what_keeps_it_from_loading_is_told_as_in_this_process(opened):

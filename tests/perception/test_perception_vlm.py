@@ -282,14 +282,9 @@ def test_places_of_tokens(ids, grid, expected):
 # -- a choice ---------------------------------------------------------------------------------
 
 
-def made(isolation="thread", **choice):
-    perception = Perception.model_validate(
-        {
-            "isolation": isolation, "detector": {"kind": "onnx"},
-            "process": {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S, "backoff_s": 0.01},
-            "choice": {"kind": "onnx", "threads": 1, **choice},
-        }
-    )  # fmt: skip
+def made(**choice):
+    choice = {"kind": "onnx", "threads": 1, **choice}
+    perception = Perception.model_validate({"detector": {"kind": "sim"}, "choice": choice})
     return make_choice(perception.choice, perception)
 
 
