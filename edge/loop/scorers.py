@@ -120,6 +120,7 @@ class Scorers:
     Attributes:
         answers: the newest ones.
         feeds: which of the two the value maps are written from; may be set.
+        resting: those of `similarity` and `choice` that are asked nothing; may be set.
     """
 
     def __init__(
@@ -144,6 +145,7 @@ class Scorers:
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
         self.feeds = feeds
+        self.resting: frozenset[str] = frozenset()
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
@@ -187,7 +189,8 @@ class Scorers:
             prior: for the choice that goes by it.
             around: has what else was detected.
         """
-        similarity, choice = self._similarity, self._choice
+        similarity = None if "similarity" in self.resting else self._similarity
+        choice = None if "choice" in self.resting else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
             sight = values.sight(observation) if self.feeds == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))

@@ -21,7 +21,7 @@ from edge.models.local import copy_from, extract, local_path, source_file_name, 
 from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
 from edge.perception.card_types import Card, FileCard, Source, TextCard
-from edge.perception.cards import ModelError, load_card
+from edge.perception.cards import ModelError, how_to_get, load_card
 from edge.perception.model_file import fresh_sha256
 
 
@@ -93,6 +93,8 @@ def pull(card: FileCard, where: Where = ANYWHERE) -> list[str]:
     Raises:
         ModelError: a file that none of its sources gives.
     """
+    if card.server is not None:
+        return [f"{card.name}: nothing to fetch, {how_to_get(card)}"]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: comes with edge-vln: {card.path}"]
     files, lines = wanted(card), []
