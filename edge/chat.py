@@ -7,23 +7,20 @@ length of an answer nor the time that it takes in all.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import queue
 import re
 import ssl
 import threading
-from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult
 
 import httpx
 
 from edge.config import TranslatorLlm
 from edge.errors import UnavailableError
-from edge.host.http import Connection, failure
-from edge.text import one_line, without_secrets
+from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
+from edge.text import one_line, split_url
 
 MOST_TOKENS = 20  # OpenAI and vLLM give no more log-probabilities for one place
 ROUNDING = 1e-3  # how far above 0 a log-probability may be
@@ -44,38 +41,6 @@ class CutOffError(ChatError):
     def __init__(self, message: str, answer: str) -> None:
         super().__init__(message)
         self.answer = answer
-
-
-class _GivenUpError(Exception):
-    """The client was closed meanwhile."""
-
-
-@dataclass(slots=True, eq=False)
-class _Exchange:
-    """One request, which a thread of its own carries out, as looking up a host name may take long.
-
-    Whoever waits for `outcome` limits the total, and gives up by cutting the connection.
-    """
-
-    connection: Connection = field(default_factory=Connection)
-    outcome: queue.SimpleQueue[_Reply | Exception] = field(default_factory=queue.SimpleQueue)
-
-    def run(self, client: httpx.Client, request: httpx.Request, max_bytes: int) -> None:
-        try:
-            self.outcome.put(_receive(client.send(request, stream=True), max_bytes))
-        except Exception as error:  # whatever it is, it is told where the answer is awaited
-            self.outcome.put(error)
-
-    def give_up(self, why: Exception) -> None:
-        self.outcome.put(why)
-        self.connection.cut()
-
-
-@dataclass(frozen=True, slots=True)
-class _Reply:
-    status: int
-    headers: httpx.Headers
-    body: bytes  # longer than allowed where the server would have sent more
 
 
 class ChatClient:
@@ -109,7 +74,7 @@ class ChatClient:
         verify = ssl.create_default_context() if parts.scheme == "https" else False
         limits = httpx.Limits(max_keepalive_connections=0)
         self._http = httpx.Client(verify=verify, trust_env=False, limits=limits)
-        self._under_way: set[_Exchange] = set()
+        self._under_way: set[Exchange] = set()
         if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
             raise ChatError(
                 f"{self.url}: the API key has characters that no header can carry; set it anew"
@@ -159,11 +124,11 @@ class ChatClient:
         with self._lock:
             self._closed, exchanges = True, tuple(self._under_way)
         for exchange in exchanges:
-            exchange.give_up(_GivenUpError())
+            exchange.give_up(GivenUpError())
 
     def _reply(
         self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]
-    ) -> _Reply:
+    ) -> Reply:
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
             raise self._error(_reason(TimeoutError(), self.time_limit_s))
@@ -179,28 +144,21 @@ class ChatClient:
             raise self._error(f"the answer has more than {limit_kb:g} KB; check what runs there")
         return reply
 
-    def _exchange(self, body: bytes, left_s: float) -> _Reply:
-        exchange = _Exchange()
-        request = self._request(body, left_s, exchange.connection)
+    def _exchange(self, body: bytes, left_s: float) -> Reply:
+        exchange, request = Exchange(), self._request(body, left_s)
         with self._lock:
             if self._closed:
-                raise self._error(_reason(_GivenUpError(), self.time_limit_s))
+                raise self._error(_reason(GivenUpError(), self.time_limit_s))
             self._under_way.add(exchange)
-        arguments = (self._http, request, self.max_answer_bytes)
-        threading.Thread(target=exchange.run, args=arguments, name="chat", daemon=True).start()
         try:
-            outcome = exchange.outcome.get(timeout=left_s)
-        except queue.Empty:
-            outcome = TimeoutError()
-            exchange.give_up(outcome)
+            return exchange.carry_out(self._http, request, self.max_answer_bytes, left_s)
+        except Exception as error:
+            raise self._error(_reason(error, self.time_limit_s)) from None
         finally:
             with self._lock:
                 self._under_way.discard(exchange)
-        if isinstance(outcome, _Reply):
-            return outcome
-        raise self._error(_reason(outcome, self.time_limit_s)) from None
 
-    def _request(self, body: bytes, left_s: float, connection: Connection) -> httpx.Request:
+    def _request(self, body: bytes, left_s: float) -> httpx.Request:
         parts = self._parts
         url = parts._replace(path=f"{parts.path.rstrip('/')}/chat/completions", fragment="")
         headers = {
@@ -209,13 +167,11 @@ class ChatClient:
         }  # fmt: skip
         if self._api_key:
             headers["Authorization"] = f"Bearer {self._api_key}"
-        extensions = {"trace": connection.trace}
         return self._http.build_request(
-            "POST", url.geturl(), content=body, headers=headers, timeout=left_s,
-            extensions=extensions,
-        )  # fmt: skip
+            "POST", url.geturl(), content=body, headers=headers, timeout=left_s
+        )
 
-    def _content(self, reply: _Reply) -> str:
+    def _content(self, reply: Reply) -> str:
         answer, shown = self._json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
@@ -234,7 +190,7 @@ class ChatClient:
             raise self._error("the answer is empty; try another model")
         return content
 
-    def _likeliest(self, reply: _Reply) -> list[tuple[str, float]]:
+    def _likeliest(self, reply: Reply) -> list[tuple[str, float]]:
         answer = self._json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
@@ -253,7 +209,7 @@ class ChatClient:
                 raise self._error(f"the answer has a logprob that is none, {shown}; check it")
         return [(token, float(max(logprob, LEAST))) for token, logprob in pairs]
 
-    def _json(self, reply: _Reply) -> Any:
+    def _json(self, reply: Reply) -> Any:
         try:
             return json.loads(reply.body)
         except (ValueError, RecursionError):
@@ -265,13 +221,7 @@ class ChatClient:
 
     def _explanation(self, body: bytes) -> str:
         """What the server says about an HTTP error, where it says something."""
-        text: Any = body
-        with contextlib.suppress(ValueError, RecursionError):
-            text = json.loads(body)
-        for key in ("error", "message", "detail"):
-            if isinstance(text, dict) and key in text:
-                text = text[key]
-        shown = self._quote(text if isinstance(text, (str, bytes)) else json.dumps(text))
+        shown = self._quote(explanation(body))
         return f": {shown}" if shown else "; see the server's log"
 
     def _quote(self, text: str | bytes) -> str:
@@ -288,37 +238,16 @@ class ChatClient:
 
 
 def _split(url: str) -> SplitResult:
-    wanted = "give it as http://HOST:PORT/v1"
     try:
-        parts = urlsplit(url)
-        parts.port  # noqa: B018 - raises when it is no number
-    except ValueError:
-        shown = one_line(without_secrets(url))
-        raise ChatError(f"not the URL of a chat server: {shown!r}; {wanted}") from None
-    if parts.username is not None or parts.password is not None:
-        raise ChatError(f"the URL of a chat server must not hold a password; {wanted}")
-    usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
-    if not usable or " " in url or not url.isascii():
-        shown = one_line(without_secrets(url))
-        raise ChatError(f"not the URL of a chat server: {shown!r}; {wanted}")
-    return parts
-
-
-def _receive(response: httpx.Response, max_bytes: int) -> _Reply:
-    """Reads until more than `max_bytes` are there, or to the end."""
-    body = bytearray()
-    with contextlib.closing(response):
-        for chunk in response.iter_raw():
-            body += chunk
-            if len(body) > max_bytes:
-                break
-    return _Reply(response.status_code, response.headers, bytes(body))
+        return split_url(url, "a chat server", "give it as http://HOST:PORT/v1")
+    except ValueError as error:
+        raise ChatError(str(error)) from None
 
 
 def _reason(error: Exception, limit_s: float) -> str:
     """What went wrong, and what to do."""
     match error:
-        case _GivenUpError():
+        case GivenUpError():
             return "no longer waited for"
         case TimeoutError() | httpx.TimeoutException():
             return f"no whole answer within {limit_s:g} s; raise time_limit_s or use a faster model"

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from typing import Any
+from urllib.parse import SplitResult, urlsplit
 
 MAX_CHARS = 200
 
@@ -84,6 +85,30 @@ def read_json_object(text: bytes | str, most: int | None = None) -> dict[str, An
     if not isinstance(data, dict):
         raise ValueError("not a JSON object")
     return data
+
+
+def split_url(url: str, of: str, wanted: str) -> SplitResult:
+    """The parts of a server's URL.
+
+    Args:
+        of: what the server is, for messages; `wanted`: what to do.
+
+    Raises:
+        ValueError: it is none, or holds a password; one line that shows no secret.
+    """
+    try:
+        parts = urlsplit(url)
+        parts.port  # noqa: B018 - raises when it is no number
+    except ValueError:
+        shown = one_line(without_secrets(url))
+        raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}") from None
+    if parts.username is not None or parts.password is not None:
+        raise ValueError(f"the URL of {of} must not hold a password; {wanted}")
+    usable = parts.scheme in ("http", "https") and parts.hostname and url.isprintable()
+    if not usable or " " in url or not url.isascii():
+        shown = one_line(without_secrets(url))
+        raise ValueError(f"not the URL of {of}: {shown!r}; {wanted}")
+    return parts
 
 
 def aligned(rows: Sequence[Sequence[object]], left: int | None = None) -> str:

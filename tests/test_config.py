@@ -118,6 +118,18 @@ FAULTS = [
         {"perception": {"isolation": "process", "detector": {"kind": "sim"}}},
         "f.yaml: perception: isolation: process: only for perception.detector.kind: onnx, sim runs",
     ),
+    (
+        {"perception": {**SIM["perception"], "governor": {"ladder": [{}]}}},
+        "f.yaml: perception.governor.ladder.0: name a model, or a scorer to rest",
+    ),
+    (
+        {"perception": {**SIM["perception"], "governor": {"ladder": [{"model": "small"}]}}},
+        "f.yaml: perception: governor: ladder: 0: model: only for perception.detector.kind: onnx,",
+    ),
+    (
+        {"perception": {**SIM["perception"], "governor": {"ladder": [{"rest": "choice"}]}}},
+        "f.yaml: perception: governor: ladder: 0: rest: choice: no such model is asked",
+    ),
     ({"mapping": {"extent_m": 3}}, "f.yaml: mapping: extent_m: must be over twice range_m"),
     (
         {"mapping": {"extent_m": 500, "resolution_m": 0.05}},

@@ -249,11 +249,22 @@ def check_models(config: Config) -> Iterator[Finding]:
         yield Finding("warn", "no model cards", "this installation lacks models/: reinstall")
     for name in names:
         try:
-            paths = [verify_model(file) for file in load_card(name).files]
+            files = load_card(name).files
+            served = [file.server for file in files if file.server is not None]
+            paths = [verify_model(file) for file in files if file.server is None]
         except ModelError as error:
             yield Finding("fail" if name in needed else "warn", *_split(error))
         else:
             yield from (Finding("ok", f"model {name}: {path}") for path in paths)
+            yield from (_remote(name, server.url) for server in served)
+
+
+def _remote(name: str, url: str) -> Finding:
+    shown = without_secrets(url)
+    if _listens(url):
+        return Finding("ok", f"model {name}: something listens at {shown}")
+    todo = "start the server or correct the card's URL; nothing is detected without it"
+    return Finding("warn", f"model {name}: nothing listens at {shown}", todo)
 
 
 def check_mission(config: Config) -> Iterator[Finding]:

@@ -114,6 +114,36 @@ class Swap(Section):
     load_timeout_s: Positive = 600.0
 
 
+class Rung(Section):
+    """One thing to give up: the model, for that of a cheaper card, or a scorer, which rests."""
+
+    model: str | None = None
+    rest: Literal["similarity", "choice"] | None = None
+
+    @model_validator(mode="after")
+    def _one_thing(self) -> Rung:
+        if (self.model is None) == (self.rest is None):
+            raise ValueError("name a model, or a scorer to rest")
+        return self
+
+
+class Governor(Section):
+    """What is given up, rung by rung, when the computer cannot keep up; no ladder, no governor.
+
+    A rung is stepped down when for `over_s` the detector has taken longer at the median than
+    `perception.swap.budget_ms`, detects nothing, or the board throttles, or is within `margin_c` of
+    where it would; never two within `dwell_s`. It is stepped up again after `room_s` with the
+    detector below `room` of its budget and the board cool; each step up in vain doubles that.
+    """
+
+    ladder: tuple[Rung, ...] = ()
+    over_s: Positive = 3.0
+    dwell_s: Positive = 15.0
+    room_s: Positive = 60.0
+    room: Fraction = 0.7
+    margin_c: NonNegative = 3.0
+
+
 class ChoiceNone(Section):
     """No model is asked which way to go."""
 
@@ -186,6 +216,7 @@ class Perception(Section):
     isolation: Literal["thread", "process"] = "thread"
     process: ModelProcess = ModelProcess()
     swap: Swap = Swap()
+    governor: Governor = Governor()
     similarity: str | None = None
     choice: Annotated[
         Union[ChoiceNone, ChoiceOpenai, ChoiceText, ChoiceOnnx, ChoiceCooccurrence],
@@ -225,4 +256,21 @@ class Perception(Section):
                 f"isolation: process: only for perception.detector.kind: onnx, "
                 f"{self.detector.kind} runs in the service"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _has_what_the_ladder_gives_up(self) -> Perception:
+        for i, rung in enumerate(self.governor.ladder):
+            key = f"governor: ladder: {i}"
+            if rung.model is not None and self.detector.kind != "onnx":
+                raise ValueError(
+                    f"{key}: model: only for perception.detector.kind: onnx, "
+                    f"{self.detector.kind} has none to step down from"
+                )
+            runs = {
+                "similarity": self.similarity is not None,
+                "choice": self.choice.kind not in ("none", "cooccurrence"),
+            }
+            if rung.rest is not None and not runs[rung.rest]:
+                raise ValueError(f"{key}: rest: {rung.rest}: no such model is asked")
         return self

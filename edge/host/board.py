@@ -63,6 +63,26 @@ def read_board(root: Path = Path("/")) -> Board:
     )
 
 
+def distress(board: Board, before: Board | None = None, margin_c: float = 0.0) -> str:
+    """Why the board cannot go on like this, in a few words; empty where it can.
+
+    Args:
+        before: an earlier reading, since which over-currents count.
+        margin_c: how near a zone may come to where something happens to it.
+    """
+    for device, share in board.throttled.items():
+        if share > 0.0:
+            return f"{device} is slowed down by {share:.0%}"
+    for alarm, events in board.over_current.items():
+        if before is not None and events > before.over_current.get(alarm, events):
+            return f"the board slows itself down, it draws too much ({alarm})"
+    for (zone, what), trip_c in board.trip_c.items():
+        celsius = board.temperature_c.get(zone)
+        if celsius is not None and celsius >= trip_c - margin_c:
+            return f"{zone} is at {celsius:.0f} C, {what} from {trip_c:.0f} C"
+    return ""
+
+
 def _temperatures(thermal: Path) -> Iterator[tuple[str, float]]:
     for zone in thermal.glob("thermal_zone*"):
         celsius = _celsius(zone / "temp")

@@ -19,7 +19,7 @@ from edge.report.record import is_target
 from edge.report.recorder import Trail
 from edge.types import Detections, Instance, Observation
 
-WATCHED_S = 3.0
+WATCHED_S = 10.0
 """Nobody looks who has not asked for so long."""
 PERIOD_S = 0.2
 MAX_EVENTS = 400

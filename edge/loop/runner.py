@@ -173,13 +173,16 @@ def _hear(running: Running, now_ns: int) -> Observation | None:
 
 
 def _obey(running: Running, now_ns: int) -> None:
-    """Take the next requests from outside, if there are any, and the next step of a swap or of a
-    reload."""
+    """Take the next requests from outside, if there are any, and the next step of a swap, of the
+    governor or of a reload."""
     service = running.service
     for key, server in running.servers.items():
         service.faults.attempt(key, now_ns, partial(server.serve, now_ns))
     with service.faults.outlived("swap", now_ns):
         service.swapper.step(now_ns)
+    if service.governor is not None:
+        with service.faults.outlived("governor", now_ns):
+            service.governor.step(now_ns)
     if running.reloader is not None:
         with service.faults.outlived("reload", now_ns):
             running.reloader.step(now_ns)

@@ -112,6 +112,7 @@ class Scorers:
         paused: nothing is asked.
         swap: puts another model in the place of the choice scorer's; None where there are none.
         newest_swap: it was asked later than the detector's was; may be set.
+        resting: those of `similarity` and `choice` that are asked nothing; may be set.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class Scorers:
         self._from_detections, self._score_of = from_detections, score_of
         self._detector = ""
         self.feeds = feeds
+        self.resting: frozenset[str] = frozenset()
         self._turn = 0  # counts questions about directions
         asked = None if similarity is None else _SimilarityAnswers(similarity)
         self._similarity = None if asked is None else ScorerWorker("similarity", asked, 0.0, inline)
@@ -188,7 +190,8 @@ class Scorers:
         """
         if self.paused:
             return
-        similarity, choice = self._similarity, self._choice
+        similarity = None if "similarity" in self.resting else self._similarity
+        choice = None if "choice" in self.resting else self._choice
         if similarity is not None and similarity.idle and observation.rgb is not None:
             sight = values.sight(observation) if self.feeds == "similarity" else None
             similarity.submit(_Question(observation, targets, sight))

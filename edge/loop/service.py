@@ -20,6 +20,7 @@ from edge.host.calibration import Calibration
 from edge.loop import stages
 from edge.loop.faults import Faults
 from edge.loop.goal import GoalTracker
+from edge.loop.governor import Governor
 from edge.loop.journal import DETECTOR, ELSEWHERE, Journal
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyRing
@@ -68,6 +69,8 @@ class Service:
         pose: the newest in `map`; None before there was any.
         stamp_ns: of the newest observation, on the sensors' clock.
         swapper: puts another model in the place of the worker's.
+        governor: gives up what is dear when the computer cannot keep up, where a ladder says what;
+            not in lockstep, where runs replay the same.
         blind_s: so long without an observation no one drives on.
         overruns: by what is listened to, how often more came than could be taken.
         faults: what stages, sinks and requests raised, and the loop outlived.
@@ -106,9 +109,13 @@ class Service:
         self._worker = journal.beside(DETECTOR, worker)
         self._scorers = scorers
         self.swapper = Swapper(config.perception, worker, self.event)
+        self.governor: Governor | None = None
+        if config.perception.governor.ladder and not config.loop.lockstep:
+            self.governor = Governor(config.perception, worker, self.swapper, scorers, self.event)
         self._health = HealthWatch(
-            worker, self.swapper, scorers, keeper, self.faults, overruns, self.event, sinks
-        )
+            worker, self.swapper, scorers, keeper, self.faults, overruns, self._governed,
+            self.event, sinks,
+        )  # fmt: skip
         self._publisher = Publisher(
             sinks, self.map, self.goals, scorers, journal, self.latency, self._health.status
         )
@@ -386,6 +393,8 @@ class Service:
         self.config, self.policy = config, policy
         self.map.reconfigure(config)
         self.swapper.perception = config.perception
+        if self.governor is not None:
+            self.governor.reconfigure(config.perception)
         self.mission.config = config.mission
         self.goals.reconfigure(config)
         if self._scorers is not None:
@@ -469,10 +478,15 @@ class Service:
 
     def close(self) -> None:
         """No tick comes any more."""
+        if self.governor is not None:
+            self.governor.close()
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
         self.map.close()
+
+    def _governed(self) -> dict[str, object] | None:
+        return None if self.governor is None else self.governor.status()
 
     # -- what others may ask ------------------------------------------------------------------
 

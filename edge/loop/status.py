@@ -59,6 +59,7 @@ def status_of(result: TickResult) -> dict[str, object]:
         "detector": health["detector"],
         "segmenter": health["segmenter"],
         "swap": health["swap"],
+        "governor": health["governor"],
         "scorers": health["scorers"],
         "sinks": health["sinks"],
     }
@@ -69,6 +70,7 @@ class HealthWatch:
 
     Args:
         overruns: by what is listened to, how often more came than could be taken.
+        governor: how it stands, None where there is none.
         event: tells of something that a person would want to know.
         sinks: see `edge.loop.publish.statuses`.
     """
@@ -81,12 +83,13 @@ class HealthWatch:
         keeper: Keeper | None,
         faults: Faults,
         overruns: Callable[[], dict[str, int]],
+        governor: Callable[[], dict[str, object] | None],
         event: Callable[[str, int], None],
         sinks: Sequence[Sink] = (),
     ) -> None:
         self._worker, self._swapper, self._scorers = worker, swapper, scorers
         self._keeper, self._faults, self._overruns = keeper, faults, overruns
-        self._event = event
+        self._governor, self._event = governor, event
         self._sinks = sinks
         self._degraded = False  # the detector is known to be, and that was told
 
@@ -115,6 +118,7 @@ class HealthWatch:
             },
             "segmenter": None if worker.masker is None else worker.masker.status(),
             "swap": self._swapper.status(),
+            "governor": self._governor(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
         }

@@ -26,8 +26,9 @@ from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
 from edge.perception.masks.sam import DTYPES
 from edge.perception.onnx_file import MASK_OUTPUTS
+from edge.perception.remote.session import RemoteSession
 from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel
-from edge.text import one_line
+from edge.text import one_line, without_secrets
 
 _TEXTS = 2
 """Rows of text that a model is tried with; marks in a view."""
@@ -80,6 +81,8 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     """
     if isinstance(card, ChoiceCard):
         return _check_choice(card)
+    if card.server is not None and file is None:
+        return _check_remote(card)
     if file is None:
         path, compared = verify_model(card), True
     else:
@@ -90,7 +93,18 @@ def check_model(card: FileCard | ChoiceCard, file: Path | None = None) -> str:
     return f"{card.name}: ok ({hashed}, interface, {seen})"
 
 
-def _check_detector(path: Path, session: Any, card: DetectCard) -> str:
+def _check_remote(card: DetectCard | ImageCard) -> str:
+    session, where = RemoteSession(card), without_secrets(card.server.url)
+    try:
+        check = _check_detector if isinstance(card, DetectCard) else _check_encoder
+        seen = check(where, session, card)
+    finally:
+        session.close()
+    tensors = "bytes" if session.binary else "JSON, which is slow"
+    return f"{card.name}: ok (on {where}, interface, {seen}; tensors go as {tensors})"
+
+
+def _check_detector(path: Path | str, session: Any, card: DetectCard) -> str:
     random = np.random.default_rng(0)
     text = random.normal(size=(1, _TEXTS, card.text_dim)).astype(np.float32)
     text /= np.linalg.norm(text, axis=2, keepdims=True)
@@ -119,7 +133,7 @@ def _check_choice(card: ChoiceCard) -> str:
     )
 
 
-def _check_encoder(path: Path, session: Any, card: FileCard) -> str:
+def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
     if isinstance(card, ImageCard):
         random, rows = np.random.default_rng(0), 1
         shape = (1, 3, card.input.height, card.input.width)
@@ -174,16 +188,18 @@ _TRIALS = {
 
 
 def _infer(
-    path: Path, session: Any, feed: dict[str, np.ndarray], outputs: list[str] | None = None
+    path: Path | str, session: Any, feed: dict[str, np.ndarray], outputs: list[str] | None = None
 ) -> list[np.ndarray]:
     try:
         return session.run(outputs, feed)
+    except ModelError:  # of a server, which says all
+        raise
     except Exception as error:  # onnxruntime raises many types of its own
         reason = one_line(error)
         raise ModelError(f"{path}: does not run: {reason}: export it again") from None
 
 
-def _hold_shape(path: Path, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+def _hold_shape(path: Path | str, name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
     if array.shape != shape:
         raise ModelError(f"{path}: {name} {array.shape}, must be {shape}: export it again")
     if not np.isfinite(array).all():

@@ -53,6 +53,8 @@ def _row(card: Card) -> tuple[str, ...]:
 def _file(card: Card) -> str:
     if not card.files:
         return "-"
+    if served := [file.server.url for file in card.files if file.server is not None]:
+        return f"on {without_secrets(served[0])}"
     if _path(card) is None:
         return "missing"
     return _megabytes(sum(path.stat().st_size for file in card.files for path in _paths(file)))

@@ -12,7 +12,14 @@ from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
 from edge.perception.card_types import ChoiceCard, SegmentCard, SimilarityCard
-from edge.perception.cards import FileCard, ModelError, card_path, load_card, verify_model
+from edge.perception.cards import (
+    FileCard,
+    ModelError,
+    card_path,
+    how_to_get,
+    load_card,
+    verify_model,
+)
 from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
 TRAINED = {
@@ -81,6 +88,8 @@ def with_file(name: str) -> FileCard:
     if isinstance(card, SegmentCard):
         parts = [part.file for part in card.files]
         raise ModelError(f"model {name!r}: has two files, {' and '.join(parts)}, made elsewhere")
+    if card.server is not None:
+        raise ModelError(f"model {name!r}: has no file here, {how_to_get(card)}")
     return card
 
 

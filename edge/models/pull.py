@@ -21,7 +21,7 @@ from edge.models.local import copy_from, extract, local_path, source_file_name, 
 from edge.models.make import how_to_make
 from edge.models.part import FetchError, Part
 from edge.perception.card_types import Card, ChoiceCard, FileCard, FolderFile, Source, TextCard
-from edge.perception.cards import ModelError, expected_of_part, load_card, sidecar
+from edge.perception.cards import ModelError, expected_of_part, how_to_get, load_card, sidecar
 from edge.perception.model_file import fresh_sha256
 
 
@@ -95,6 +95,8 @@ def pull(card: FileCard | ChoiceCard, where: Where = ANYWHERE) -> list[str]:
     """
     if isinstance(card, ChoiceCard):
         return [f"{card.name}: {_pull_part(card, part, where)}" for part in card.parts]
+    if card.server is not None:
+        return [f"{card.name}: nothing to fetch, {how_to_get(card)}"]
     if card.path.parent == resources.data_dir("models"):
         return [f"{card.name}: comes with edge-vln: {card.path}"]
     files, lines = wanted(card), []

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal, Union
+from typing import Annotated, ClassVar, Literal, Union
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from edge.host import resources
+from edge.text import split_url
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
@@ -21,6 +29,7 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
 Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt"]
+_NOT_GIVEN = ""
 Measured = dict[str, dict[str, Union[float, int, str]]]
 
 
@@ -115,6 +124,26 @@ class Parity(_Part):
     score_error: float | None
 
 
+class Server(_Part):
+    """A server that runs a model and speaks KServe's protocol, version 2 (docs/remote.md).
+
+    Attributes:
+        url: without the protocol's own path, as `http://base:8000`.
+        model: what the server calls it.
+        time_limit_s: for one inference in all, from the connection to the last byte.
+    """
+
+    url: str
+    model: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+    time_limit_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+
+    @field_validator("url")
+    @classmethod
+    def _is_address(cls, url: str) -> str:
+        split_url(url, "a model's server", "give it as http://HOST:PORT")
+        return url
+
+
 class BaseCard(_Part):
     """What all cards have.
 
@@ -137,21 +166,42 @@ class BaseCard(_Part):
 
     @property
     def files(self) -> tuple[FileCard | ChoiceCard, ...]:
-        """What of it are files: a card that only names others has none of its own."""
+        """What of it are files, here or on a server: a card that only names others has none."""
         return ()
 
 
 class _FileCard(BaseCard):
-    """A card with an ONNX file.
+    """A card with an ONNX file, here or on a server.
 
     Attributes:
-        file: its name, beside the card (small models of our own) or in the models' cache.
+        file: its name, beside the card (small models of our own) or in the models' cache; None
+            where a server runs the model.
         sha256: of the file; None when it is made here, then `FILE.json` beside it holds it.
+        server: that runs the model, in the place of a file here.
     """
 
-    file: OnnxName
-    sha256: Sha256 | None
+    server: Server | None = None
+    file: OnnxName | None = Field(default=None, validate_default=True)
+    sha256: Sha256 | None = Field(default=_NOT_GIVEN, validate_default=True)
     precision: Precision
+
+    @field_validator("file")
+    @classmethod
+    def _or_a_server(cls, file: str | None, others: ValidationInfo) -> str | None:
+        if "server" not in others.data:  # it is none, and that is told
+            return file
+        if file is None and others.data["server"] is None:
+            raise ValueError("missing: name it, or a server that runs the model")
+        if file is not None and others.data["server"] is not None:
+            raise ValueError("a server runs the model: name no file")
+        return file
+
+    @field_validator("sha256", mode="before")
+    @classmethod
+    def _of_a_file(cls, sha256: object, others: ValidationInfo) -> object:
+        if sha256 == _NOT_GIVEN and others.data.get("file") is not None:
+            raise ValueError("missing: null where FILE.json beside the file holds it")
+        return None if sha256 == _NOT_GIVEN else sha256
 
     @property
     def files(self) -> tuple[FileCard, ...]:
@@ -161,11 +211,11 @@ class _FileCard(BaseCard):
     @property
     def path(self) -> Path:
         """Where the ONNX file lies, if it is there: shipped beside its card, else the cache."""
-        return _locate(self.file)
+        return _locate(self.file or f"{self.name}.onnx")
 
     def is_here(self) -> bool:
         """Whether there is a file at `path`; a folder that may not be looked into has none."""
-        return os.path.isfile(self.path)
+        return self.server is None and os.path.isfile(self.path)
 
     def weights_sources(self) -> tuple[Source, ...]:
         """The sources of what the model is made from."""
@@ -192,9 +242,13 @@ class DetectCard(_FileCard):
 
 
 class TextCard(_FileCard):
-    """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows."""
+    """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows.
+
+    The loop waits for it where a mission begins, so no server runs it.
+    """
 
     task: Literal["text"]
+    server: None = None
     dim: Positive
     tokenizer: Annotated[Union[ClipTokenizer, AttributesTokenizer], Field(discriminator="kind")]
 
@@ -332,6 +386,8 @@ class ChoiceCard(BaseCard):
         image_tokens: the most that an image may become.
         max_tokens: of a whole question; a longer one is not asked.
     """
+
+    server: ClassVar[None] = None  # a KServe server would keep nothing of what was read
 
     task: Literal["choice"]
     sources: tuple[()] = ()

@@ -32,7 +32,7 @@ from edge.perception.card_types import (
 )
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.perception.onnx_file import check_file, check_network
-from edge.text import one_line, read_json_object
+from edge.text import one_line, read_json_object, without_secrets
 
 log = logging.getLogger(__name__)
 
@@ -150,6 +150,8 @@ def verify_model(card: FileCard, believe_cache: bool = False) -> Path:
             should be made of it.
     """
     path = card.path
+    if card.server is not None:
+        raise ModelError(f"model {card.name}: no file of it is here, {how_to_get(card)}")
     if not card.is_here():
         raise ModelError(f"{path}: model {card.name} is not there; {how_to_get(card)}")
     if not _has_its_hash(card, path, believe_cache):
@@ -235,6 +237,8 @@ def how_to_get(card: FileCard | ChoiceCard) -> str:
     if isinstance(card, ChoiceCard):
         from_where = "" if card.url is not None else " --from FOLDER"
         return f"run `edge models pull {card.name}{from_where}`"
+    if card.server is not None:
+        return f"the server {without_secrets(card.server.url)} runs it"
     if card.path.parent == resources.data_dir("models"):
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):

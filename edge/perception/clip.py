@@ -115,8 +115,13 @@ class ClipImageEncoder:
         """
         self.card = card
         self.dim = card.dim
-        path = verify_model(card, believe_cache=True)
-        self._session = open_session(path, providers, threads, device_id, engine)
+        if card.server is not None:
+            from edge.perception.remote.session import RemoteSession  # few need what that loads
+
+            self._session = RemoteSession(card)
+        else:
+            path = verify_model(card, believe_cache=True)
+            self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
         """
@@ -134,6 +139,11 @@ class ClipImageEncoder:
         pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
         pixels = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
         return _unit_rows(self._session, self.card, "pixels", pixels)[0]
+
+    def close(self) -> None:
+        """Give up what a server is asked."""
+        if self.card.server is not None:
+            self._session.close()
 
 
 def fit(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -177,6 +187,6 @@ def _open_tokenizer(card: TextCard) -> Any:
 def _unit_rows(
     session: Any, card: TextCard | ImageCard, name: str, batch: np.ndarray
 ) -> np.ndarray:
-    rows = run_encoder(session, card.file, name, batch, card.dim)
+    rows = run_encoder(session, card.file or f"model {card.name}", name, batch, card.dim)
     norms = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.ascontiguousarray(rows / norms, dtype=np.float32)

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from edge import config
+from edge.perception.cards import ModelError, load_detector_card
 from edge.perception.detector import Detector, Tell, log_progress
 from edge.perception.sim_detector import SimDetector, TruthAt
+
+if TYPE_CHECKING:  # what the other needs is not loaded
+    from edge.perception.onnx_detector import OnnxDetector
+    from edge.perception.remote.detector import RemoteDetector
+
+
+def open_detector(
+    detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell = log_progress
+) -> OnnxDetector | RemoteDetector:
+    """The detector of a card, on this computer or on the card's server; see both."""
+    card = load_detector_card(detector.model)
+    if card.server is not None:
+        from edge.perception.remote.detector import RemoteDetector
+
+        return RemoteDetector(detector, card, prompts, progress)
+    from edge.perception.onnx_detector import OnnxDetector
+
+    return OnnxDetector(detector, prompts, progress)
 
 
 def _onnx(
     detector: config.DetectorOnnx, prompts: Sequence[str], progress: Tell, truth: TruthAt | None
 ) -> Detector:
-    from edge.perception.onnx_detector import OnnxDetector
-
-    return OnnxDetector(detector, prompts, progress)
+    return open_detector(detector, prompts, progress)
 
 
 def _sim(
@@ -25,6 +43,14 @@ def _sim(
 
 
 REGISTRY = {"onnx": _onnx, "sim": _sim}
+
+
+def _on_a_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
+    """Such a model is isolated as it is."""
+    try:
+        return detector.kind == "onnx" and load_detector_card(detector.model).server is not None
+    except ModelError:  # whoever loads it says so
+        return False
 
 
 def make_detector(
@@ -47,7 +73,7 @@ def make_detector(
         PromptError: see `Detector.set_prompts`.
         ModelError: the model cannot be loaded, or not with the providers asked for.
     """
-    if perception.isolation == "process":
+    if perception.isolation == "process" and not _on_a_server(perception.detector):
         from edge.perception.process.detector import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,7 +32,7 @@ from edge.perception.cards import (
 from edge.perception.columns import Columns, columns_for
 from edge.perception.detector import Health, Tell, check_rgb, log_progress
 from edge.perception.encoders import make_text_encoder
-from edge.perception.text import PromptError, check_prompts, words_for
+from edge.perception.text import PromptError, TextEncoder, check_prompts, words_for
 from edge.types import ContextBoxes, Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -114,10 +114,13 @@ class OnnxDetector:
         detector: config.DetectorOnnx,
         prompts: Sequence[str],
         progress: Tell = log_progress,
+        session: Any = None,
+        text: TextEncoder | None = None,
     ) -> None:
         """
         Args:
             progress: told while a TensorRT engine is built, which takes minutes.
+            session, text: to work with; None: those of the card.
 
         Raises:
             ModelError: card, file or providers are unusable.
@@ -128,13 +131,13 @@ class OnnxDetector:
         self.name = self.card.name
         self.invalid_boxes = 0
         self.stages_ns = (0, 0, 0)
-        self._text = make_text_encoder(self.card, detector.vocabulary)
+        self._text = text or make_text_encoder(self.card, detector.vocabulary)
         self._background = self._known_background()
         height, width = self.card.input.height, self.card.input.width
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)
         self._scale = np.float32(self.card.preprocess.scale)
-        self._session = open_session(
+        self._session = session or open_session(
             verify_model(self.card, believe_cache=True),
             detector.providers,
             detector.threads,
@@ -251,10 +254,12 @@ class OnnxDetector:
                 list(OUTPUTS), {"images": self._images, "txt_feats": text}
             )
         anchors = boxes.shape[1] if boxes.ndim == 3 else 0
-        if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1):
+        most = self.card.input.height * self.card.input.width  # buffers are made for all of them
+        if boxes.shape != (1, anchors, 4) or scores.shape != (1, anchors, 1) or anchors > most:
             raise ModelError(
-                f"{self.card.file}: boxes {boxes.shape} and scores {scores.shape} do not belong "
-                "together, must be (1, a, 4) and (1, a, n): export it again"
+                f"{self.card.file or self.name}: boxes {boxes.shape} and scores {scores.shape} do "
+                f"not belong together, must be (1, a, 4) and (1, a, n), a at most {most}: export "
+                "it again"
             )
         return anchors
 

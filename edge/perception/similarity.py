@@ -12,7 +12,9 @@ from edge.perception.card_types import RUNNING, ImageCard, SimilarityCard, TextC
 from edge.perception.cards import ModelError, load_card_of
 from edge.perception.clip import CPU, ClipImageEncoder, ClipTextEncoder
 from edge.perception.encoders import open_text_encoder
+from edge.perception.factory import open_detector
 from edge.perception.onnx_detector import OnnxDetector, engine_options
+from edge.perception.remote.detector import RemoteDetector
 from edge.perception.text import TextEncoder
 from edge.types import Detections
 
@@ -82,7 +84,8 @@ class PairSimilarity:
             self._prompts = tuple(prompts)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Give up what a server is asked."""
+        self._image.close()
 
 
 def _rows_of(text: TextEncoder, prompts: Sequence[str]) -> np.ndarray:
@@ -98,7 +101,7 @@ class DetectorSimilarity:
     VL-Nav's authors gave VLFM such scores of YOLO-World, since BLIP-2 is too slow for a robot.
     """
 
-    def __init__(self, name: str, detector: OnnxDetector) -> None:
+    def __init__(self, name: str, detector: OnnxDetector | RemoteDetector) -> None:
         self.name = name
         self._detector = detector
 
@@ -150,7 +153,7 @@ def make_similarity(
         assert card.detector != RUNNING, "that one is asked anyway"
         settings = running or DetectorOnnx()
         own = settings.model_copy(update={"model": card.detector, "background": ()})
-        return DetectorSimilarity(card.name, OnnxDetector(own, prompts))
+        return DetectorSimilarity(card.name, open_detector(own, prompts))
     assert card.image_encoder is not None
     assert card.text_encoder is not None
     text = load_card_of(TextCard, card.text_encoder)

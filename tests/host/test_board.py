@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.host.board import Board, read_board
+from edge.host.board import Board, distress, read_board
 
 NOTHING = Board({}, {}, {}, {}, {}, {}, None)
 THERMAL, HWMON = "sys/class/thermal", "sys/class/hwmon"
@@ -156,6 +157,33 @@ def test_whatever_a_zone_is_called_its_name_is_short_and_printable(tmp_path_fact
     (zone_name,) = read_board(root).temperature_c
     assert 0 < len(zone_name) <= 60
     assert zone_name.isprintable()
+
+
+WARM = replace(
+    NOTHING, temperature_c={"gpu": 40.0, "tj": 94.0},
+    trip_c={("tj", "passive"): 99.0, ("tj", "hot"): 104.5, ("dead", "passive"): 1.0},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("board", "before", "margin_c", "why"),
+    [
+        (NOTHING, None, 3.0, ""),
+        (WARM, None, 0.0, ""),
+        (WARM, WARM, 3.0, ""),
+        (WARM, None, 5.0, "tj is at 94 C, passive from 99 C"),
+        (replace(NOTHING, throttled={"cpu": 0.0, "gpu": 0.25}), None, 0.0,
+         "gpu is slowed down by 25%"),
+        (replace(NOTHING, over_current={"oc1": 7}), None, 0.0, ""),
+        (replace(NOTHING, over_current={"oc1": 7}), NOTHING, 0.0, ""),
+        (replace(NOTHING, over_current={"oc1": 7}), replace(NOTHING, over_current={"oc1": 7}),
+         0.0, ""),
+        (replace(NOTHING, over_current={"oc1": 7}), replace(NOTHING, over_current={"oc1": 6}),
+         0.0, "the board slows itself down, it draws too much (oc1)"),
+    ],
+)  # fmt: skip
+def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
+    assert distress(board, before, margin_c) == why
 
 
 def test_this_computer_tells_its_memory():

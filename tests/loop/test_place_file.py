@@ -135,9 +135,9 @@ def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, con
             continue
         low, high = (0, 1) if column.low is None else (column.low, column.high)
         far = 10.0 ** random.integers(1, 9 if array.itemsize < 8 else 18)
-        drawn = random.uniform(
-            max(low, -far), min(high, far, 2.0 ** (8 * array.itemsize - 2)), array.shape
-        )
+        low = max(low, -far)
+        high = max(low, min(high, far, 2.0 ** (8 * array.itemsize - 2)))
+        drawn = random.uniform(low, high, array.shape)
         changes[name] = drawn.astype(array.dtype)
     path = tmp_path_factory.mktemp("forged") / "m.json"
     try:

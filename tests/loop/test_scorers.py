@@ -134,6 +134,19 @@ def test_no_one_is_asked_while_the_mission_is_paused_or_over():
         loop.close()
 
 
+def test_a_scorer_that_rests_is_asked_nothing_and_what_it_said_stays():
+    with serving(model()) as server:
+        loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
+        asked, said = len(server.requests), loop.scorers.answers.choice
+        loop.scorers.resting = frozenset({"choice"})
+        loop.step()
+        assert (len(server.requests), loop.scorers.answers.choice) == (asked, said)
+        loop.scorers.resting = frozenset({"similarity"})
+        loop.step()
+        assert len(server.requests) > asked
+        loop.close()
+
+
 class FakeSimilarity:
     name = "fake"
 
@@ -159,6 +172,8 @@ def test_similarity_is_for_every_target(monkeypatch):
     assert set(status["scores"]) == {"bed", "chair"}
     assert status["model"] == "fake"
     scorers.ask(replace(seen, rgb=None), ("bed",), "bed", *known)
+    scorers.resting = frozenset({"similarity"})
+    scorers.ask(seen, ("bed",), "bed", *known)
     assert scorers.status()["similarity"]["asked"] == 1
     scorers.close()
 

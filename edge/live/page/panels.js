@@ -128,12 +128,13 @@ const ms = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export const health = once(({ service, health: h, controlled }) => {
   const rows = [["service", service.ready ? `${service.state}, ready` : `${service.state}: ${service.why.join("; ")}`, service.ready ? "ok" : "warn"]];
-  const { detector, loop, checkpoint, swap, scorers } = h;
+  const { detector, loop, checkpoint, swap, governor, scorers } = h;
   rows.push(["detector", `${detector.model}: ${detector.state}${detector.detail ? `, ${detector.detail}` : ""}`, level(detector.state)]);
   rows.push(["images", `${detector.done} searched, ${detector.failed} failed, ${detector.replaced} passed over`]);
   rows.push(["loop", `${loop.state}, ${loop.failed} faults${loop.last_error ? `: ${loop.last_error}` : ""}`, level(loop.state)]);
   rows.push(["controller", controlled ? "answers" : "silent", controlled ? "ok" : "warn"]);
-  if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.reason ?? ""}`]);
+  if (swap?.state && swap.state !== "idle") rows.push(["model swap", `${swap.state} ${swap.detail ?? ""}`]);
+  if (governor) rows.push(["governor", governor.rung ? governor.why : governor.distress || "nothing given up", governor.rung ? "warn" : "ok"]);
   for (const [name, scorer] of Object.entries(scorers ?? {})) rows.push([name, scorer.model ?? "asked"]);
   if (checkpoint) rows.push(["checkpoint", Object.values(checkpoint).filter((v) => typeof v === "string").join(", ")]);
   pairs("health", rows);

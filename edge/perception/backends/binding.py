@@ -2,7 +2,8 @@
 
 `bind` chooses by where the session runs: on the CPU both ends are NumPy arrays that onnxruntime
 reads and writes in place; on CUDA they are onnxruntime's own values on the device, and only what
-changes is uploaded; TensorRT's sessions (`edge.perception.backends.tensorrt`) bind themselves.
+changes is uploaded; sessions of TensorRT (`edge.perception.backends.tensorrt`) and of a server
+(`edge.perception.remote`) bind themselves.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import numpy as np
 DEVICES = {
     "CUDAExecutionProvider": "cuda",
     "TensorrtExecutionProvider": "cuda",
-    "tensorrt": "tensorrt",
+    "tensorrt": "itself",
+    "kserve": "itself",
 }
-"""Where a provider's memory is; every other provider takes and gives the host's."""
+"""Where a provider's memory is; every other provider takes and gives the host's. `itself`: its
+session binds itself."""
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -42,7 +45,7 @@ def bind(
     """
     provider = session.get_providers()[0]
     device = DEVICES.get(provider, "cpu")
-    if device == "tensorrt":
+    if device == "itself":
         return session.bind(inputs, outputs, live)
     if device == "cpu":
         return HostBound(session, inputs, outputs)

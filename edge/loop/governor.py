@@ -1,0 +1,232 @@
+"""Gives up what is dear when the computer cannot keep up, and takes it back when it can.
+
+What is given up, and in which order, is `perception.governor.ladder`; when, `edge.loop.ladder`
+says. A cheaper model is swapped in as `edge models use` does it, without waiting for it; whoever
+asks for another model by that has it, and the governor stands aside.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from statistics import median
+
+from edge.config import Perception
+from edge.host.board import Board, distress, read_board
+from edge.host.worker import Worker
+from edge.loop.ladder import Ladder, Move, Second
+from edge.loop.scorers import Scorers
+from edge.loop.status import detector_health
+from edge.perception.cards import ModelError, how_to_get, load_detector_card
+from edge.perception.swap.swapper import OVER, SwapError, Swapper
+from edge.perception.worker import DetectorWorker
+
+SECOND_NS = 1_000_000_000
+BOARD_S = 2.0
+COOL_C = 5.0  # so much further from where it throttles a board is cool
+_MOST_TIMES = 256  # of the detector, in a second
+
+
+class Governor:
+    """For the loop's thread; never waits.
+
+    Args:
+        perception: with a ladder.
+        scorers: what the ladder's rungs rest.
+        tell: called with a line for every step, and the loop's time.
+        board: reads the computer's sensors; on a thread of its own.
+
+    Raises:
+        ModelError: the ladder names a model that is not here.
+
+    Attributes:
+        steps: that were taken, by direction.
+    """
+
+    def __init__(
+        self,
+        perception: Perception,
+        worker: DetectorWorker,
+        swapper: Swapper,
+        scorers: Scorers | None,
+        tell: Callable[[str, int], None],
+        board: Callable[[], Board] = read_board,
+    ) -> None:
+        self._perception = perception
+        self._rungs = perception.governor.ladder
+        self._margin_c = perception.governor.margin_c
+        for name in filter(None, (rung.model for rung in self._rungs)):
+            _check_here(name)
+        self._worker, self._swapper, self._scorers = worker, swapper, scorers
+        self._tell = tell
+        self.steps = {"down": 0, "up": 0}
+        self._why = ""
+        self._unfit: set[str] = set()
+        self._times_ms: deque[float] = deque(maxlen=_MOST_TIMES)
+        self._done = 0
+        self._begun_ns = 0
+        self._move: Move | None = None  # that waits for its model
+        self._seen: Board | None = None
+        self._distress, self._cool = "", True
+        self._board: Worker[bool, Board] = Worker("board", lambda _: board(), rest_s=BOARD_S)
+        self._begin_anew()
+
+    def reconfigure(self, perception: Perception) -> None:
+        """Go by another configuration, but for its ladder; its detector runs, if it is another."""
+        before, self._perception = self._perception, perception
+        self._ladder.budget_ms = perception.swap.budget_ms
+        parts = ("detector", "isolation", "process")
+        if any(getattr(before, part) != getattr(perception, part) for part in parts):
+            self._begin_anew()
+
+    @property
+    def rung(self) -> int:
+        return self._ladder.rung
+
+    def step(self, now_ns: int) -> None:
+        """Look, and take the next step if it is time for one: between two ticks."""
+        self._measure()
+        self._look_at_board(now_ns)
+        if self._move is not None:
+            self._follow(self._move, now_ns)
+        elif self._aside:
+            self._begin_second(now_ns)
+        elif now_ns - self._begun_ns >= SECOND_NS:
+            second = self._second()
+            self._begin_second(now_ns)
+            move = self._ladder.look(second, now_ns)
+            if move is not None:
+                self._begin(move, now_ns)
+
+    def status(self) -> dict[str, object]:
+        """For the status message."""
+        return {
+            "rung": self.rung,
+            "rungs": len(self._rungs),
+            "state": "stepping" if self._move else "aside" if self._aside else "steady",
+            "why": self._why,
+            "distress": self._distress,
+            "resting": sorted(self._resting(self.rung)),
+            "power_mode": None if self._seen is None else self._seen.power_mode,
+            "steps": dict(self.steps),
+        }
+
+    def close(self) -> None:
+        """A sensor that hangs is not waited for."""
+        self._board.close(timeout_s=BOARD_S)
+
+    @property
+    def _aside(self) -> bool:
+        """Another swap is under way, or somebody has asked for a model of no, or another, rung."""
+        wanted = self._model_on(self.rung)
+        running = wanted is None or self._swapper.running == wanted
+        return not running or self._swapper.state not in ("idle", *OVER)
+
+    def _begin_anew(self) -> None:
+        """On the first rung, whose model runs."""
+        detector = self._perception.detector
+        self._model = detector.model if detector.kind == "onnx" else None
+        self._ladder = Ladder(self._perception.governor, self._perception.swap.budget_ms)
+        self._unfit.clear()
+        self._move = None
+        self._rest(0)
+
+    def _measure(self) -> None:
+        stats = self._worker.stats
+        if stats.done != self._done:
+            self._done = stats.done
+            self._times_ms.append(stats.last_latency_ns * 1e-6)
+
+    def _look_at_board(self, now_ns: int) -> None:
+        if self._board.idle:
+            self._board.submit(True)
+        board = self._board.poll()
+        if board is None:
+            return
+        before, self._seen = self._seen, board
+        self._distress = distress(board, before, self._margin_c)
+        self._cool = not distress(board, before, self._margin_c + COOL_C)
+        if before is not None and board.power_mode != before.power_mode:
+            self._ladder.forget()
+            self._tell(f"governor: power mode {board.power_mode}, was {before.power_mode}", now_ns)
+
+    def _second(self) -> Second:
+        """What there was since the last one."""
+        took_ms = median(self._times_ms) if self._times_ms else None
+        state, detail = detector_health(self._worker)
+        ill = f"the detector is degraded: {detail}" if state == "degraded" else ""
+        return Second(took_ms, ill or self._distress, self._cool)
+
+    def _begin_second(self, now_ns: int) -> None:
+        self._begun_ns = now_ns
+        self._times_ms.clear()
+
+    def _begin(self, move: Move, now_ns: int) -> None:
+        down = move.rung > self.rung
+        rested = self._rungs[max(move.rung, self.rung) - 1].rest
+        wanted = self._model_on(move.rung)
+        what = f"model {wanted}"
+        if rested is not None:
+            what = f"rest {rested}" if down else f"ask {rested} again"
+        where = f"{'down' if down else 'up'} to rung {move.rung} of {len(self._rungs)}"
+        self._why = f"{where}: {what}: {move.why}"
+        self._tell(f"governor: step {self._why}", now_ns)
+        if wanted in (None, self._swapper.running):
+            self._arrive(move, now_ns)
+            return
+        try:
+            self._swapper.request(wanted, True, now_ns)
+        except SwapError as error:
+            self._give_up(move, str(error), now_ns)
+        else:
+            self._move = move
+
+    def _follow(self, move: Move, now_ns: int) -> None:
+        """See how the swap goes that a step needs."""
+        swap = self._swapper.status()
+        if swap["state"] not in OVER:
+            return
+        if swap["state"] == "kept":
+            self._arrive(move, now_ns)
+            return
+        if move.rung > self.rung:
+            self._unfit.add(str(swap["model"]))  # the next rung is tried without it
+        self._give_up(move, str(swap["detail"]), now_ns)
+
+    def _arrive(self, move: Move, now_ns: int) -> None:
+        self.steps["down" if move.rung > self.rung else "up"] += 1
+        self._move = None
+        self._ladder.arrived(move.rung, now_ns)
+        self._rest(move.rung)
+        self._begin_second(now_ns)
+
+    def _give_up(self, move: Move, why: str, now_ns: int) -> None:
+        self._move = None
+        self._why = f"rung {move.rung} is not to be had: {why}"
+        self._tell(f"governor: {self._why}", now_ns)
+        if self._model_on(move.rung) == self._swapper.running:  # all that it has besides is
+            self._arrive(move, now_ns)
+        else:
+            self._ladder.refused(now_ns)
+            self._begin_second(now_ns)
+
+    def _model_on(self, rung: int) -> str | None:
+        """The model of a rung; None where the detector has none."""
+        named = [r.model for r in self._rungs[:rung] if r.model and r.model not in self._unfit]
+        return named[-1] if named else self._model
+
+    def _resting(self, rung: int) -> frozenset[str]:
+        return frozenset(r.rest for r in self._rungs[:rung] if r.rest)
+
+    def _rest(self, rung: int) -> None:
+        if self._scorers is not None:
+            self._scorers.resting = self._resting(rung)
+
+
+def _check_here(name: str) -> None:
+    card = load_detector_card(name)
+    if card.server is None and not card.is_here():
+        raise ModelError(
+            f"{card.path}: model {name} of perception.governor.ladder is not there; "
+            f"{how_to_get(card)}"
+        )

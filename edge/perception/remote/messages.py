@@ -1,0 +1,203 @@
+"""Requests and answers of KServe's inference protocol, version 2, over HTTP.
+
+Tensors go as bytes behind the JSON where the server can (`binary_tensor_data`, an extension of
+Triton's), else as numbers in the JSON, which are five times as long and take as much longer.
+https://github.com/kserve/open-inference-protocol
+https://github.com/triton-inference-server/server/blob/main/docs/protocol/extension_binary_data.md
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from edge.text import one_line, read_json_object
+
+BINARY = "binary_tensor_data"
+HEADER_LENGTH = "Inference-Header-Content-Length"
+DTYPES = {"FP32": np.dtype(np.float32), "INT64": np.dtype(np.int64)}
+_NAMES = {dtype: name for name, dtype in DTYPES.items()}
+_SHOWN = 8
+
+Shape = tuple["int | None", ...]
+"""Sizes of a tensor; None: any."""
+
+
+def infer_request(
+    inputs: Mapping[str, np.ndarray], outputs: Sequence[str], binary: bool
+) -> tuple[dict[str, str], bytes]:
+    """Headers and body of a request.
+
+    Args:
+        inputs: of the types in `DTYPES`.
+    """
+    told: list[dict[str, Any]] = []
+    blocks: list[bytes] = []
+    for name, array in inputs.items():
+        entry = {"name": name, "shape": list(array.shape), "datatype": _NAMES[array.dtype]}
+        if binary:
+            block = array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+            entry["parameters"] = {"binary_data_size": len(block)}
+            blocks.append(block)
+        else:
+            entry["data"] = array.ravel().tolist()
+        told.append(entry)
+    wanted = [{"name": name, "parameters": {"binary_data": binary}} for name in outputs]
+    head = json.dumps({"inputs": told, "outputs": wanted}).encode()
+    if not binary:
+        return {"Content-Type": "application/json"}, head
+    headers = {"Content-Type": "application/octet-stream", HEADER_LENGTH: str(len(head))}
+    return headers, b"".join((head, *blocks))
+
+
+def infer_answer(
+    body: bytes, head_bytes: str | None, wanted: Mapping[str, Shape]
+) -> dict[str, np.ndarray]:
+    """The tensors of an answer.
+
+    Args:
+        head_bytes: what the header `HEADER_LENGTH` says; None: it is not there.
+        wanted: float32 outputs, whatever else the answer holds.
+
+    Returns:
+        By name, (shape) float32; not copied from the body where they are bytes of it.
+
+    Raises:
+        ValueError: the answer is not what was asked for; one line.
+    """
+    length = len(body) if head_bytes is None else _length(head_bytes, len(body))
+    answer, at = read_json_object(body[:length]), length
+    told = answer.get("outputs")
+    if not isinstance(told, list) or not all(isinstance(entry, dict) for entry in told):
+        raise ValueError("it has no list of outputs")
+    found: dict[str, np.ndarray] = {}
+    for entry in told:
+        name = entry.get("name")
+        size = _binary_size(entry)
+        block = None if size is None else memoryview(body)[at : at + size]
+        at += size or 0
+        if at > len(body):
+            raise ValueError(f"it ends before the bytes of {one_line(name, 40)!r}")
+        if isinstance(name, str) and name in wanted:
+            if name in found:
+                raise ValueError(f"it has {name!r} twice")
+            found[name] = _tensor(entry, block, wanted[name])
+    if at != len(body):
+        raise ValueError(f"{len(body) - at} bytes belong to no output")
+    if lacking := [name for name in wanted if name not in found]:
+        raise ValueError(f"it lacks the output {lacking[0]!r}")
+    return found
+
+
+def check_metadata(
+    body: bytes, inputs: Mapping[str, tuple[str, Shape]], outputs: Mapping[str, tuple[str, Shape]]
+) -> None:
+    """Hold what a server says of a model against what it should be.
+
+    A server need not know its models' inputs and outputs; what it does not name is not compared.
+
+    Args:
+        inputs, outputs: datatype and shape by name.
+
+    Raises:
+        ValueError: the model is another; one line.
+    """
+    told = read_json_object(body)
+    for kind, wanted in (("inputs", inputs), ("outputs", outputs)):
+        entries = told.get(kind)
+        entries = entries if isinstance(entries, list) else []
+        named = {e["name"]: e for e in entries if isinstance(e, dict) and _is_name(e.get("name"))}
+        if not named:
+            continue
+        shown = ", ".join(one_line(name, 40) for name in list(named)[:_SHOWN])
+        for name, (datatype, shape) in wanted.items():
+            if name not in named:
+                raise ValueError(f"the model has no {name!r} among its {kind} ({shown})")
+            entry = named[name]
+            sizes = _sizes(entry.get("shape"), open_too=True)
+            if entry.get("datatype") != datatype or not _fits(sizes, shape):
+                is_ = f"{one_line(entry.get('datatype'), 20)} {sizes}"
+                raise ValueError(f"{name!r} is {is_}, must be {datatype} {_shown(shape)}")
+
+
+def speaks_binary(body: bytes) -> bool:
+    """Whether a server says of itself that it takes and gives tensors as bytes."""
+    extensions = read_json_object(body).get("extensions")
+    return isinstance(extensions, list) and BINARY in extensions
+
+
+def _length(text: str, most: int) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 12 and int(text) <= most):
+        raise ValueError(f"{HEADER_LENGTH} is {one_line(text, 40)!r}, of {most} bytes")
+    return int(text)
+
+
+def _binary_size(entry: dict[str, Any]) -> int | None:
+    """How many of the bytes behind the JSON are an output's; None: it is in the JSON."""
+    parameters = entry.get("parameters")
+    if not isinstance(parameters, dict) or "binary_data_size" not in parameters:
+        return None
+    size = parameters["binary_data_size"]
+    if not _is_size(size):
+        raise ValueError(f"binary_data_size is {one_line(size, 40)}")
+    return size
+
+
+def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> np.ndarray:
+    name, shape = entry["name"], _sizes(entry.get("shape"))
+    if entry.get("datatype") != "FP32":
+        raise ValueError(f"{name!r} is {one_line(entry.get('datatype'), 40)}, must be FP32")
+    if shape is None or not _fits(shape, wanted):
+        is_ = one_line(entry.get("shape"), 60)
+        raise ValueError(f"{name!r} has the shape {is_}, must be {_shown(wanted)}")
+    n = math.prod(shape)
+    if block is not None:
+        if len(block) != 4 * n:
+            raise ValueError(f"{name!r} has {len(block)} bytes, must be {4 * n}")
+        return np.frombuffer(block, "<f4").reshape(shape)
+    try:
+        numbers = np.asarray(entry.get("data"))
+    except (ValueError, RecursionError):  # lists of different lengths, or too deep
+        raise ValueError(f"the data of {name!r} is no array") from None
+    if numbers.dtype.kind not in "iuf" or numbers.size != n:
+        raise ValueError(f"the data of {name!r} is not {n} numbers")
+    with np.errstate(over="ignore"):
+        return numbers.astype(np.float32).reshape(shape)
+
+
+def _sizes(shape: object, open_too: bool = False) -> tuple[int, ...] | None:
+    """A shape as it was told; None where it is none.
+
+    Args:
+        open_too: sizes may be -1.
+    """
+    if not isinstance(shape, list) or len(shape) > _SHOWN:
+        return None
+    right = all(_is_size(size) or (open_too and size == -1) for size in shape)
+    return tuple(shape) if right else None
+
+
+def _fits(sizes: tuple[int, ...] | None, wanted: Shape) -> bool:
+    return (
+        sizes is not None
+        and len(sizes) == len(wanted)
+        and all(
+            want is None or size in (want, -1) for size, want in zip(sizes, wanted, strict=True)
+        )
+    )
+
+
+def _is_size(size: object) -> bool:
+    return isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 40
+
+
+def _is_name(name: object) -> bool:
+    return isinstance(name, str) and name != ""
+
+
+def _shown(shape: Shape) -> str:
+    return "[" + ", ".join("?" if size is None else str(size) for size in shape) + "]"

@@ -1,0 +1,143 @@
+"""A real HTTP server, in a thread, that speaks KServe's protocol and lies as a test tells it to."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import numpy as np
+
+from edge.perception.remote.messages import BINARY, HEADER_LENGTH
+
+Run = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
+Behaviour = Callable[["Handler"], None]
+
+
+@dataclass
+class KServe:
+    """
+    Attributes:
+        run: the model.
+        binary: whether tensors may go as bytes.
+        behave: what it does at each inference in the place of the truth; may be set.
+        metadata: of the model.
+        asked: paths, in order.
+        connections: how many there were.
+        stopping: set at the end, so that a behaviour which would go on for ever ends too.
+    """
+
+    run: Run
+    binary: bool = True
+    behave: Behaviour | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+    url: str = ""
+    asked: list[str] = field(default_factory=list)
+    connections: int = 0
+    stopping: threading.Event = field(default_factory=threading.Event)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """What a behaviour is given; `server.kserve` is the server."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+
+    @property
+    def kserve(self) -> KServe:
+        return self.server.kserve  # type: ignore[attr-defined]
+
+    def setup(self) -> None:
+        super().setup()
+        self.kserve.connections += 1
+
+    def do_GET(self) -> None:
+        self.kserve.asked.append(self.path)
+        extensions = [BINARY] if self.kserve.binary else []
+        told = {"name": "test", "version": "1", "extensions": extensions}
+        self.send_json(told if self.path == "/v2" else {"name": "m", **self.kserve.metadata})
+
+    def do_POST(self) -> None:
+        self.kserve.asked.append(self.path)
+        self.body = self.rfile.read(int(self.headers["Content-Length"]))
+        with contextlib.suppress(ConnectionError):
+            (self.kserve.behave or Handler.tell_the_truth)(self)
+
+    def tell_the_truth(self) -> None:
+        outputs = self.kserve.run(self.tensors())
+        (self.send_tensors if self.kserve.binary else self.send_json_tensors)(outputs)
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """What was sent."""
+        length = int(self.headers.get(HEADER_LENGTH, len(self.body)))
+        told, at, found = json.loads(self.body[:length]), length, {}
+        for entry in told["inputs"]:
+            dtype = {"FP32": np.float32, "INT64": np.int64}[entry["datatype"]]
+            if "data" in entry:
+                array = np.array(entry["data"], dtype)
+            else:
+                size = entry["parameters"]["binary_data_size"]
+                array, at = np.frombuffer(self.body[at : at + size], dtype), at + size
+            found[entry["name"]] = array.reshape(entry["shape"])
+        assert at == len(self.body)
+        return found
+
+    def send_tensors(self, outputs: dict[str, np.ndarray], **change: Any) -> None:
+        """As bytes; `change` is put into the first output's entry."""
+        entries = [
+            {"name": name, "datatype": "FP32", "shape": list(array.shape),
+             "parameters": {"binary_data_size": array.nbytes}}
+            for name, array in outputs.items()
+        ]  # fmt: skip
+        entries[0] |= change
+        head = json.dumps({"outputs": entries}).encode()
+        blocks = [array.astype("<f4").tobytes() for array in outputs.values()]
+        self.send(b"".join((head, *blocks)), **{HEADER_LENGTH: str(len(head))})
+
+    def send_json_tensors(self, outputs: dict[str, np.ndarray]) -> None:
+        entries = [
+            {"name": name, "datatype": "FP32", "shape": list(array.shape),
+             "data": array.ravel().tolist()}
+            for name, array in outputs.items()
+        ]  # fmt: skip
+        self.send_json({"outputs": entries})
+
+    def send_json(self, told: Any, status: int = 200) -> None:
+        self.send(json.dumps(told).encode(), status)
+
+    def send(self, body: bytes, status: int = 200, **headers: str) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False  # a connection that is kept open has a thread that waits for more
+
+
+@contextlib.contextmanager
+def serving(kserve: KServe, port: int = 0) -> Iterator[KServe]:
+    """Runs it on a port of this machine."""
+    kserve.stopping.clear()
+    with _Server(("127.0.0.1", port), Handler) as server:
+        server.kserve = kserve  # type: ignore[attr-defined]
+        kserve.url = f"http://127.0.0.1:{server.server_port}"
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+        thread.start()
+        try:
+            yield kserve
+        finally:
+            kserve.stopping.set()
+            server.shutdown()
+            thread.join()

@@ -1,0 +1,287 @@
+"""The governor over a real swapper and worker, with detectors that are as slow as they are told."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from patience import eventually
+from simulated import simulated
+
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
+from edge.geometry import CameraModel
+from edge.host.board import Board
+from edge.loop import governor as module
+from edge.loop.governor import Governor
+from edge.loop.status import status_of
+from edge.perception.cards import ModelError
+from edge.perception.detector import Health
+from edge.perception.swap.swapper import Swapper
+from edge.perception.worker import DetectorWorker
+from edge.types import Detections, Observation
+
+MS, TICK_NS = 1_000_000, 100_000_000
+COOL = Board({"tj": 50.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
+HOT = Board({"tj": 97.0}, {("tj", "passive"): 99.0}, {}, {}, {}, {}, "MAXN")
+LADDER = [{"model": "small"}, {"rest": "choice"}]
+
+
+class Fake:
+    """Finds nothing, and says that it took so long."""
+
+    def __init__(self, name: str, ms: float, ill: str = "") -> None:
+        self.name, self.ms, self.ill, self.closed = name, ms, ill, False
+        self.prompts: tuple[str, ...] = ("chair",)
+        self.invalid_boxes = 0
+
+    def set_prompts(self, prompts):
+        self.prompts = tuple(prompts)
+
+    def detect(self, observation):
+        return Detections(
+            observation, np.zeros((0, 4), np.float32), np.zeros(0, np.float32),
+            np.zeros(0, np.int32), self.prompts, latency_ns=int(self.ms * MS),
+        )  # fmt: skip
+
+    def health(self):
+        return Health("degraded", self.ill) if self.ill else Health()
+
+    def close(self):
+        self.closed = True
+
+
+class Bench:
+    """Ten images a second of the loop's time; `models` makes those that are asked for."""
+
+    def __init__(self, ladder=LADDER, board=COOL, **governor) -> None:
+        rules = {"ladder": ladder, "over_s": 2, "dwell_s": 5, "room_s": 10, **governor}
+        config = parse({
+            "perception": {
+                "detector": {"kind": "onnx", "model": "large"},
+                "choice": {"kind": "text", "url": "http://127.0.0.1:1/v1", "model": "m"},
+                "swap": {"images": 1, "probation": 2},
+                "governor": rules,
+            }
+        })  # fmt: skip
+        self.config, self.board, self.said = config, board, []
+        self.models = {"large": Fake("large", 20.0), "small": Fake("small", 10.0)}
+        self.worker = DetectorWorker(self.models["large"], inline=True)
+        self.scorers = SimpleNamespace(resting=frozenset())
+        self.swapper = Swapper(
+            config.perception, self.worker, lambda text, now_ns: None, self._make
+        )
+        self.governor = Governor(
+            config.perception, self.worker, self.swapper, self.scorers,
+            lambda text, now_ns: self.said.append(text), self._read,
+        )  # fmt: skip
+        self.now_ns = self.reads = 0
+
+    def _make(self, perception, prompts, progress, cancelled):
+        model = self.models[perception.detector.model]
+        if isinstance(model, Exception):
+            raise model
+        model.closed = False
+        return model
+
+    def _read(self) -> Board:
+        self.reads += 1
+        if isinstance(self.board, Exception):
+            raise self.board
+        return self.board
+
+    @property
+    def running(self) -> str:
+        return self.worker.detector.name
+
+    def run(self, seconds: float) -> Bench:
+        for _ in range(int(seconds * 10)):
+            self.now_ns += TICK_NS
+            seen = Observation(
+                self.now_ns // TICK_NS, self.now_ns, np.eye(4), rgb=np.zeros((8, 8, 3), np.uint8),
+                camera=CameraModel.from_hfov(8, 8, 1.3),
+            )  # fmt: skip
+            self.worker.submit(seen)
+            # What it says it took stands for what it took: no clock decides here.
+            self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
+            self.swapper.step(self.now_ns)
+            self.governor.step(self.now_ns)
+        return self
+
+    def until(self, what) -> Bench:
+        eventually(lambda: self.run(1.0) and what(), f"never: {self.governor.status()}")
+        return self
+
+    def sees(self, board: Board) -> Bench:
+        """Wait until the governor has read this of the board."""
+        self.board = board
+        self.governor._board._rest_s = 0.0
+        return self.until(lambda: self.governor._seen is board)
+
+    def close(self) -> None:
+        self.governor.close()
+        self.swapper.close()
+        self.worker.close()
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    monkeypatch.setattr(module, "_check_here", lambda name: None)
+    monkeypatch.setattr(module, "BOARD_S", 0.01)
+    opened = []
+
+    def make(**more) -> Bench:
+        opened.append(Bench(**more))
+        return opened[-1]
+
+    yield make
+    for one in opened:
+        one.close()
+
+
+def test_nothing_is_given_up_while_all_goes_well(bench):
+    b = bench().run(30)
+    assert (b.running, b.said, b.governor.rung) == ("large", [], 0)
+    status = b.governor.status()
+    assert status["state"] == "steady"
+    assert status["steps"] == {"down": 0, "up": 0}
+
+
+def test_a_slow_detector_gives_way_rung_by_rung_and_comes_back(bench):
+    b = bench()
+    b.models["large"].ms, b.models["small"].ms = 60.0, 40.0
+    b.until(lambda: b.governor.rung == 1)
+    assert (b.running, b.scorers.resting) == ("small", frozenset())
+    assert b.said == [
+        "governor: step down to rung 1 of 2: model small: detect takes 60 ms at the median, "
+        "perception.swap.budget_ms is 33, for 2 s and more"
+    ]
+    b.until(lambda: b.governor.rung == 2)
+    assert b.scorers.resting == {"choice"}
+    assert b.said[1].startswith("governor: step down to rung 2 of 2: rest choice: detect takes 40")
+    assert b.governor.status()["resting"] == ["choice"]
+    b.models["large"].ms, b.models["small"].ms = 12.0, 8.0
+    b.until(lambda: b.governor.rung == 0)
+    assert (b.running, b.scorers.resting) == ("large", frozenset())
+    assert [line.split(":")[1].strip() for line in b.said[2:]] == [
+        "step up to rung 1 of 2", "step up to rung 0 of 2",
+    ]  # fmt: skip
+    assert b.governor.steps == {"down": 2, "up": 2}
+
+
+def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
+    b = bench().sees(HOT)
+    b.until(lambda: b.governor.rung == 1)
+    assert "model small: tj is at 97 C, passive from 99 C, for 2 s" in b.said[0]
+    assert b.governor.status()["distress"] == "tj is at 97 C, passive from 99 C"
+
+
+def test_a_detector_that_detects_nothing_gives_way_to_another(bench):
+    b = bench()
+    b.models["large"].ill = "server dead: nothing listens there"
+    b.until(lambda: b.running == "small")
+    assert "the detector is degraded: server dead" in b.said[0]
+
+
+def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
+    b = bench()
+    b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
+    b.until(lambda: b.governor.rung == 2)
+    assert b.running == "large"
+    assert b.said[1] == "governor: rung 1 is not to be had: small.onnx: damaged; large goes on"
+    assert b.scorers.resting == {"choice"}
+    b.models["large"].ms = 10.0
+    b.until(lambda: b.governor.rung == 0)
+
+
+def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
+    b = bench(ladder=LADDER[:1])
+    large = b.models["large"]
+    large.ms = 60.0
+    b.until(lambda: b.running == "small")
+    b.models["large"] = ModelError("large.onnx: damaged")
+    b.until(lambda: len(b.said) == 3)
+    assert b.said[2] == "governor: rung 0 is not to be had: large.onnx: damaged; small goes on"
+    assert (b.governor.rung, b.running) == (1, "small")
+
+
+def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
+    b = bench()
+    b.models["own"] = Fake("own", 80.0)
+    b.swapper.request("own", True, b.now_ns)
+    b.until(lambda: b.running == "own" and b.swapper.state == "kept")
+    b.run(30)
+    assert (b.governor.status()["state"], b.said) == ("aside", [])
+    b.swapper.request("large", True, b.now_ns)
+    b.until(lambda: b.running == "large" and b.swapper.state == "kept")
+    b.models["large"].ms = 60.0
+    b.until(lambda: b.governor.rung == 1)
+
+
+def test_another_power_mode_is_told(bench):
+    b = bench().sees(COOL).sees(COOL.__class__({}, {}, {}, {}, {}, {}, "15W"))
+    assert b.said == ["governor: power mode 15W, was MAXN"]
+    assert b.governor.status()["power_mode"] == "15W"
+
+
+def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
+    b = bench(board=OSError("no such sensor"))
+    b.until(lambda: b.reads)
+    b.models["large"].ms = 60.0
+    b.until(lambda: b.governor.rung == 1)
+    assert b.governor.status()["power_mode"] is None
+
+
+def test_another_configuration_of_the_detector_begins_anew_and_another_budget_does_not(bench):
+    b = bench()
+    b.models["large"].ms, perception = 60.0, b.config.perception
+    b.until(lambda: b.governor.rung == 1)
+    swap = perception.swap.model_copy(update={"budget_ms": 100.0})
+    b.governor.reconfigure(perception.model_copy(update={"swap": swap}))
+    assert b.governor.rung == 1
+    detector = perception.detector.model_copy(update={"model": "small"})
+    b.governor.reconfigure(perception.model_copy(update={"detector": detector}))
+    assert (b.governor.rung, b.governor.status()["state"]) == (0, "steady")
+
+
+def service(lockstep: bool, **governor) -> ClosedLoop:
+    choice = {"kind": "text", "url": "http://127.0.0.1:1/v1", "model": "m"}
+    return ClosedLoop(simulated({
+        "loop": {"lockstep": lockstep}, "mission": {"target": "bed"},
+        "perception": {"choice": choice, "governor": governor},
+    }))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "ladder"), [(False, []), (True, LADDER[1:])], ids=["no ladder", "lockstep"]
+)
+def test_there_is_none_without_a_ladder_nor_where_runs_replay(lockstep, ladder):
+    closed = service(lockstep, ladder=ladder)
+    assert closed.service.governor is None
+    assert status_of(closed.service.result())["governor"] is None
+
+
+def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
+    closed = service(False, ladder=LADDER[1:], over_s=1)
+    governor = closed.service.governor
+    try:
+        governor._board._work = lambda _: HOT
+        s = iter(range(10_000))
+        eventually(lambda: governor.step(next(s) * 10**9) or governor.rung == 1)
+        closed.step()
+        status = status_of(closed.service.result())
+        assert closed.service.scorers.resting == {"choice"}
+    finally:
+        closed.close()
+    assert (status["governor"]["rung"], status["governor"]["steps"]["down"]) == (1, 1)
+    told = [text for text in closed.notes.events if text.startswith("governor")]
+    assert told == [f"governor: step {status['governor']['why']}"]
+    assert "rest choice: tj is at 97 C" in told[0]
+
+
+def test_a_ladder_names_models_that_are_here():
+    with pytest.raises(ModelError, match=r"^model 'none': no such card"):
+        module._check_here("none")
+    with pytest.raises(ModelError, match=r"480x640-fp32 of perception\.governor\.ladder is not"):
+        module._check_here("yolo-world-s-480x640-fp32")

@@ -1,0 +1,158 @@
+"""The ladder of what is given up: never in haste, never to and fro, and up again."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.config import Governor
+from edge.loop.ladder import MOST_DOUBLINGS, UNLIKELY, Ladder, Second
+
+S = 1_000_000_000
+BUDGET_MS = 33.0
+TWO = ({"model": "small"}, {"rest": "choice"})
+
+
+def rules(ladder=TWO, **settings) -> Governor:
+    return Governor(ladder=ladder, over_s=3, dwell_s=10, room_s=60, **settings)
+
+
+class Plant:
+    """A computer: what detect takes on a rung, times the load; a step is taken at once."""
+
+    def __init__(self, costs_ms=(20.0, 10.0, 5.0), **settings) -> None:
+        ladder = [{"rest": "choice"}] * (len(costs_ms) - 1)
+        self.ladder, self.costs_ms = Ladder(rules(ladder, **settings), BUDGET_MS), costs_ms
+        self.now_s, self.moves = 0, []
+
+    @property
+    def rung(self) -> int:
+        return self.ladder.rung
+
+    def run(self, seconds: int, load: float = 1.0, **second) -> Plant:
+        for _ in range(seconds):
+            self.now_s += 1
+            told = Second(self.costs_ms[self.rung] * load, **second)
+            if (move := self.ladder.look(told, self.now_s * S)) is not None:
+                self.ladder.arrived(move.rung, self.now_s * S)
+                self.moves.append((self.now_s, move.rung, move.why))
+        return self
+
+
+def test_without_rungs_nothing_is_done():
+    assert Plant(costs_ms=(50.0,)).run(1000).moves == []
+
+
+def test_what_fits_stays():
+    assert Plant().run(1000, load=1.6).moves == []
+
+
+def test_too_slow_for_seconds_is_a_step_down_and_says_why():
+    ((at_s, rung, why),) = Plant().run(4, load=2.0).moves
+    assert (at_s, rung) == (4, 1)
+    budget = "perception.swap.budget_ms is 33"
+    assert why == f"detect takes 40 ms at the median, {budget}, for 3 s and more"
+
+
+def test_a_moment_that_is_too_slow_is_none():
+    plant = Plant()
+    for _ in range(100):
+        plant.run(3, load=2.0).run(1, load=1.0)
+    assert plant.moves == []
+
+
+@pytest.mark.parametrize("told", [{"distress": "cpu is slowed down by 50%"}, {"distress": "hot"}])
+def test_distress_is_a_step_down_whatever_detect_takes(told):
+    plant = Plant().run(4, **told)
+    assert plant.moves == [(4, 1, f"{told['distress']}, for 3 s and more")]
+
+
+def test_a_detector_that_finds_nothing_out_is_no_room():
+    ladder = Ladder(rules(), BUDGET_MS)
+    ladder.arrived(1, 0)
+    assert all(ladder.look(Second(None), s * S) is None for s in range(1, 1000))
+
+
+def test_with_room_it_goes_up_again():
+    plant = Plant().run(8, load=2.0).run(200, load=0.5)
+    assert [rung for _, rung, _ in plant.moves] == [1, 0]
+    assert plant.moves[1][2] == "there was room for 60 s"
+
+
+def test_a_board_that_is_not_cool_has_no_room():
+    plant = Plant().run(4, distress="hot").run(1000, cool=False)
+    assert plant.rung == 1
+    assert plant.run(62).rung == 0
+
+
+def test_a_load_that_went_while_it_stepped_does_not_keep_it_down_for_ever():
+    """The step makes the model look ten times as dear as it is."""
+    plant = Plant().run(4, load=5.0).run(60 << UNLIKELY, load=0.1)
+    assert plant.rung == 1
+    assert plant.run(200, load=0.1).rung == 0
+
+
+def test_steps_up_in_vain_come_ever_more_seldom():
+    """A board that is cool once something is given up, and hot once it is taken back."""
+    plant = Plant(costs_ms=(10.0, 10.0))
+    while plant.now_s < 20_000:
+        plant.run(1, distress="" if plant.rung else "hot")
+    ups = [at for at, rung, _ in plant.moves if rung == 0]
+    gaps = [b - a for a, b in pairwise(ups)]
+    assert len(gaps) > MOST_DOUBLINGS
+    assert all(b >= 1.8 * a for a, b in pairwise(gaps[:MOST_DOUBLINGS]))
+
+
+def test_another_power_mode_makes_all_that_was_learnt_void():
+    plant = Plant().run(4, load=5.0)
+    plant.run(30, load=0.1)
+    plant.ladder.forget()
+    assert plant.run(40, load=0.1).rung == 0
+
+
+def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
+    ladder, asked = Ladder(rules(), BUDGET_MS), []
+    for s in range(1, 100):
+        if ladder.look(Second(50.0), s * S) is not None:
+            asked.append(s)
+            ladder.refused(s * S)
+    assert asked[:3] == [4, 14, 24]
+    assert ladder.rung == 0
+
+
+loads = st.lists(
+    st.tuples(st.integers(1, 90), st.floats(0.05, 6.0), st.booleans(), st.booleans()), max_size=40
+)
+
+
+@settings(max_examples=50)
+@given(loads)
+def test_never_two_steps_within_the_dwell_and_never_more_than_one_rung(phases):
+    plant = Plant()
+    for seconds, load, hot, cool in phases:
+        plant.run(seconds, load, distress="hot" if hot else "", cool=cool)
+    assert all(b - a >= 10 for (a, *_), (b, *_) in pairwise(plant.moves))
+    rungs = [0, *(rung for _, rung, _ in plant.moves)]
+    assert all(abs(b - a) == 1 for a, b in pairwise(rungs))
+    assert set(rungs) <= {0, 1, 2}
+
+
+@settings(max_examples=25)
+@given(loads, st.floats(0.05, 1.0))
+def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load):
+    plant = Plant()
+    for seconds, heavy, hot, cool in phases:
+        plant.run(seconds, heavy, distress="hot" if hot else "", cool=cool)
+    assert plant.run(2 * 3 * (60 << MOST_DOUBLINGS), load).rung == 0
+
+
+@settings(max_examples=50)
+@given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
+def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, cost_ms):
+    """What a rung saves is known once it is taken: a try comes at 16 times `room_s` or later."""
+    costs_ms = (cost_ms, cost_ms * shares[0], cost_ms * shares[0] * shares[1])
+    plant = Plant(costs_ms).run(60 << UNLIKELY, load)
+    assert [rung for _, rung, _ in plant.moves] == list(range(1, len(plant.moves) + 1))

@@ -1,0 +1,429 @@
+"""A model on a server: the same boxes, and whatever the server does costs boxes only."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import onnxruntime
+import pytest
+import yaml
+from kserve_server import Handler, KServe, serving
+from patience import PATIENCE_S, eventually
+from tiny_clip import DIM, IMAGE, SIDE
+
+from edge import config
+from edge.host.ports import free_port
+from edge.perception.card_types import ImageCard, Server
+from edge.perception.cards import ModelError, load_card, verify_model
+from edge.perception.clip import ClipImageEncoder
+from edge.perception.factory import make_detector
+from edge.perception.onnx_detector import OnnxDetector
+from edge.perception.remote import detector as module
+from edge.perception.remote.detector import RemoteDetector
+from edge.perception.remote.session import RemoteSession, ServerError
+from edge.perception.similarity import make_similarity, similarity_card
+from edge.perception.text import PromptError
+from edge.perception.worker import DetectorWorker
+
+SMALL = "mini-house-256x320-int8-cpu"
+PROMPTS = ("chair", "bed")
+NAN = float("nan")
+
+
+def card_of(server: KServe | str, time_limit_s: float = PATIENCE_S / 4):
+    """The card of the small detector, as the server has it."""
+    url = server if isinstance(server, str) else server.url
+    told = Server(url=url, model="m", time_limit_s=time_limit_s)
+    return load_card(SMALL).model_copy(update={"server": told, "file": None, "name": "far"})
+
+
+@pytest.fixture(scope="module")
+def session():
+    return onnxruntime.InferenceSession(str(load_card(SMALL).path))
+
+
+@pytest.fixture(scope="module")
+def model(session):
+    """What the server runs: the small detector itself."""
+
+    def run(feed):
+        found = session.run(["boxes", "scores"], feed)
+        return dict(zip(("boxes", "scores"), found, strict=True))
+
+    return run
+
+
+@pytest.fixture
+def picture(make_observation):
+    rng = np.random.default_rng(3)
+    rgb = rng.integers(0, 255, (200, 280, 3), np.uint8)
+    rgb[60:150, 90:200] = (120, 70, 30)
+    return make_observation(rgb=rgb)
+
+
+@pytest.fixture
+def far(monkeypatch):
+    """Makes detectors of a server; `clock` is theirs."""
+    with ExitStack() as stack:
+
+        def make(server, **more):
+            card = card_of(server, **more)
+            monkeypatch.setattr(
+                "edge.perception.onnx_detector.load_detector_card", lambda name: card
+            )
+            settings = config.DetectorOnnx(model=SMALL, tau_vl=1e-6, threads=1)
+            clock = SimpleNamespace(s=0.0)
+            made = RemoteDetector(settings, card, PROMPTS, clock=lambda: clock.s)
+            made.time = clock
+            stack.callback(made.close)
+            return made
+
+        yield make
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_boxes_are_those_of_the_model_here(model, far, picture, binary):
+    here = OnnxDetector(config.DetectorOnnx(model=SMALL, tau_vl=1e-6, threads=1), PROMPTS)
+    with serving(KServe(model, binary)) as server:
+        there = far(server)
+        for prompts in [PROMPTS, ("sofa",)][: 1 + binary]:  # numbers in JSON take long
+            here.set_prompts(prompts)
+            there.set_prompts(prompts)
+            wanted, found = here.detect(picture), there.detect(picture)
+            assert len(found.score) > 0
+            np.testing.assert_allclose(found.xyxy_px, wanted.xyxy_px, atol=1e-3)
+            np.testing.assert_allclose(found.score, wanted.score, atol=1e-5)
+            assert (found.prompts, found.model) == (prompts, "far")
+        if binary:
+            best = there.best_scores(picture.rgb)
+            np.testing.assert_allclose(best, here.best_scores(picture.rgb), atol=1e-5)
+        assert there.health() == ("ok", "")
+        assert server.connections == 1
+        assert server.asked[:3] == ["/v2", "/v2/models/m", "/v2/models/m/infer"]
+
+
+def test_a_prompt_that_nobody_knows_is_told_without_the_server(far):
+    there = far("http://127.0.0.1:1")
+    with pytest.raises(PromptError, match="xylograph"):
+        there.set_prompts(["xylograph"])
+    assert there.prompts == PROMPTS
+
+
+def test_a_server_that_comes_later_is_found(model, far, picture):
+    port = free_port()
+    there = far(f"http://127.0.0.1:{port}")
+    with pytest.raises(ServerError, match="is dead: nothing listens there; start the server"):
+        there.detect(picture)
+    state, detail = there.health()
+    assert state == "degraded"
+    assert detail.startswith(f"model far: the server http://127.0.0.1:{port} is dead: ")
+    with serving(KServe(model), port) as server:
+        with pytest.raises(ModelError, match="is dead"):  # not asked again at once
+            there.detect(picture)
+        assert server.asked == []
+        there.time.s += module.PAUSE_S
+        assert len(there.detect(picture).score)
+        assert there.health() == ("ok", "")
+
+
+def test_the_pause_doubles_to_its_limit_and_begins_anew(model, far, picture):
+    with serving(KServe(model, behave=lambda h: h.send(b"", 503))) as server:
+        there, pauses = far(server), []
+        for _ in range(8):
+            asked = len(server.asked)
+            while len(server.asked) == asked:
+                there.time.s += 0.1
+                with pytest.raises(ModelError):
+                    there.detect(picture)
+            pauses.append(there.time.s)
+        gaps = np.diff(pauses)
+        assert gaps == pytest.approx([0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0], abs=0.11)
+        server.behave = None
+        there.time.s += 5.0
+        there.detect(picture)
+        server.behave = lambda h: h.send(b"", 503)
+        with pytest.raises(ServerError):
+            there.detect(picture)
+        asked = len(server.asked)
+        there.time.s += 0.2
+        with pytest.raises(ServerError):
+            there.detect(picture)
+        assert len(server.asked) > asked
+
+
+def cut(handler: Handler) -> None:
+    handler.connection.shutdown(socket.SHUT_RDWR)
+
+
+def part(handler: Handler) -> None:
+    handler.send_response(200)
+    handler.send_header("Content-Length", "1000")
+    handler.end_headers()
+    handler.wfile.write(b"{")
+    cut(handler)
+
+
+def garbage(handler: Handler) -> None:
+    handler.wfile.write(b"SSH-2.0-OpenSSH_9.2\r\n\r\n")
+    cut(handler)
+
+
+def silent(handler: Handler) -> None:
+    handler.kserve.stopping.wait(PATIENCE_S)
+
+
+def drip(handler: Handler) -> None:
+    """A byte now and then, of a header that never ends."""
+    handler.wfile.write(b"HTTP/1.1 200 OK\r\nX-Long: ")
+    while not handler.kserve.stopping.wait(0.02):
+        handler.wfile.write(b"a")
+
+
+def endless(handler: Handler) -> None:
+    handler.send_response(200)
+    handler.end_headers()
+    while not handler.kserve.stopping.is_set():
+        handler.wfile.write(b" " * 65536)
+
+
+def tensors(**shapes):
+    """Zeros of these shapes."""
+    return lambda h: h.send_tensors({k: np.zeros(s, np.float32) for k, s in shapes.items()})
+
+
+GOOD = {"boxes": (1, 1680, 4), "scores": (1, 1680, 1)}
+BAD = [
+    (cut, "dead", "closed the connection before its answer was whole"),
+    (part, "dead", "closed the connection before its answer was whole"),
+    (garbage, "dead", "does not speak HTTP"),
+    (silent, "slow", "no whole answer within 0.3 s"),
+    (drip, "slow", "no whole answer within 0.3 s"),
+    (lambda h: h.send(b"", 500), "refusing", "HTTP 500: it does not say why"),
+    (lambda h: h.send_json({"error": "out of\nmemory"}, 400), "refusing",
+     "HTTP 400: out of memory; see the server's log"),
+    (lambda h: h.send(b"", 302, Location="http://a:b@elsewhere/?key=1"), "refusing",
+     "HTTP 302, see http://elsewhere/?***; configure another URL"),
+    (lambda h: h.send(b"<html>"), "lying", "not JSON; see what runs there"),
+    (lambda h: h.send_json({"outputs": []}), "lying", "it lacks the output 'boxes'"),
+    (tensors(**(GOOD | {"boxes": (1, 1680, 5)})), "lying", "'boxes' has the shape [1, 1680, 5]"),
+    (tensors(**(GOOD | {"boxes": (1, 1679, 4)})), "lying", "'boxes' has the shape [1, 1679, 4]"),
+    (tensors(**(GOOD | {"scores": (1, 1680, 9)})), "lying", "'scores' has the shape [1, 1680, 9]"),
+    (endless, "lying", "it answers more than 16 MB"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("behave", "kind", "why"), BAD)
+def test_whatever_a_server_does_costs_an_image_and_is_told(
+    model, far, picture, behave, kind, why, monkeypatch
+):
+    limit_s = 0.3 if kind == "slow" else PATIENCE_S / 4
+    with serving(KServe(model)) as server:
+        there = far(server)
+        found = there.detect(picture)
+        there._session._server = there._session._server.model_copy(update={"time_limit_s": limit_s})
+        server.behave = behave
+        with pytest.raises(ServerError) as error:
+            there.detect(picture)
+        assert error.value.kind == kind
+        assert str(error.value).startswith(f"model far: the server {server.url} is {kind}: {why}")
+        assert "\n" not in str(error.value)
+        assert there.health() == ("degraded", str(error.value))
+        server.behave, there.time.s = None, 1e6
+        there._session._server = there._session._server.model_copy(
+            update={"time_limit_s": PATIENCE_S / 4}
+        )
+        assert len(there.detect(picture).score) == len(found.score)
+        assert there.health() == ("ok", "")
+
+
+@pytest.mark.parametrize(
+    ("scores", "boxes", "why"),
+    [((1, 7, 1), (1, 9, 4), "do not belong together"),
+     ((1, 90_000, 1), (1, 90_000, 4), "a at most 81920")],
+)  # fmt: skip
+def test_a_server_whose_first_answer_makes_no_sense_is_not_built_upon(
+    far, picture, scores, boxes, why
+):
+    with serving(KServe(None, behave=tensors(boxes=boxes, scores=scores))) as server:
+        there = far(server)
+        with pytest.raises(ModelError, match=why):
+            there.detect(picture)
+        assert there.health().state == "degraded"
+
+
+def test_boxes_that_are_not_finite_are_dropped_and_counted(model, far, picture):
+    def lie(feed):
+        found = model(feed)
+        return {"boxes": np.where(np.arange(4) == 2, NAN, found["boxes"]).astype(np.float32),
+                "scores": found["scores"]}  # fmt: skip
+
+    with serving(KServe(lie)) as server:
+        there = far(server)
+        assert len(there.detect(picture).score) == 0
+        before = there.invalid_boxes
+        assert before > 0
+        server.behave = cut
+        with pytest.raises(ServerError):
+            there.detect(picture)
+        assert there.invalid_boxes == before
+
+
+def test_a_server_that_comes_back_with_another_model_is_taken_up(model, far, picture):
+    metadata = {"inputs": [{"name": "images", "datatype": "FP32", "shape": [1, 3, 64, 64]}]}
+    with serving(KServe(model)) as server:
+        there = far(server)
+        there.detect(picture)
+        server.run = lambda feed: {k: v[:, :100] for k, v in model(feed).items()}
+        with pytest.raises(ServerError, match="lying: 'boxes' has the shape"):
+            there.detect(picture)
+        there.time.s = 1e3
+        there.detect(picture)
+        assert there._inner._anchors == 100
+        server.behave = cut
+        with pytest.raises(ServerError):
+            there.detect(picture)
+        server.behave, server.metadata, there.time.s = None, metadata, 2e3
+        with pytest.raises(ServerError, match=r"lying: 'images' is FP32 \(1, 3, 64, 64\)"):
+            there.detect(picture)
+
+
+def test_who_closes_it_does_not_wait_for_the_server(model, far, picture):
+    asked = threading.Event()
+
+    def hang(handler):
+        asked.set()
+        silent(handler)
+
+    with serving(KServe(model)) as server:
+        there = far(server)
+        there.detect(picture)
+        server.behave, outcome = hang, []
+        thread = threading.Thread(target=lambda: outcome.append(_error(there, picture)))
+        thread.start()
+        assert asked.wait(PATIENCE_S)
+        there.close()
+        thread.join(PATIENCE_S / 8)  # the server's limit is twice that
+        assert not thread.is_alive()
+        assert "it is no longer asked" in outcome[0]
+        assert "it is no longer asked" in _error(there, picture, 1e6)
+
+
+def _error(there, picture, later_s=0.0) -> str:
+    there.time.s += later_s
+    try:
+        there.detect(picture)
+    except ModelError as error:
+        return str(error)
+    return ""
+
+
+def test_beside_the_loop_the_newest_image_wins_and_frames_are_let_go(model, far, picture):
+    gate = threading.Event()
+
+    def slowly(handler):
+        assert gate.wait(PATIENCE_S)
+        handler.tell_the_truth()
+
+    with serving(KServe(model)) as server:
+        there = far(server)
+        there.detect(picture)
+        server.behave = slowly
+        worker = DetectorWorker(there)
+        begin_s = time.monotonic()
+        for seq in range(50):
+            worker.submit(replace(picture, seq=seq))
+        assert time.monotonic() - begin_s < PATIENCE_S  # none waited for the server
+        gate.set()
+        eventually(lambda: worker.idle)
+        assert worker.poll().observation.seq == 49
+        assert worker.stats.replaced >= 48 - 1
+        worker.close()
+
+
+def test_a_model_on_a_server_has_no_process_of_its_own_and_needs_no_server_to_start(
+    tmp_path, monkeypatch
+):
+    write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
+    chosen = config.DetectorOnnx(model="far")
+    made = make_detector(config.Perception(detector=chosen, isolation="process"), PROMPTS)
+    assert isinstance(made, RemoteDetector)
+    made.close()
+
+
+def write_card(tmp_path, monkeypatch, url, **change) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir(exist_ok=True)
+    told = load_card(SMALL).model_dump(mode="json", exclude={"file", "sha256", "measured"})
+    told |= {"name": "far", "server": {"url": url, "model": "m"}, **change}
+    (folder / "far.yaml").write_text(yaml.safe_dump(told))
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"file": "far.onnx", "sha256": None}, "file: a server runs the model: name no file"),
+        ({"server": None}, "file: missing: name it, or a server that runs the model"),
+        ({"server": None, "file": "far.onnx"}, "sha256: missing: null where FILE.json"),
+        ({"server": {"url": "base:8000", "model": "m"}}, "not the URL of a model's server"),
+        ({"server": {"url": "http://u:p@base", "model": "m"}}, "must not hold a password"),
+        ({"server": {"url": "http://base", "model": "../m"}}, "string should match"),
+        ({"server": {"url": "http://base"}}, "server.model: missing"),
+    ],
+)
+def test_a_card_of_a_server_that_is_none_is_one_line(tmp_path, monkeypatch, change, why):
+    write_card(tmp_path, monkeypatch, "http://127.0.0.1:1", **change)
+    with pytest.raises(ModelError, match=r"^[^\n]*$") as error:
+        load_card("far")
+    assert why in str(error.value).lower() or why in str(error.value)
+    assert ":p@" not in str(error.value)
+
+
+def test_there_is_no_file_to_look_into(tmp_path, monkeypatch):
+    write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
+    card = load_card("far")
+    assert not card.is_here()
+    with pytest.raises(ModelError, match=r"the server http://127\.0\.0\.1:1 runs it$"):
+        verify_model(card)
+
+
+def test_a_scorer_may_ask_a_detector_on_a_server(tmp_path, monkeypatch, model, picture):
+    with serving(KServe(model)) as server:
+        write_card(tmp_path, monkeypatch, server.url)
+        told = load_card("mini-house-similarity").model_dump(mode="json")
+        told |= {"name": "asks-far", "detector": "far"}
+        (tmp_path / "models/asks-far.yaml").write_text(yaml.safe_dump(told))
+        perception = config.Perception(similarity="asks-far", detector=config.DetectorSim())
+        scorer = make_similarity(similarity_card(perception), perception, PROMPTS)
+        score = scorer.score(picture.rgb, PROMPTS)
+        scorer.close()
+        assert score.shape == (2,)
+        assert server.asked[-1] == "/v2/models/m/infer"
+
+
+def test_an_image_encoder_on_a_server_gives_unit_rows(picture):
+    def run(feed):
+        assert feed["pixels"].shape == (1, 3, SIDE, SIDE)
+        return {"embeddings": np.arange(DIM, dtype=np.float32)[None] + feed["pixels"].mean()}
+
+    told = {k: v for k, v in IMAGE.items() if k != "file"}
+    with serving(KServe(run)) as server:
+        card = ImageCard(**told, server={"url": server.url, "model": "clip", "time_limit_s": 60})
+        encoder = ClipImageEncoder(card, (), 1)
+        row = encoder.embed(picture.rgb)
+        server.behave = lambda h: h.send_tensors({"embeddings": np.zeros((1, DIM), np.float32)})
+        with pytest.raises(ModelError, match="zero or not finite"):
+            encoder.embed(picture.rgb)
+        encoder.close()
+    assert np.linalg.norm(row) == pytest.approx(1.0, abs=1e-5)
+    assert (np.diff(row) > 0).all()
+
+
+def test_a_session_says_what_it_is():
+    assert RemoteSession(card_of("http://127.0.0.1:1")).get_providers() == ["kserve"]
