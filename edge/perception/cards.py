@@ -21,6 +21,7 @@ from edge.perception.card_types import (
     BaseCard,
     Card,
     DetectCard,
+    EmbeddingParity,
     FileCard,
     ImageCard,
     Parity,
@@ -228,9 +229,10 @@ def _made(path: Path) -> dict[str, Any]:
         return {}
 
 
-def made_parity(card: FileCard) -> Parity | None:
+def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
     """The parity that the export wrote beside the model, None where there is none."""
+    kind = Parity if isinstance(card, DetectCard) else EmbeddingParity
     try:
-        return Parity.model_validate(_made(card.path).get("parity"))
+        return kind.model_validate(_made(card.path).get("parity"))
     except ValidationError:
         return None

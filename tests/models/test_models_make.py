@@ -74,6 +74,13 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
     assert line[4:-4] == ["exporters", "small", *words]
 
 
+def test_a_models_folder_needs_no_card(started, tmp_path):
+    words = ["--precision", "fp32", "int8-cpu", "--family", "clip-vit-b-32"]
+    assert main(["models", "export", "new", "--weights", str(tmp_path), *words]) == 0
+    folders = ["--weights", str(tmp_path), "--cache", str(resources.models_dir())]
+    assert started[0][5:] == ["new", *folders, *words[3:], *words[:3]]
+
+
 @pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
 @pytest.mark.parametrize("gate", [[], ["--no-gate"]])
 def test_a_model_below_its_limits_is_kept_on_request(started, monkeypatch, words, gate):
