@@ -48,7 +48,10 @@ from exporters.sidecar import write_sidecar
 
 FAMILIES = ("yolo-world-s",)
 NAME = r"[a-z0-9][a-z0-9.-]*"
-FOLDERS = {"clip": "exporters.clip", "siglip": "exporters.clip"}
+FOLDERS = {
+    "clip": "exporters.clip", "siglip": "exporters.clip",
+    "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
+}  # fmt: skip
 """By the `model_type` of a Hugging Face folder: the module that exports it."""
 
 

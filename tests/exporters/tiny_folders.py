@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
+import string
 from pathlib import Path
-
-from exporters.images import PROMPTS
 
 BEGIN, END, PAD = "<|startoftext|>", "<|endoftext|>", "<pad>"
 SIDE = 32
 README = "---\nlicense: mit\n---\nRandom weights.\n"
 
 
-def write_tokenizer(folder: Path, lowercase: bool) -> int:
+def write_tokenizer(folder: Path, lowercase: bool, special: tuple[str, ...] = ()) -> int:
     """Characters, so that it knows every text; the number of tokens. The end is the highest."""
     from tokenizers import Regex, Tokenizer, models, normalizers, pre_tokenizers, processors
 
-    letters = sorted({*PROMPTS, *PROMPTS.upper(), *"Seems like there is a . ahead"})
-    vocabulary = {token: i for i, token in enumerate([PAD, BEGIN, "?", *letters, END])}
+    letters = [*string.ascii_letters, *string.digits, *string.punctuation, " ", "\n"]
+    vocabulary = {
+        token: i for i, token in enumerate([PAD, BEGIN, "?", *letters, "Yes", "No", *special, END])
+    }
     tokenizer = Tokenizer(models.WordLevel(vocabulary, unk_token="?"))
     tokenizer.pre_tokenizer = pre_tokenizers.Split(Regex("."), "isolated")
     if lowercase:
@@ -26,6 +27,7 @@ def write_tokenizer(folder: Path, lowercase: bool) -> int:
         single=f"{BEGIN} $A {END}",
         special_tokens=[(BEGIN, vocabulary[BEGIN]), (END, vocabulary[END])],
     )
+    tokenizer.add_special_tokens(list(special))
     tokenizer.save(str(folder / "tokenizer.json"))
     (folder / "tokenizer_config.json").write_text(json.dumps({"pad_token": PAD}))
     return len(vocabulary)
@@ -94,3 +96,72 @@ def _alive(model):
             spread = 0.1 if parameter.ndim < 2 else parameter[0].numel() ** -0.5
             parameter.add_(torch.randn_like(parameter) * spread)
     return model.eval()
+
+
+IMAGE = {"idefics3": "<image>", "smolvlm": "<image>", "qwen2_vl": "<|image_pad|>"}
+"""Token of an image, by `model_type`."""
+TEMPLATE = (
+    "{%% for message in messages %%}{{ message['role'] }}: {%% for part in message['content'] %%}"
+    "{%% if part['type'] == 'image' %%}%s{%% else %%}{{ part['text'] }}{%% endif %%}{%% endfor %%}"
+    "\n{%% endfor %%}"
+)
+"""Of the chat, in the style of the families."""
+
+
+def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
+    """A vision-language model of an architecture, two layers of 64 in each of its halves."""
+    import torch
+    import transformers
+
+    folder.mkdir(parents=True, exist_ok=True)
+    tokens = write_tokenizer(folder, lowercase=False, special=(IMAGE[kind],))
+    vocabulary = json.loads((folder / "tokenizer.json").read_text())["model"]["vocab"]
+    text = {
+        "vocab_size": tokens, "hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2,
+        "num_attention_heads": 4, "num_key_value_heads": 2, "max_position_embeddings": 2048,
+        "bos_token_id": 1, "eos_token_id": tokens - 1, "pad_token_id": 0,
+    }  # fmt: skip
+    ids = {"image_token_id": vocabulary[IMAGE[kind]]}
+    torch.manual_seed(seed)
+    if kind == "qwen2_vl":
+        text |= {
+            "rope_parameters": {
+                "rope_type": "default",
+                "rope_theta": 1e4,
+                "mrope_section": [2, 3, 3],
+            }
+        }
+        vision = {
+            "embed_dim": 64, "hidden_size": 64, "depth": 2, "num_heads": 4, "mlp_ratio": 2,
+            "patch_size": 4, "spatial_merge_size": 2, "temporal_patch_size": 2,
+        }  # fmt: skip
+        ids |= {"vision_start_token_id": 1, "video_token_id": 2}
+        config = transformers.Qwen2VLConfig(text_config=text, vision_config=vision, **ids)
+        model = transformers.Qwen2VLForConditionalGeneration(config)
+        told = {
+            "image_processor_type": "Qwen2VLImageProcessor", "patch_size": 4, "merge_size": 2,
+            "temporal_patch_size": 2, "min_pixels": 64, "max_pixels": 2560, "resample": 3,
+        }  # fmt: skip
+    else:
+        vision = {
+            "hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2,
+            "num_attention_heads": 4, "image_size": SIDE, "patch_size": 4,
+        }  # fmt: skip
+        name = {"idefics3": "Idefics3", "smolvlm": "SmolVLM"}[kind]
+        config = getattr(transformers, f"{name}Config")(
+            text_config={"model_type": "llama", **text}, vision_config=vision, scale_factor=2,
+            tie_word_embeddings=False, **ids,
+        )  # fmt: skip
+        model = getattr(transformers, f"{name}ForConditionalGeneration")(config)
+        told = {
+            "image_processor_type": "Idefics3ImageProcessor", "do_image_splitting": True,
+            "size": {"longest_edge": 2 * SIDE}, "max_image_size": {"longest_edge": SIDE},
+            "resample": 1,
+        }  # fmt: skip
+        (folder / "processor_config.json").write_text(json.dumps({"image_seq_len": 16}))
+    _alive(model).save_pretrained(folder)
+    told |= {"image_mean": [0.5] * 3, "image_std": [0.5] * 3, "rescale_factor": 1 / 255}
+    (folder / "preprocessor_config.json").write_text(json.dumps(told))
+    (folder / "chat_template.jinja").write_text(TEMPLATE % IMAGE[kind])
+    (folder / "README.md").write_text(README)
+    return folder
