@@ -38,6 +38,7 @@ PRECISIONS = ("fp32", "fp16", "int8-cpu")
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """A folder by architecture."""
+    torch.set_num_threads(1)  # more would only wait for each other
     root = tmp_path_factory.mktemp("published")
     write = {"clip": tiny_folders.write_clip, "siglip": tiny_folders.write_siglip}
     return {kind: make(root / kind) for kind, make in write.items()}
