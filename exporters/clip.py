@@ -277,6 +277,8 @@ class _Maker:
         self._weights = hugging_face.weights_sha256(args.weights)
         image_card = ImageCard.model_validate(fp32[0])
         tokens = tokens_of(TextCard.model_validate(fp32[1]), args.cache, sentences())
+        vocabulary = towers[1].text_model.config.vocab_size
+        hugging_face.check_tokens(args.weights, tokens.ravel().tolist(), vocabulary)
         self._feeds = {
             "image": [{"pixels": pixels_of(read_rgb(p), image_card)} for p in calibration],
             "text": [{"tokens": row[None]} for row in tokens],

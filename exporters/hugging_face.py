@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,6 +133,15 @@ def open_tokenizer(path: Path) -> Any:
         return Tokenizer.from_file(str(path))
     except Exception as error:  # it raises Exception itself
         raise ExportError(f"{path}: not a tokenizer: {one_line(error)}") from None
+
+
+def check_tokens(folder: Path, tokens: Iterable[int], size: int) -> None:
+    """Raise ExportError if a token is beyond the model's vocabulary of `size`."""
+    if (largest := max(tokens, default=0)) >= size:
+        raise ExportError(
+            f"{folder / TOKENIZER}: token {largest}, where the model knows {size}: the files are "
+            "of two models; fetch the folder again"
+        )
 
 
 def pad_token(folder: Path) -> int:

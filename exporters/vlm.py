@@ -197,6 +197,9 @@ def export(args: Any) -> dict[str, LetterReport]:
     calibration, validation = _pictures(args)
     model, networks = load_model(folder)
     asked = questions(folder, model.config.image_token_id)
+    for question in asked:
+        used = (*question.ids(1)[0].tolist(), *question.letters)
+        hugging_face.check_tokens(folder, used, networks.text.vocab_size)
     original = Original(model, networks.prepare)
     pictures = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
     reference = letter_logits(original, pictures, asked)

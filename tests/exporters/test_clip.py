@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
@@ -227,8 +229,6 @@ def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
 
 
 def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys):
-    import shutil
-
     from safetensors.torch import load_file, save_file
 
     folder = shutil.copytree(folders["clip"], tmp_path / "cut")
@@ -237,6 +237,16 @@ def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys)
     save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
     assert main(["x", "--weights", str(folder), "--cache", str(tmp_path / "cache")]) == 1
     assert "1 weights are missing (visual_projection.weight" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["clip", "idefics3"])
+def test_a_tokenizer_of_another_model_is_one_line(folders, tmp_path, capsys, kind):
+    folder = tiny_folders.write_vlm(tmp_path / kind, kind) if kind == "idefics3" else None
+    folder = folder or shutil.copytree(folders[kind], tmp_path / kind)
+    told = (folder / "tokenizer.json").read_text()
+    (folder / "tokenizer.json").write_text(re.sub(r'("a": )\d+', r"\g<1>5000", told))
+    assert main(["x", "--weights", str(folder), "--cache", str(tmp_path / "cache")]) == 1
+    assert "tokenizer.json: token 5000, where the model knows 10" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ def write_tokenizer(folder: Path, lowercase: bool, special: tuple[str, ...] = ()
     """Characters, so that it knows every text; the number of tokens. The end is the highest."""
     from tokenizers import Regex, Tokenizer, models, normalizers, pre_tokenizers, processors
 
-    letters = [*string.ascii_letters, *string.digits, *string.punctuation, " ", "\n"]
+    letters = sorted({*string.printable} - {"?"})
     vocabulary = {
         token: i for i, token in enumerate([PAD, BEGIN, "?", *letters, "Yes", "No", *special, END])
     }
