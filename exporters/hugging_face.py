@@ -6,6 +6,7 @@ neither code nor anything else is fetched.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterable
@@ -19,8 +20,7 @@ import yaml
 
 from edge.host.files import read_regular
 from edge.text import one_line, read_json_object
-from exporters.files import ExportError
-from exporters.images import digest_of
+from exporters.files import ExportError, sha256_of
 
 if TYPE_CHECKING:
     from torch import nn
@@ -60,8 +60,9 @@ def weight_files(folder: Path) -> list[Path]:
 
 
 def weights_sha256(folder: Path) -> str:
-    """One digest of all weights."""
-    return digest_of(weight_files(folder))
+    """One digest of all weights: of their own digests, in name order."""
+    own = "".join(sha256_of(path) for path in weight_files(folder))
+    return hashlib.sha256(own.encode()).hexdigest()
 
 
 def load(kind: type, folder: Path) -> nn.Module:

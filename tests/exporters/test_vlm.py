@@ -18,6 +18,8 @@ import tiny_folders
 import torch
 from onnx import numpy_helper
 
+from edge.host.files import MAX_TEXT_BYTES
+from edge.perception.cards import load_card
 from exporters import vlm
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
@@ -254,6 +256,38 @@ def test_weights_that_one_file_does_not_hold_are_beside_it(
     rows = chain.rows(ids, asked[0].image, chain.features(shown.feeds))
     logits, _ = chain.read(rows, places_of(ids, asked[0].image, None, 1))
     np.testing.assert_allclose(logits, original.logits(asked[0], shown), atol=2e-5)
+
+
+def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
+    """Published ones are longer than what is read into memory elsewhere."""
+    from exporters.hugging_face import weights_sha256
+
+    file = tmp_path / "model.safetensors"
+    file.touch()
+    nothing = weights_sha256(tmp_path)
+    with file.open("r+b") as sparse:
+        sparse.truncate(MAX_TEXT_BYTES + 1)
+    assert weights_sha256(tmp_path) != nothing
+
+
+# -- in the service ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "precision"), MADE)
+def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
+    reason = "the runtime of models of several files is not here"
+    runtime = pytest.importorskip("edge.perception.vlm.model", reason=reason)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
+    card = load_card(f"{name_of(kind)}-{precision}")
+    asked = [
+        runtime.Asked("Which way? A, B or C", tuple("ABC")),
+        runtime.Asked("Is it?", ("Yes", "No")),
+    ]
+    model = runtime.LanguageModel(card, asked)
+    for p, one in zip(model.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):
+        assert p.shape == (len(one.answers),)
+        assert p.sum() == pytest.approx(1.0, abs=1e-5)
+    model.close()
 
 
 # -- what goes wrong ---------------------------------------------------------------------------
