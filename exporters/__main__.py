@@ -31,7 +31,7 @@ from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
 from exporters.files import ExportError, tells_errors
 from exporters.fp16 import write_fp16
-from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
+from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
     FP16_TOLERANCE,
     FP32_TOLERANCE,
@@ -42,7 +42,14 @@ from exporters.parity import (
     measure,
     torch_model,
 )
-from exporters.quantize import calibration_feeds, input_hw, quantize, split_images
+from exporters.quantize import (
+    calibration_feeds,
+    input_hw,
+    need_pictures,
+    pictures,
+    quantize,
+    split_images,
+)
 from exporters.recipes import recipe_of
 from exporters.sidecar import write_sidecar
 
@@ -88,11 +95,7 @@ def _export(
     if card.derived_from is None:
         return _export_fp32(card, args, text)
     fp32 = load_card(card.derived_from, args.cards)
-    if args.calibration is None:
-        raise ExportError(
-            f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
-            "camera, or render some with exporters.render_calibration"
-        )
+    need_pictures(args.calibration, card.name)
     if args.weights is not None:
         _export_fp32(fp32, args, text)
     elif not (args.cache / fp32.file).is_file():
@@ -122,13 +125,6 @@ def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
     print(f"{out}: the {len(text.names)} words inside the checkpoint", file=sys.stderr)
 
 
-def _validation_images(args: argparse.Namespace) -> list[Path]:
-    """Images to compare on; none where no folder was given."""
-    if args.calibration is not None:
-        return split_images(args.calibration, args.validation)[1]
-    return list_images(args.validation) if args.validation is not None else []
-
-
 def _export_fp32(
     card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
@@ -141,7 +137,7 @@ def _export_fp32(
     report = None
     with replace_atomically(out) as made:  # a file that fails its limits never gets its name
         export_onnx(detector, card.input.height, card.input.width, made)
-        if validation := _validation_images(args):
+        if validation := pictures(args.calibration, args.validation)[1]:
             report = measure(torch_model(detector), made, validation, text)
             _conclude(card, args, report, FP32_TOLERANCE, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)

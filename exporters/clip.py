@@ -30,9 +30,9 @@ from exporters import hugging_face
 from exporters.encoder_parity import TOLERANCES, EmbeddingReport, check_tolerance, compare
 from exporters.files import ExportError, sha256_of
 from exporters.fp16 import write_fp16
-from exporters.images import PROMPTS, digest_of, list_images, read_rgb
+from exporters.images import PROMPTS, digest_of, read_rgb
 from exporters.onnx_format import check_format, cpu_session, export_module
-from exporters.quantize import quantize, split_images
+from exporters.quantize import need_pictures, pictures, quantize
 from exporters.recipes import TRANSFORMER, Recipe
 from exporters.sidecar import write_sidecar
 from exporters.weight_only import quantize_weights
@@ -146,12 +146,9 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     if unknown := [p for p in wanted if p not in TEXT_PRECISION]:
         choices = ", ".join(TEXT_PRECISION)
         raise ExportError(f"--precision: {unknown[0]!r} is not for towers (choices: {choices})")
-    if args.calibration is None and wanted != ["fp32"]:
-        raise ExportError(
-            f"{args.card}: --calibration is missing; give a folder of pictures from the robot's "
-            "camera, or render some with exporters.render_calibration"
-        )
-    calibration, validation = _pictures(args)
+    if wanted != ["fp32"]:
+        need_pictures(args.calibration, args.card)
+    calibration, validation = pictures(args.calibration, args.validation)
     towers = load_towers(folder)
     write_atomically(
         args.cache / f"{args.card}-tokenizer.json",
@@ -167,13 +164,6 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
             path = args.cache / f"{card['name']}.yaml"
             write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
     return reports
-
-
-def _pictures(args: Any) -> tuple[list[Path], list[Path]]:
-    """Those to calibrate on, and those to compare on; none where no folder was given."""
-    if args.calibration is not None:
-        return split_images(args.calibration, args.validation)
-    return [], [] if args.validation is None else list_images(args.validation)
 
 
 def make_cards(

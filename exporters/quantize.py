@@ -222,6 +222,22 @@ def _write_qdq(
         root.setLevel(level)
 
 
+def need_pictures(calibration: Path | None, name: str) -> None:
+    """Raise ExportError where no folder was given for what is not made without."""
+    if calibration is None:
+        raise ExportError(
+            f"{name}: --calibration is missing; give a folder of pictures from the robot's "
+            "camera, or render some with exporters.render_calibration"
+        )
+
+
+def pictures(calibration: Path | None, validation: Path | None) -> tuple[list[Path], list[Path]]:
+    """Images to calibrate on and to measure on; none where no folder was given."""
+    if calibration is not None:
+        return split_images(calibration, validation)
+    return [], [] if validation is None else list_images(validation)
+
+
 def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:
     """Images to calibrate on and to measure on: two folders, or every fourth of one held out."""
     images = list_images(calibration)

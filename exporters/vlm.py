@@ -9,6 +9,7 @@ and values of what was read go in and out of the decoder: one file reads a promp
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,9 +30,9 @@ from exporters import hugging_face
 from exporters.encoder_parity import Tolerance, check_tolerance
 from exporters.files import ExportError
 from exporters.fp16 import kept_nodes, to_fp16
-from exporters.images import digest_of, list_images, read_rgb
+from exporters.images import digest_of, read_rgb
 from exporters.onnx_format import check_format, trace_module
-from exporters.quantize import quantize, split_images
+from exporters.quantize import need_pictures, pictures, quantize
 from exporters.recipes import TRANSFORMER, Recipe, nodes_like
 from exporters.sidecar import write_sidecar
 from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
@@ -189,55 +190,39 @@ def export(args: Any) -> dict[str, LetterReport]:
     if unknown := [p for p in args.precision if p not in PRECISIONS]:
         choices = ", ".join(PRECISIONS)
         raise ExportError(f"--precision: {unknown[0]!r} (choices: {choices})")
-    if args.calibration is None and set(args.precision) != {"fp32"}:
-        raise ExportError(
-            f"{args.card}: --calibration is missing; give a folder of pictures from the robot's "
-            "camera, or render some with exporters.render_calibration"
-        )
-    calibration, validation = _pictures(args)
+    if set(args.precision) != {"fp32"}:
+        need_pictures(args.calibration, args.card)
+    calibration, validation = pictures(args.calibration, args.validation)
     model, networks = load_model(folder)
     asked = questions(folder, model.config.image_token_id)
     for question in asked:
         used = (*question.ids(1)[0].tolist(), *question.letters)
         hugging_face.check_tokens(folder, used, networks.text.vocab_size)
     original = Original(model, networks.prepare)
-    pictures = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
-    reference = letter_logits(original, pictures, asked)
-    out = args.cache / args.card
-    (out / "onnx").mkdir(parents=True, exist_ok=True)
+    shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
+    reference = letter_logits(original, shown, asked)
+    (args.cache / args.card / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(folder)
-    others = _copy_others(folder, out, digest)
-    reports, made = {}, {}
+    calibrated = digest_of(calibration) if calibration else None
+    others = _copy_others(folder, args.cache / args.card, digest)
+    reports = {}
     with traced(networks) as traces:
-        maker = _Maker(traces, original, asked[0], calibration)
+        maker = _Maker(traces, original, asked[0], calibration, args.cache / args.card / "onnx")
         for precision in args.precision:
-            for file, kind in zip(FILES, PRECISIONS[precision], strict=True):
-                if (file, kind) not in made:
-                    made[file, kind] = maker.make(file, kind, out / "onnx")
-            paths = [made[part] for part in zip(FILES, PRECISIONS[precision], strict=True)]
             name = f"{args.card}-{precision}"
-            chain = Chain([parts[0] for parts in paths])
-            report = measure(reference, chain, pictures, asked, original.merge)
+            files = [maker.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
+            chain = Chain([network for network, *_ in files])
+            report = reports[name] = measure(reference, chain, shown, asked, original.merge)
             print(f"{name} against torch:\n{report.table()}", file=sys.stderr)
             if not args.no_gate:
                 check_tolerance(report, TOLERANCES[precision], name)
-            for parts in paths:
-                for path in parts:
-                    calibrated = digest_of(calibration) if calibration else None
-                    write_sidecar(path, name, report.figures(), digest, calibrated)
-            card = make_card(args, precision, paths, others, report)
-            card["image_tokens"] = max(len(shown.features) for shown in pictures)
+            for path in itertools.chain(*files):
+                write_sidecar(path, name, report.figures(), digest, calibrated)
+            card = make_card(args, precision, files, others, report)
+            card["image_tokens"] = max(len(picture.features) for picture in shown)
             text = yaml.safe_dump(card, sort_keys=False, width=110)
             write_atomically(args.cache / f"{name}.yaml", text.encode())
-            reports[name] = report
     return reports
-
-
-def _pictures(args: Any) -> tuple[list[Path], list[Path]]:
-    """Those to calibrate on, and those to compare on; none where no folder was given."""
-    if args.calibration is not None:
-        return split_images(args.calibration, args.validation)
-    return [], [] if args.validation is None else list_images(args.validation)
 
 
 def _noise() -> np.ndarray:
@@ -323,12 +308,18 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
 
 
 class _Maker:
-    """Makes files of the traces."""
+    """Makes files of the traces, each once: several precisions of a model share some."""
 
     def __init__(
-        self, traces: dict[str, Path], original: Original, asked: Question, calibration: list[Path]
-    ) -> None:  # fmt: skip
-        self._traces = traces
+        self,
+        traces: dict[str, Path],
+        original: Original,
+        asked: Question,
+        calibration: list[Path],
+        folder: Path,
+    ) -> None:
+        self._traces, self._folder = traces, folder
+        self._made: dict[tuple[str, str], list[Path]] = {}
         few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
         self._feeds = {
             VISION: [original.prepare(read_rgb(path)) for path in calibration],
@@ -336,11 +327,16 @@ class _Maker:
             DECODER: [original.decoder_feeds(asked, shown) for shown in few],
         }
 
-    def make(self, name: str, precision: str, folder: Path) -> list[Path]:
+    def make(self, name: str, precision: str) -> list[Path]:
         """The file of a network in a precision, and those that it keeps weights in."""
-        suffix = "" if precision == "fp32" else f"_{precision}"
-        out = folder / f"{name}{suffix}.onnx"
-        print(f"{out.name}: making it", file=sys.stderr)
+        if (name, precision) not in self._made:
+            suffix = "" if precision == "fp32" else f"_{precision}"
+            out = self._folder / f"{name}{suffix}.onnx"
+            print(f"{out.name}: making it", file=sys.stderr)
+            self._made[name, precision] = self._make(name, precision, out)
+        return self._made[name, precision]
+
+    def _make(self, name: str, precision: str, out: Path) -> list[Path]:
         trace, feeds = self._traces[name], self._feeds[name]
         whole = sum(path.stat().st_size for path in trace.parent.iterdir()) < ONE_FILE_BYTES
         if name == VISION and precision == "int8" and whole:

@@ -11,7 +11,7 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
-from edge.perception.card_types import SegmentCard, SimilarityCard
+from edge.perception.card_types import DetectCard, SegmentCard, SimilarityCard
 from edge.perception.cards import (
     FileCard,
     ModelError,
@@ -76,6 +76,11 @@ def quantize(args: argparse.Namespace) -> int:
     if card.derived_from is None:
         raise ModelError(
             f"models quantize: {card.name} is not derived from another model; {how_to_make(card)}"
+        )
+    if not isinstance(card, DetectCard):
+        raise ModelError(
+            f"models quantize: {card.name} is no detector; make it from its model's folder: `edge "
+            f"models export NAME --weights FOLDER --precision {card.precision}`"
         )
     verify_model(load_card(card.derived_from))
     need_modules("quantize", _QUANTIZE_NEEDS)

@@ -231,7 +231,7 @@ def _made(path: Path) -> dict[str, Any]:
 
 def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
     """The parity that the export wrote beside the model, None where there is none."""
-    kind = Parity if isinstance(card, DetectCard) else EmbeddingParity
+    kind = EmbeddingParity if isinstance(card, (ImageCard, TextCard)) else Parity
     try:
         return kind.model_validate(_made(card.path).get("parity"))
     except ValidationError:
