@@ -2,15 +2,21 @@
 
     python -m exporters yolo-world-s-256x320-int8-cpu --weights FILE.pt --calibration DIR \\
         --vocabulary FILE.npz --cache DIR
+
+Of a folder as Hugging Face publishes it, the files and their cards:
+
+    python -m exporters NAME --weights FOLDER --precision fp32 int8-cpu --calibration DIR
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
+import importlib
 import json
 import math
+import re
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +29,9 @@ from edge.models.make import TRAINED
 from edge.perception.card_types import DetectCard
 from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
-from exporters.files import ExportError, sha256_of, tells_errors
+from exporters.files import ExportError, tells_errors
 from exporters.fp16 import write_fp16
-from exporters.images import TextEmbeddings, digest_of, list_images, load_text_embeddings
+from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
     FP16_TOLERANCE,
     FP32_TOLERANCE,
@@ -36,11 +42,24 @@ from exporters.parity import (
     measure,
     torch_model,
 )
-from exporters.quantize import calibration_feeds, input_hw, quantize, split_images
+from exporters.quantize import (
+    calibration_feeds,
+    input_hw,
+    need_pictures,
+    pictures,
+    quantize,
+    split_images,
+)
 from exporters.recipes import recipe_of
+from exporters.sidecar import write_sidecar
 
-TOOLS = ("torch", "ultralytics", "onnx", "onnxruntime", "onnxslim", "numpy")
 FAMILIES = ("yolo-world-s",)
+NAME = r"[a-z0-9][a-z0-9.-]*"
+FOLDERS = {
+    "clip": "exporters.clip", "siglip": "exporters.clip",
+    "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
+}  # fmt: skip
+"""By the `model_type` of a Hugging Face folder: the module that exports it."""
 
 
 def load_card(name: str, folder: Path) -> DetectCard:
@@ -76,11 +95,7 @@ def _export(
     if card.derived_from is None:
         return _export_fp32(card, args, text)
     fp32 = load_card(card.derived_from, args.cards)
-    if args.calibration is None:
-        raise ExportError(
-            f"{card.name}: --calibration is missing; give a folder of pictures from the robot's "
-            "camera, or render some with exporters.render_calibration"
-        )
+    need_pictures(args.calibration, card.name)
     if args.weights is not None:
         _export_fp32(fp32, args, text)
     elif not (args.cache / fp32.file).is_file():
@@ -110,13 +125,6 @@ def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
     print(f"{out}: the {len(text.names)} words inside the checkpoint", file=sys.stderr)
 
 
-def _validation_images(args: argparse.Namespace) -> list[Path]:
-    """Images to compare on; none where no folder was given."""
-    if args.calibration is not None:
-        return split_images(args.calibration, args.validation)[1]
-    return list_images(args.validation) if args.validation is not None else []
-
-
 def _export_fp32(
     card: DetectCard, args: argparse.Namespace, text: TextEmbeddings
 ) -> ParityReport | None:
@@ -129,7 +137,7 @@ def _export_fp32(
     report = None
     with replace_atomically(out) as made:  # a file that fails its limits never gets its name
         export_onnx(detector, card.input.height, card.input.width, made)
-        if validation := _validation_images(args):
+        if validation := pictures(args.calibration, args.validation)[1]:
             report = measure(torch_model(detector), made, validation, text)
             _conclude(card, args, report, FP32_TOLERANCE, reference="torch")
     _write_sidecar(card, out, report, "torch", calibration=None)
@@ -196,31 +204,25 @@ def _write_sidecar(
     reference: str,
     calibration: str | None,
 ) -> None:
-    """`FILE.onnx.json`: the digest the service checks the model against, and how it was made.
-
-    The digest is here and not in the card since the file depends on the calibration images and on
-    the versions of the tools.
-    """
-    content = {
-        "name": card.name,
-        "sha256": sha256_of(out),
-        "bytes": out.stat().st_size,
-        "parity": card_parity(report, reference) if report else None,
-        "weights_sha256": next((source.sha256 for source in card.weights_sources()), None),
-        "calibration_sha256": calibration,
-        "tools": {tool: _version(tool) for tool in TOOLS},
-    }
-    sidecar = json.dumps(content, indent=2) + "\n"
-    write_atomically(out.with_name(out.name + ".json"), sidecar.encode())
-    print(f"{card.file} sha256 {content['sha256']}")
+    weights = next((source.sha256 for source in card.weights_sources()), None)
+    parity = card_parity(report, reference) if report else None
+    write_sidecar(out, card.name, parity, weights, calibration)
 
 
-def _version(tool: str) -> str | None:
-    """None for what is not installed; torch is only needed for FP32."""
-    try:
-        return importlib.metadata.version(tool)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+def export_folder(args: argparse.Namespace) -> None:
+    """Make the files and cards of a Hugging Face folder; raises ExportError, see `main`."""
+    from exporters.hugging_face import model_type
+
+    if not re.fullmatch(NAME, args.card):
+        raise ExportError(f"NAME: {args.card!r:.80}: use lower-case letters, digits, . and -")
+    kind = model_type(args.weights)
+    if kind not in FOLDERS:
+        choices = ", ".join(FOLDERS)
+        raise ExportError(f"{args.weights}: model_type: {kind!r:.80} (choices: {choices})")
+    args.cache.mkdir(parents=True, exist_ok=True)
+    module = importlib.import_module(FOLDERS[kind])
+    reports = module.export(args)
+    print(json.dumps({name: asdict(r) if r else None for name, r in reports.items()}))
 
 
 @tells_errors
@@ -228,8 +230,19 @@ def main(argv: list[str] | None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m exporters", description="make a card's model file from its weights"
     )
-    parser.add_argument("card", help="a card's name, such as yolo-world-s-256x320-int8-cpu")
-    parser.add_argument("--weights", type=Path, help="the .pt file; default: the cache's FP32")
+    parser.add_argument(
+        "card",
+        metavar="NAME",
+        help="a card, such as yolo-world-s-256x320-int8-cpu; of a folder, new",
+    )
+    parser.add_argument(
+        "--weights", type=Path, help="the .pt file, or a model's folder; default: the cache's FP32"
+    )
+    parser.add_argument(
+        "--precision", nargs="+", default=["fp32"], metavar="P", help="of a folder: what to make"
+    )
+    parser.add_argument("--family", help="of a folder: its cards' family; default: NAME")
+    parser.add_argument("--license", help="of a folder: default: what its README.md says")
     parser.add_argument("--calibration", type=Path, help="folder of images (all but fp32 need it)")
     parser.add_argument(
         "--validation",
@@ -243,6 +256,9 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument("--update-card", action="store_true", help="write the parity to the card")
     parser.add_argument("--no-gate", action="store_true", help="keep a model below the limits")
     args = parser.parse_args(argv)
+    if args.weights is not None and args.weights.is_dir():
+        export_folder(args)
+        return
     card = load_card(args.card, args.cards)
     report = export_card(card, args)
     if report is not None:

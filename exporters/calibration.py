@@ -70,9 +70,15 @@ def tensor_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession
     return cpu_session(augmented.SerializeToString())
 
 
-def collect_histograms(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, Histogram]:
-    """Histograms of every intermediate tensor and of the inputs, over all feeds (two passes)."""
-    names = float_tensors(model)
+def collect_histograms(
+    model: onnx.ModelProto, feeds: list[Feed], names: list[str] | None = None
+) -> dict[str, Histogram]:
+    """Histograms of tensors and of the inputs, over all feeds (two passes).
+
+    Args:
+        names: of intermediate tensors; None: all of them.
+    """
+    names = float_tensors(model) if names is None else names
     session = tensor_session(model, names)
 
     def passes(what: str) -> Iterator[tuple[str, np.ndarray]]:

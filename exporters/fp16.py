@@ -37,12 +37,20 @@ def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set
     return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
 
 
-def to_fp16(model: onnx.ModelProto, kept: set[str]) -> onnx.ModelProto:
-    """The model with float16 inside, but for the nodes `kept`; constants are clipped to it."""
+def to_fp16(
+    model: onnx.ModelProto, kept: set[str], half_ends: tuple[str, ...] = ()
+) -> onnx.ModelProto:
+    """The model with float16 inside, but for the nodes `kept`; constants are clipped to it.
+
+    Args:
+        half_ends: beginnings of the names of inputs and outputs that become float16 too.
+    """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
 
-    half = convert_float_to_float16(model, keep_io_types=True, node_block_list=sorted(kept))
+    ends = [value.name for value in (*model.graph.input, *model.graph.output)]
+    whole = [name for name in ends if not name.startswith(half_ends or "\0")]
+    half = convert_float_to_float16(model, keep_io_types=whole, node_block_list=sorted(kept))
     drop_round_trips(half)
     OnnxModel(half).topological_sort()
     onnx.checker.check_model(half)
@@ -57,7 +65,8 @@ def overflowing_nodes(
     session = tensor_session(model, names)
     large: set[str] = set()
     for feed in counted("pictures: values", feeds):
-        for name, value in (*feed.items(), *zip(names, session.run(names, feed), strict=True)):
+        found = session.run(names, feed) if names else []  # no name asks for all outputs
+        for name, value in (*feed.items(), *zip(names, found, strict=True)):
             if not np.abs(value).max(initial=0.0) <= limit:
                 large.add(name)
     return {

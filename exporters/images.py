@@ -59,11 +59,16 @@ def digest_of(paths: list[Path]) -> str:
 
 def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
     """One image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
+    return as_input(letterbox(read_rgb(path), hw))
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    """One image file, (h, w, 3) uint8; raises ExportError if it is none."""
     # OpenCV would wait for ever at a pipe.
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if bgr is None:
         raise ExportError(f"{path}: not a readable image; remove it from the folder")
-    return as_input(letterbox(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), hw))
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
 def as_input(rgb: np.ndarray) -> np.ndarray:

@@ -56,15 +56,24 @@ def export_module(
         inputs: tensors to trace it with, by name.
         free: names of the axes that any size may have, by input or output and axis.
     """
+    with replace_atomically(out) as temporary:
+        trace_module(module, temporary, inputs, outputs, free)
+        check_format(temporary)
+
+
+def trace_module(
+    module: nn.Module, out: Path, inputs: dict[str, Any], outputs: tuple[str, ...],
+    free: dict[str, dict[int, str]],
+) -> None:  # fmt: skip
+    """The same, with its weights in files beside it where one ONNX file does not hold them."""
     import torch
 
-    with replace_atomically(out) as temporary, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # dynamo=False is deprecated, see below
         warnings.simplefilter("ignore", torch.jit.TracerWarning)  # sizes are constants on purpose
         torch.onnx.export(
-            module, tuple(inputs.values()), str(temporary),
+            module, tuple(inputs.values()), str(out),
             dynamo=False,  # the only exporter that keeps the module path in node names
             opset_version=OPSET, input_names=list(inputs), output_names=list(outputs),
             dynamic_axes=free,
         )  # fmt: skip
-        check_format(temporary)

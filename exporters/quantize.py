@@ -1,4 +1,4 @@
-"""Static QDQ INT8 of an FP32 detector, for onnxruntime on a CPU or for TensorRT.
+"""Static QDQ INT8 of an FP32 detector or image encoder, for onnxruntime on a CPU or for TensorRT.
 
 Weights are int8 per output channel. Three things keep the scores: ranges that lose least where
 the value is used (`calibration`), weights rounded against their inputs (`rounding`), and the few
@@ -63,16 +63,34 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     delicate = (*recipe.not_int8, *(recipe.not_symmetric if for_trt else ()))
     excluded = nodes_like(model, delicate)
     float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
-    limits = symmetric_limits(model, feeds) if for_trt else {}
-    ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds)
-    convs = [n for n in model.graph.node if n.op_type == "Conv" and n.name not in excluded]
+    tensors = None
+    if recipe.matrices_only:
+        layers = constant_products(model)
+        excluded += [n.name for n in model.graph.node if n.op_type == "MatMul" and n not in layers]
+        tensors = sorted({n.input[0] for n in layers})
+    else:
+        layers = [n for n in model.graph.node if n.op_type == "Conv"]
+    layers = [n for n in layers if n.name not in excluded]
+    limits = symmetric_limits(model, feeds, tensors) if for_trt else {}
+    ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds, tensors)
     steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
-    scales = round_weights(model, convs, feeds[::steps], limits)
+    scales = round_weights(model, layers, feeds[::steps], limits)
+    op_type = layers[0].op_type if for_trt or recipe.matrices_only else None
     with replace_atomically(out) as temporary:
-        _write_qdq(model, temporary, feeds[0], _overrides(ranges, scales), excluded, precision)
+        overrides = _overrides(ranges, scales, 1 if recipe.matrices_only else 0)
+        _write_qdq(model, temporary, feeds[0], overrides, excluded, for_trt, op_type)
         if for_trt:
             onnx.save(to_fp16(onnx.load(temporary), float32), temporary)
         check_format(temporary)
+
+
+def constant_products(model: onnx.ModelProto) -> list[onnx.NodeProto]:
+    """The nodes that multiply by a constant matrix; raises ExportError if there are none."""
+    constants = {init.name for init in model.graph.initializer}
+    found = [n for n in model.graph.node if n.op_type == "MatMul" and n.input[1] in constants]
+    if not found:
+        raise ExportError("int8: no product with a constant matrix in the model; nothing to do")
+    return found
 
 
 def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
@@ -95,9 +113,15 @@ def calibration_feeds(
     return feeds
 
 
-def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tuple[float, float]]:
-    """The 8-bit range of every activation that has one of its own, by tensor name."""
-    histograms = collect_histograms(model, feeds)
+def activation_ranges(
+    model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
+) -> dict[str, tuple[float, float]]:
+    """The 8-bit range of every activation that has one of its own, by tensor name.
+
+    Args:
+        tensors: see `collect_histograms`.
+    """
+    histograms = collect_histograms(model, feeds, tensors)
     producer = {name: node.op_type for node in model.graph.node for name in node.output}
     consumers: dict[str, set[str]] = {}
     for node in model.graph.node:
@@ -115,15 +139,21 @@ def activation_ranges(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, tu
     return ranges
 
 
-def symmetric_limits(model: onnx.ModelProto, feeds: list[Feed]) -> dict[str, float]:
+def symmetric_limits(
+    model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
+) -> dict[str, float]:
     """The largest magnitude of every activation's symmetric 8-bit range, by tensor name."""
-    return {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds).items()}
+    return {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds, tensors).items()}
 
 
 def _overrides(
-    ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray]
+    ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray], axis: int
 ) -> dict[str, list[dict]]:
-    """Our ranges and weight scales in the form that onnxruntime's quantizer takes."""
+    """Our ranges and weight scales in the form that onnxruntime's quantizer takes.
+
+    Args:
+        axis: of a weight's output channels.
+    """
     from onnxruntime.quantization import QuantType
 
     overrides: dict[str, list[dict]] = {
@@ -133,7 +163,7 @@ def _overrides(
     fixed = {"quant_type": QuantType.QInt8, "zero_point": np.int8(0)}
     for name, channels in scales.items():
         overrides[name] = [{**fixed, "scale": np.float32(scale)} for scale in channels]
-        overrides[name][0]["axis"] = 0
+        overrides[name][0]["axis"] = axis
     return overrides
 
 
@@ -143,9 +173,14 @@ def _write_qdq(
     feed: Feed,
     overrides: dict,
     excluded: list[str],
-    precision: str,
+    for_trt: bool,
+    op_type: str | None,
 ) -> None:
-    """Insert the quantize/dequantize pairs that onnxruntime or TensorRT fuses into kernels."""
+    """Insert the quantize/dequantize pairs that onnxruntime or TensorRT fuses into kernels.
+
+    Args:
+        op_type: only what goes into nodes of this type is quantized; None: everything.
+    """
     from onnxruntime.quantization import (
         CalibrationDataReader,
         QuantFormat,
@@ -162,12 +197,11 @@ def _write_qdq(
         def get_next(self) -> Feed | None:
             return next(self._feeds, None)
 
-    for_trt = precision == "int8-trt"
-    placement = {
-        "ActivationSymmetric": True,
-        "OpTypesToExcludeOutputQuantization": ["Conv"],
-        "QuantizeBias": False,
-    }
+    options: dict = {"TensorQuantOverrides": overrides}
+    if op_type is not None:
+        options["OpTypesToExcludeOutputQuantization"] = [op_type]
+    if for_trt:
+        options |= {"ActivationSymmetric": True, "QuantizeBias": False}
     root = logging.getLogger()
     level = root.level
     root.setLevel(logging.ERROR)  # advice on shape inference that does not apply here
@@ -178,14 +212,30 @@ def _write_qdq(
             OneFeed(),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
-            op_types_to_quantize=["Conv"] if for_trt else None,
+            op_types_to_quantize=None if op_type is None else [op_type],
             activation_type=QuantType.QInt8 if for_trt else QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             nodes_to_exclude=excluded,
-            extra_options={"TensorQuantOverrides": overrides, **(placement if for_trt else {})},
+            extra_options=options,
         )
     finally:
         root.setLevel(level)
+
+
+def need_pictures(calibration: Path | None, name: str) -> None:
+    """Raise ExportError where no folder was given for what is not made without."""
+    if calibration is None:
+        raise ExportError(
+            f"{name}: --calibration is missing; give a folder of pictures from the robot's "
+            "camera, or render some with exporters.render_calibration"
+        )
+
+
+def pictures(calibration: Path | None, validation: Path | None) -> tuple[list[Path], list[Path]]:
+    """Images to calibrate on and to measure on; none where no folder was given."""
+    if calibration is not None:
+        return split_images(calibration, validation)
+    return [], [] if validation is None else list_images(validation)
 
 
 def split_images(calibration: Path, validation: Path | None) -> tuple[list[Path], list[Path]]:

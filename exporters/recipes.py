@@ -19,11 +19,15 @@ class Recipe:
         not_symmetric: nodes that are not quantized either where 8-bit ranges lie around 0, which
             leaves values of one sign only half the steps.
         not_fp16: nodes that stay in float32 when the others go to float16.
+        matrices_only: of a transformer only what is multiplied by constant matrices is quantized,
+            and what comes out is float: normalizations, softmax and sums cost little, and their
+            values are too uneven for 8 bits.
     """
 
     not_int8: tuple[str, ...] = ()
     not_symmetric: tuple[str, ...] = ()
     not_fp16: tuple[str, ...] = ()
+    matrices_only: bool = False
 
 
 _YOLO_HEAD = r"^/model\.22/(?!cv\d)"
@@ -50,6 +54,9 @@ RECIPES = {
     ),
 }
 """By family, as the cards name it."""
+
+TRANSFORMER = Recipe(matrices_only=True)
+"""Of every image encoder that is a vision transformer, whatever its family."""
 
 
 def recipe_of(family: str) -> Recipe:

@@ -1,4 +1,4 @@
-"""Int8 convolution weights that keep the layer's output, not the weights themselves.
+"""Int8 weights of convolutions and matrices that keep the layer's output, not the weights.
 
 Rounding each weight to its nearest step ignores that a layer's inputs move together. GPTQ
 (Frantar et al. 2022, "Accurate post-training quantization for generative pre-trained
@@ -22,7 +22,7 @@ DAMPING = 0.01
 """Share of the mean input power added to the diagonal, so that unseen directions stay stable."""
 BLOCK = 128
 ROWS_PER_IMAGE = 384
-"""Output cells of a layer that one image contributes."""
+"""Output cells (tokens, for a matrix) of a layer that one image contributes."""
 MAX_LEVEL = 127
 """Symmetric int8: the scale a weight is stored with has zero point 0."""
 CLIP_SHARES = np.linspace(0.7, 1.0, 13)
@@ -54,8 +54,20 @@ def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np
     return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::down, ::across]
 
 
+def _sampled_columns(
+    node: onnx.NodeProto, x: np.ndarray, weight: onnx.TensorProto, random: np.random.Generator
+) -> np.ndarray:
+    """(at most ROWS_PER_IMAGE, d) of what a layer multiplies with its weights (rows, d)."""
+    if node.op_type == "MatMul":
+        tokens = x.reshape(-1, x.shape[-1])
+        return tokens[random.permutation(len(tokens))[:ROWS_PER_IMAGE]]
+    kernel = tuple(weight.dims[2:])
+    height, width = _windows(node, x, kernel).shape[1:3]
+    return input_columns(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
+
+
 class Inputs:
-    """What a convolution's input columns (cells, d) are like, summed up over images.
+    """What a layer's input columns (cells, d) are like, summed up over images.
 
     Attributes:
         moment: their second moment X·Xᵀ, (d, d) float32.
@@ -86,25 +98,22 @@ class Inputs:
 
 def input_statistics(
     model: onnx.ModelProto,
-    convs: list[onnx.NodeProto],
+    layers: list[onnx.NodeProto],
     feeds: list[Feed],
     limits: Mapping[str, float],
     seed: int = 0,
 ) -> dict[str, Inputs]:
-    """Of each convolution, by node name; `limits` are the tensors' 8-bit ranges, where known."""
+    """Of each layer, by node name; `limits` are the tensors' 8-bit ranges, where known."""
     weights = {init.name: init for init in model.graph.initializer}
-    names = sorted({node.input[0] for node in convs} - {model.graph.input[0].name})
+    names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
     session = tensor_session(model, names)
     random = np.random.default_rng(seed)
     statistics: dict[str, Inputs] = {}
     for feed in counted("pictures: inputs of layers", feeds):
         made = session.run(names, feed) if names else []  # no name asks for all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
-        for node in convs:
-            kernel, x = tuple(weights[node.input[1]].dims[2:]), values[node.input[0]]
-            height, width = _windows(node, x, kernel).shape[1:3]
-            chosen = random.permutation(height * width)[:ROWS_PER_IMAGE]
-            columns = input_columns(node, x, kernel, chosen)
+        for node in layers:
+            columns = _sampled_columns(node, values[node.input[0]], weights[node.input[1]], random)
             if node.name not in statistics:
                 limit = limits.get(node.input[0])
                 statistics[node.name] = Inputs(columns.shape[1], limit)
@@ -164,28 +173,30 @@ def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:
 
 def round_weights(
     model: onnx.ModelProto,
-    convs: list[onnx.NodeProto],
+    layers: list[onnx.NodeProto],
     feeds: list[Feed],
     limits: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """Put rounded weights into `model` (in place); per-channel scales (rows,) by weight name.
 
     Args:
+        layers: `Conv` nodes, and `MatMul` nodes by a constant (d, rows).
         limits: by tensor, the largest magnitude of its symmetric 8-bit range. Where a
             convolution's input has one, its bias makes up for what rounding weights and input
             adds to its output on average (Nagel et al. 2019, "Data-free quantization through
             weight equalization and bias correction", sec. 4.2, with the means measured).
     """
-    statistics = input_statistics(model, convs, feeds, limits or {})
+    statistics = input_statistics(model, layers, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}
     scales: dict[str, np.ndarray] = {}
-    for node in counted("layers: weights", convs):
+    for node in counted("layers: weights", layers):
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
-        weight = array.reshape(len(array), -1)
+        across = node.op_type == "MatMul"  # its output channels are columns
+        weight = array.T if across else array.reshape(len(array), -1)
         scale = channel_scales(weight)
         rounded = gptq(weight, inputs.moment, scale) * scale
-        values = rounded.reshape(array.shape)
+        values = np.ascontiguousarray(rounded.T) if across else rounded.reshape(array.shape)
         initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
         scales[initializer.name] = scale[:, 0]
         if limits and node.input[0] in limits and len(node.input) > 2:

@@ -34,7 +34,7 @@ LAYERS = (
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
 MOST_AT_THE_TOP = 12
 # Only who makes a model reads what the exporters need.
-NEVER = {"exporters", "torch", "ultralytics"}
+NEVER = {"exporters", "torch", "transformers", "ultralytics"}
 
 
 def module_name(path: Path) -> str:

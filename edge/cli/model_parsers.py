@@ -35,11 +35,18 @@ def _pull(action: argparse.ArgumentParser) -> None:
 
 
 def _export(action: argparse.ArgumentParser) -> None:
-    action.add_argument("name", help=_CARD)
-    action.add_argument("--weights", type=Path, help="the .pt file; default: as pulled")
-    action.add_argument("--calibration", type=Path, help="folder of pictures (all but fp32)")
-    action.add_argument("--vocabulary", type=Path, help="text embeddings (.npz)")
-    action.add_argument("--no-gate", action="store_true", help=_NO_GATE)
+    option = action.add_argument
+    option("name", help=f"{_CARD}; of a folder, a new one")
+    option(
+        "--weights", type=Path, metavar="FILE",
+        help="the .pt file, or a model's folder of Hugging Face; default: as pulled",
+    )  # fmt: skip
+    option("--precision", nargs="+", metavar="P", help="of a folder: what to make (default: fp32)")
+    option("--family", help="of a folder: its cards' family; default: NAME")
+    option("--license", help="of a folder: default: what its README.md says")
+    option("--calibration", type=Path, metavar="DIR", help="folder of pictures (all but fp32)")
+    option("--vocabulary", type=Path, help="text embeddings (.npz)")
+    option("--no-gate", action="store_true", help=_NO_GATE)
 
 
 def _quantize(action: argparse.ArgumentParser) -> None:

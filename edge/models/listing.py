@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from edge.perception.card_types import ChoiceCard, FileCard
+from edge.perception.card_types import ChoiceCard, EmbeddingParity, FileCard
 from edge.perception.cards import Card, all_cards, made_parity
 from edge.text import aligned, one_line, without_secrets
 
@@ -71,10 +71,13 @@ def _megabytes(size: int) -> str:
 
 
 def _parity(card: Card) -> str:
-    """The recall of the reference's boxes and so on: as the card says, else as made here."""
+    """How it compares with its reference: as the card says, else as made here."""
     p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"
+    if isinstance(p, EmbeddingParity):
+        order = "" if p.rank_agreement is None else f", order {p.rank_agreement:.3f}"
+        return f"cosine {p.cosine:.3f}{order} of {p.reference} ({p.inputs} inputs)"
     error = "" if p.score_error is None else f", score error {p.score_error:.2f}"
     return (
         f"recall {p.recall:.3f}, precision {p.precision:.3f}{error} "

@@ -11,7 +11,7 @@ from edge.host import resources
 from edge.host.children import python_module
 from edge.host.files import read_regular, write_atomically
 from edge.models.local import pulled_weights
-from edge.perception.card_types import ChoiceCard, SegmentCard, SimilarityCard
+from edge.perception.card_types import ChoiceCard, DetectCard, SegmentCard, SimilarityCard
 from edge.perception.cards import (
     FileCard,
     ModelError,
@@ -28,6 +28,7 @@ TRAINED = {
 """Families that are not made from weights, and the commands that train them."""
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")
 _EXPORT_NEEDS = ("torch", "torchvision", "ultralytics", "onnxslim", *_QUANTIZE_NEEDS)
+_FOLDER_NEEDS = ("torch", "transformers", "tokenizers", "onnxscript", *_QUANTIZE_NEEDS)
 _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
 """Packages that no extra brings, since theirs collide with ours; see `pyproject.toml`."""
 
@@ -35,12 +36,16 @@ _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
 def export(args: argparse.Namespace) -> int:
     """Handle `edge models export`; the exit code is the exporter's.
 
-    A vocabulary that was given is kept beside the models, where `edge run` looks for it.
+    Of a card, or of a model's folder as Hugging Face publishes it, whose cards are made too. A
+    vocabulary that was given is kept beside the models, where `edge run` looks for it.
 
     Raises:
         ModelError: nothing to export from, what an export needs is not installed, or the
             vocabulary cannot be kept.
     """
+    if args.weights is not None and args.weights.is_dir():
+        need_modules("transformers", _FOLDER_NEEDS)
+        return _run_exporters(args.name, args, weights=args.weights)
     card = with_file(args.name)
     if card.family in TRAINED:
         raise ModelError(f"models export: {card.name} is trained: {how_to_make(card)}")
@@ -51,7 +56,9 @@ def export(args: argparse.Namespace) -> int:
             f"models export: no weights of {card.name} here; {pull}name them with --weights FILE.pt"
         )
     need_modules("export", _EXPORT_NEEDS)
-    code = _run_exporters(card, args, args.vocabulary, weights)
+    code = _run_exporters(
+        card.name, args, weights=weights, vocabulary=args.vocabulary, cards=_folder_of(card)
+    )
     if code == 0 and args.vocabulary is not None:
         keep_vocabulary(args.vocabulary)
     return code
@@ -70,9 +77,15 @@ def quantize(args: argparse.Namespace) -> int:
         raise ModelError(
             f"models quantize: {card.name} is not derived from another model; {how_to_make(card)}"
         )
+    if not isinstance(card, DetectCard):
+        raise ModelError(
+            f"models quantize: {card.name} is no detector; make it from its model's folder: `edge "
+            f"models export NAME --weights FOLDER --precision {card.precision}`"
+        )
     verify_model(load_card(card.derived_from))
     need_modules("quantize", _QUANTIZE_NEEDS)
-    return _run_exporters(card, args, args.vocabulary or find_vocabulary(None))
+    vocabulary = args.vocabulary or find_vocabulary(None)
+    return _run_exporters(card.name, args, vocabulary=vocabulary, cards=_folder_of(card))
 
 
 def with_file(name: str) -> FileCard:
@@ -117,20 +130,29 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
         )
 
 
-def _run_exporters(
-    card: FileCard, args: argparse.Namespace, vocabulary: Path | None, weights: Path | None = None
-) -> int:
-    """Run `python -m exporters`, which writes to the models' cache; its exit code."""
+def _folder_of(card: FileCard) -> Path:
+    return card_path(card.name).parent
+
+
+def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) -> int:
+    """Run `python -m exporters`, which writes to the models' cache; its exit code.
+
+    Args:
+        files: weights, vocabulary, and the folder of the cards, as far as there are any.
+    """
     options = {
-        "--weights": weights,
-        "--calibration": args.calibration,
-        "--vocabulary": vocabulary,
-        "--cache": resources.models_dir(),
-        "--cards": card_path(card.name).parent,
+        "weights": files.get("weights"),
+        "calibration": args.calibration,
+        "vocabulary": files.get("vocabulary"),
+        "cache": resources.models_dir(),
+        "cards": files.get("cards"),
+        "family": getattr(args, "family", None),
+        "license": getattr(args, "license", None),
     }
-    given = [part for key, path in options.items() if path is not None for part in (key, str(path))]
+    given = [(f"--{key}", str(value)) for key, value in options.items() if value is not None]
+    precision = ["--precision", *args.precision] if getattr(args, "precision", None) else []
     gate = ["--no-gate"] if args.no_gate else []
-    command = [*python_module("exporters"), card.name, *given, *gate]
+    command = [*python_module("exporters"), name, *sum(given, ()), *precision, *gate]
     return subprocess.run(command, check=False).returncode
 
 

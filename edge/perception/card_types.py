@@ -28,7 +28,8 @@ FilePath = Annotated[
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
-Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt"]
+Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
+"""Of `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
 _NOT_GIVEN = ""
 Measured = dict[str, dict[str, Union[float, int, str]]]
 
@@ -82,6 +83,13 @@ class Input(_Part):
     width: Side
 
 
+class EncoderInput(_Part):
+    """Size of the image that an image encoder takes, in pixels; CLIP ViT-L/14 takes 336."""
+
+    height: Annotated[int, Field(ge=16)]
+    width: Annotated[int, Field(ge=16)]
+
+
 class Preprocess(_Part):
     """Pixels as the network wants them: `rgb * scale`, the frame around them `letterbox_pad`."""
 
@@ -91,21 +99,30 @@ class Preprocess(_Part):
 
 
 class Normalise(_Part):
-    """Pixels as an image encoder wants them: `(rgb * scale - mean) / std`, by channel."""
+    """Pixels as an image encoder wants them: `(rgb * scale - mean) / std`, by channel.
+
+    `fit` says how an image of another aspect gets the input's: CLIP keeps its middle (`crop`),
+    SigLIP squeezes it (`stretch`).
+    """
 
     color: Literal["rgb"]
     scale: Annotated[float, Field(gt=0)]
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
+    fit: Literal["crop", "stretch"] = "crop"
 
 
 class ClipTokenizer(_Part):
-    """Byte-pair encoding from a file that lies beside the ONNX."""
+    """Byte-pair encoding, or SentencePiece, from a file that lies beside the ONNX.
+
+    A text is filled up to `context` tokens with `pad`: SigLIP reads that too.
+    """
 
     kind: Literal["clip"] = "clip"
     file: FileName
     sha256: Sha256 | None
     context: Positive = 77
+    pad: Annotated[int, Field(ge=0)] = 0
 
 
 class AttributesTokenizer(_Part):
@@ -115,13 +132,28 @@ class AttributesTokenizer(_Part):
 
 
 class Parity(_Part):
-    """How the model compares with the step before it, on images it was not calibrated on."""
+    """How a detector compares with the step before it, on images it was not calibrated on."""
 
     reference: str
     images: int
     recall: float
     precision: float
     score_error: float | None
+
+
+class EmbeddingParity(_Part):
+    """How an encoder compares with the step before it.
+
+    Attributes:
+        inputs: images or texts that it was compared on.
+        cosine: the lowest between the two embeddings of an input.
+        rank_agreement: see `exporters.encoder_parity`; None where nothing was ranked.
+    """
+
+    reference: str
+    inputs: int
+    cosine: float
+    rank_agreement: float | None
 
 
 class Server(_Part):
@@ -161,7 +193,7 @@ class BaseCard(_Part):
     sources: tuple[Source, ...]
     license: str
     derived_from: str | None
-    parity: Parity | None
+    parity: Union[Parity, EmbeddingParity, None]
     measured: Measured = {}
 
     @property
@@ -237,6 +269,7 @@ class DetectCard(_FileCard):
     task: Literal["detect"]
     input: Input
     preprocess: Preprocess
+    parity: Parity | None
     text_dim: Positive
     text_encoder: str | None = None
 
@@ -249,6 +282,7 @@ class TextCard(_FileCard):
 
     task: Literal["text"]
     server: None = None
+    parity: EmbeddingParity | None
     dim: Positive
     tokenizer: Annotated[Union[ClipTokenizer, AttributesTokenizer], Field(discriminator="kind")]
 
@@ -266,8 +300,9 @@ class ImageCard(_FileCard):
     """An image encoder: `pixels` (1, 3, h, w) float32 → `embeddings` (1, dim) float32."""
 
     task: Literal["image"]
-    input: Input
+    input: EncoderInput
     preprocess: Normalise
+    parity: EmbeddingParity | None
     dim: Positive
 
 

@@ -22,6 +22,7 @@ from edge.perception.card_types import (
     Card,
     ChoiceCard,
     DetectCard,
+    EmbeddingParity,
     FileCard,
     FolderFile,
     ImageCard,
@@ -278,9 +279,10 @@ def _made(path: Path) -> dict[str, Any]:
         return {}
 
 
-def made_parity(card: FileCard) -> Parity | None:
+def made_parity(card: FileCard) -> Parity | EmbeddingParity | None:
     """The parity that the export wrote beside the model, None where there is none."""
+    kind = EmbeddingParity if isinstance(card, (ImageCard, TextCard)) else Parity
     try:
-        return Parity.model_validate(_made(card.path).get("parity"))
+        return kind.model_validate(_made(card.path).get("parity"))
     except ValidationError:
         return None

@@ -1,11 +1,12 @@
-"""CLIP's two encoders as ONNX files; none comes with the package.
+"""The two encoders of CLIP, SigLIP and their like as ONNX files; none comes with the package.
 
-To use one, put its card into `models/`. A `text` card's file maps `tokens` (n, 77) int64 to
-`embeddings` (n, d) float32: the token embeddings, the transformer, and the projection of the place
-of the *first* end-of-text token (the highest id, so an argmax finds it; what follows it is 0).
-With the family `clip-vit-b-32` it serves YOLO-World too, in the place of the vocabulary.
-`tokenizer.json`, as Hugging Face publishes it with the model, lies beside it. An `image` card's
-file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d). Rows are made unit rows here.
+`exporters.clip` makes the files and their cards from a folder of Hugging Face. A `text` card's file
+maps `tokens` (n, context) int64 to `embeddings` (n, d) float32. What follows a text's own tokens is
+the card's `pad`: CLIP takes the place of the *first* end-of-text token and never sees it, SigLIP
+reads to the last place. With the family `clip-vit-b-32` it serves YOLO-World too, in the place of
+the vocabulary. The tokenizer's file, which does all that is done to a text, lies beside it. An
+`image` card's file maps `pixels` (1, 3, h, w) float32 to `embeddings` (1, d). Rows are made unit
+rows here.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class ClipTextEncoder:
         assert isinstance(card.tokenizer, ClipTokenizer)
         self.card = card
         self.dim = card.dim
-        self._context = card.tokenizer.context
+        self._context, self._pad = card.tokenizer.context, card.tokenizer.pad
         path = verify_model(card, believe_cache=True)
         self._tokenizer = _open_tokenizer(card)
         self._session = open_session(path, CPU, threads=1)
@@ -68,7 +69,7 @@ class ClipTextEncoder:
         return np.stack([self._rows[text] for text in texts])
 
     def _encode(self, texts: Sequence[str]) -> np.ndarray:
-        tokens = np.zeros((len(texts), self._context), np.int64)
+        tokens = np.full((len(texts), self._context), self._pad, np.int64)
         for row, text in zip(tokens, texts, strict=True):
             ids = self._tokenizer.encode(text).ids
             if len(ids) > self._context:
@@ -134,11 +135,7 @@ class ClipImageEncoder:
         Raises:
             ModelError: the model fails, or its output is not finite.
         """
-        how = self.card.preprocess
-        planes = fit(rgb, self.card.input.height, self.card.input.width).astype(np.float32)
-        pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
-        pixels = np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
-        return _unit_rows(self._session, self.card, "pixels", pixels)[0]
+        return _unit_rows(self._session, self.card, "pixels", pixels_of(rgb, self.card))[0]
 
     def close(self) -> None:
         """Give up what a server is asked."""
@@ -146,13 +143,27 @@ class ClipImageEncoder:
             self._session.close()
 
 
-def fit(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The image scaled until it just fills (height, width), and its middle, as CLIP was trained."""
+def pixels_of(rgb: np.ndarray, card: ImageCard) -> np.ndarray:
+    """(h, w, 3) uint8 → (1, 3, height, width) float32, as the card's model wants it."""
+    how = card.preprocess
+    planes = fit(rgb, card.input.height, card.input.width, how.fit).astype(np.float32)
+    pixels = (planes * np.float32(how.scale) - np.float32(how.mean)) / np.float32(how.std)
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))[None]
+
+
+def fit(rgb: np.ndarray, height: int, width: int, how: str) -> np.ndarray:
+    """The image as (height, width).
+
+    Args:
+        how: `crop`: scaled until it just fills the size, and its middle; `stretch`: squeezed.
+    """
     h, w = rgb.shape[:2]
     scale = max(height / h, width / w)
     size = max(width, round(w * scale)), max(height, round(h * scale))
-    how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
-    large = cv2.resize(rgb, size, interpolation=how)
+    if how == "stretch":
+        size = width, height
+    shrunk = size[0] < w or size[1] < h
+    large = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if shrunk else cv2.INTER_CUBIC)
     top, left = (size[1] - height) // 2, (size[0] - width) // 2
     return large[top : top + height, left : left + width]
 

@@ -38,6 +38,16 @@ def test_rows_are_aligned(put_card, capsys):
     assert "2.9 MB" in capsys.readouterr().out
 
 
+def test_an_encoders_parity_is_told_by_its_embeddings(put_card, capsys):
+    parity = {"reference": "torch", "inputs": 41, "cosine": 0.9987, "rank_agreement": 0.97}
+    put_card({**TEXT, "parity": parity})
+    assert main(["models", "list"]) == 0
+    assert "cosine 0.999, order 0.970 of torch (41 inputs)" in capsys.readouterr().out
+    put_card({**TEXT, "parity": {**parity, "rank_agreement": None}})
+    assert main(["models", "list"]) == 0
+    assert "cosine 0.999 of torch" in capsys.readouterr().out
+
+
 def test_json_has_all_that_the_cards_say_and_where_files_are(put_card, capsys):
     put_card(TEXT)
     put_card(SCORER)

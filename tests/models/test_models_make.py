@@ -25,13 +25,18 @@ ORIGINAL = {
 }  # fmt: skip
 TRAINED = {**ORIGINAL, "name": "own", "family": "mini-house", "sources": []}
 DERIVED = {**ORIGINAL, "name": "small", "file": "small.onnx", "derived_from": "big"}
+TOWER = {
+    **{key: ORIGINAL[key] for key in ("family", "sha256", "license", "parity")},
+    "name": "rows", "task": "text", "file": "rows.onnx", "sources": [], "precision": "int8",
+    "derived_from": "big", "dim": 8, "tokenizer": {"kind": "attributes"},
+}  # fmt: skip
 SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
 
 
 @pytest.fixture
 def started(put_card, monkeypatch):
     """The command lines of the exporters that would have been started."""
-    for card in (ORIGINAL, DERIVED, SCORER, TRAINED):
+    for card in (ORIGINAL, DERIVED, SCORER, TRAINED, TOWER):
         put_card(card)
     lines = []
 
@@ -72,6 +77,13 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
     assert main(["models", "quantize", "small", *words]) == 0
     (line,) = started
     assert line[4:-4] == ["exporters", "small", *words]
+
+
+def test_a_models_folder_needs_no_card(started, tmp_path):
+    words = ["--precision", "fp32", "int8-cpu", "--family", "clip-vit-b-32"]
+    assert main(["models", "export", "new", "--weights", str(tmp_path), *words]) == 0
+    folders = ["--weights", str(tmp_path), "--cache", str(resources.models_dir())]
+    assert started[0][5:] == ["new", *folders, *words[3:], *words[:3]]
 
 
 @pytest.mark.parametrize("words", [["export", "--weights", "w.pt"], ["quantize"]])
@@ -122,6 +134,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("own", "is not derived from another model; `python -m exporters.train_mini --out RUN && "),
         ("small", "big.onnx: model big is not there"),
         ("s", "has no file of its own, it uses big"),
+        ("rows", "is no detector; make it from its model's folder: `edge models export NAME "),
         ("none", "no such card"),
     ],
 )

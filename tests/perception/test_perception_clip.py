@@ -88,6 +88,17 @@ def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
         encoder.embed([f"red {most}"])
 
 
+def test_what_fills_a_text_up_is_the_cards(text_card, cards):
+    """SigLIP reads that too."""
+    path = text_card().path
+    sofa = 3 + WORDS.index("sofa")
+    tokenizer = {**tiny_clip.TEXT["tokenizer"], "pad": sofa}
+    tiny_clip.write_card(cards, {**tiny_clip.TEXT, "tokenizer": tokenizer}, path)
+    (row,) = ClipTextEncoder(load_card("tiny-clip-text")).encode(["chair"])
+    places = CONTEXT - 3  # besides beginning, chair and end
+    np.testing.assert_allclose(row[sofa] / row[3 + WORDS.index("chair")], places, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
@@ -166,10 +177,22 @@ def test_a_text_model_of_another_family_is_neither_taken_nor_replaced(text_card,
 def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
     rgb = np.zeros((*hw, 3), np.uint8)
     rgb[:, hw[1] // 2 :, 0] = 200
-    fitted = fit(rgb, SIDE, SIDE)
+    fitted = fit(rgb, SIDE, SIDE, "crop")
     assert fitted.shape == (SIDE, SIDE, 3)
     assert (fitted[:, : SIDE // 2 - 2] == 0).all()
     np.testing.assert_allclose(fitted[:, SIDE // 2 + 2 :, 0], 200, atol=30)
+
+
+@pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8), (16, 64)])
+def test_an_image_is_squeezed_where_the_card_says_so(hw):
+    """Nothing of it is lost: the right quarter is the right quarter still."""
+    rgb = np.zeros((*hw, 3), np.uint8)
+    rgb[:, hw[1] * 3 // 4 :, 0] = 200
+    fitted = fit(rgb, SIDE, SIDE, "stretch")
+    assert fitted.shape == (SIDE, SIDE, 3)
+    edge = SIDE * 3 // 4
+    assert (fitted[:, : edge - 4, 0] < 30).all()
+    np.testing.assert_allclose(fitted[:, edge + 4 :, 0], 200, atol=30)
 
 
 def test_an_image_embedding_is_a_unit_row(image_encoder):

@@ -1,0 +1,368 @@
+"""The two towers of CLIP and SigLIP from a Hugging Face folder to ONNX files with their cards.
+
+    edge models export NAME --weights FOLDER --precision fp32 int8-cpu --calibration PICTURES
+
+writes for each precision `NAME-image-PRECISION`, `NAME-text-PRECISION` and the scorer of the two,
+`NAME-PRECISION`; `edge.perception.clip` says what the files are like.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+import yaml
+from torch import Tensor, nn
+
+from edge import names
+from edge.host.files import replace_atomically, write_atomically
+from edge.perception.card_types import ImageCard, TextCard
+from edge.perception.clip import pixels_of
+from edge.perception.similarity import SENTENCE
+from edge.text import one_line
+from exporters import hugging_face
+from exporters.encoder_parity import TOLERANCES, EmbeddingReport, check_tolerance, compare
+from exporters.files import ExportError, sha256_of
+from exporters.fp16 import write_fp16
+from exporters.images import PROMPTS, digest_of, read_rgb
+from exporters.onnx_format import check_format, cpu_session, export_module
+from exporters.quantize import need_pictures, pictures, quantize
+from exporters.recipes import TRANSFORMER, Recipe
+from exporters.sidecar import write_sidecar
+from exporters.weight_only import quantize_weights
+
+TEXT_PRECISION = {"fp32": "fp32", "fp16": "fp16", "int8-cpu": "int8"}
+"""By the image tower's precision: a text is encoded once a mission, so size is what counts."""
+LEGACY_END = 2
+"""What old configurations of CLIP name as the end of a text; they mean the highest token."""
+
+
+class ImageTower(nn.Module):
+    """`pixels` (1, 3, h, w) float32 → `embeddings` (1, d) float32."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.vision_model = model.vision_model
+        self.projection = getattr(model, "visual_projection", nn.Identity())
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        return self.projection(self.vision_model(pixel_values=pixels).pooler_output)
+
+
+class ClipTextTower(nn.Module):
+    """`tokens` (n, context) int64 → `embeddings` (n, d) float32, of the first end-of-text token."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.text_model, self.projection = model.text_model, model.text_projection
+        end = model.config.text_config.eos_token_id
+        self.end = None if end == LEGACY_END else end
+        context = model.config.text_config.max_position_embeddings
+        # Of finite numbers: -inf would not survive float16.
+        mask = torch.full((context, context), -1e4).triu(1)[None, None]
+        self.register_buffer("causal", mask, persistent=False)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        hidden = self.text_model.embeddings(input_ids=tokens)
+        encoded = self.text_model.encoder(inputs_embeds=hidden, attention_mask=self.causal)
+        rows = self.text_model.final_layer_norm(encoded.last_hidden_state)
+        is_end = tokens if self.end is None else (tokens == self.end).to(torch.int32)
+        place = is_end.argmax(dim=-1)[:, None, None].expand(-1, 1, rows.shape[-1])
+        return self.projection(rows.gather(1, place)[:, 0])
+
+
+class SiglipTextTower(nn.Module):
+    """The same of SigLIP, which sees all places and takes the last."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.text_model = model.text_model
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        hidden = self.text_model.embeddings(input_ids=tokens)
+        encoded = self.text_model.encoder(inputs_embeds=hidden, attention_mask=None)
+        rows = self.text_model.final_layer_norm(encoded.last_hidden_state)
+        return self.text_model.head(rows[:, -1])
+
+
+@dataclass(frozen=True)
+class Family:
+    """One architecture.
+
+    Attributes:
+        model: class of `transformers`.
+        pads: whether the model reads what fills a text up.
+    """
+
+    model: str
+    text_tower: type[nn.Module]
+    pads: bool
+
+
+FAMILIES = {
+    "clip": Family("CLIPModel", ClipTextTower, pads=False),
+    "siglip": Family("SiglipModel", SiglipTextTower, pads=True),
+}
+"""By `model_type`. SigLIP 2's checkpoints of one resolution call themselves `siglip` too."""
+
+
+def load_towers(folder: Path) -> tuple[ImageTower, nn.Module]:
+    """Image and text tower of a folder; raises ExportError for another architecture."""
+    import transformers
+
+    family = _family(folder)
+    model = hugging_face.load(getattr(transformers, family.model), folder)
+    return ImageTower(model).eval(), family.text_tower(model).eval()
+
+
+def _family(folder: Path) -> Family:
+    kind = hugging_face.model_type(folder)
+    if kind not in FAMILIES:
+        raise ExportError(
+            f"{folder}: model_type: {one_line(kind)!r} has no towers of one resolution "
+            f"(choices: {', '.join(FAMILIES)})"
+        )
+    return FAMILIES[kind]
+
+
+def export(args: Any) -> dict[str, EmbeddingReport | None]:
+    """Make every file and card that was asked for; the parity by card, None where unknown.
+
+    Args:
+        args: card (the name), weights (the folder), precision, calibration, validation, cache,
+            family, license, no_gate: see `exporters.__main__`.
+
+    Raises:
+        ExportError: the folder or the pictures cannot be used, or a parity misses its limits.
+    """
+    folder: Path = args.weights
+    wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
+    if unknown := [p for p in wanted if p not in TEXT_PRECISION]:
+        choices = ", ".join(TEXT_PRECISION)
+        raise ExportError(f"--precision: {unknown[0]!r} is not for towers (choices: {choices})")
+    if wanted != ["fp32"]:
+        need_pictures(args.calibration, args.card)
+    calibration, validation = pictures(args.calibration, args.validation)
+    towers = load_towers(folder)
+    write_atomically(
+        args.cache / f"{args.card}-tokenizer.json",
+        hugging_face.tokenizer_text(folder, lowercase=_family(folder).pads).encode(),
+    )
+    cards = {p: make_cards(folder, p, towers, args) for p in wanted}
+    maker = _Maker(args, towers, cards["fp32"], calibration, validation)
+    reports: dict[str, EmbeddingReport | None] = {}
+    for precision in wanted:
+        for card in cards[precision][:2]:
+            reports[card["name"]] = maker.make(card)
+        for card in cards[precision]:
+            path = args.cache / f"{card['name']}.yaml"
+            write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
+    return reports
+
+
+def make_cards(
+    folder: Path, precision: str, towers: tuple[nn.Module, nn.Module], args: Any
+) -> list[dict[str, Any]]:
+    """Cards of the image tower, of the text tower and of the pair, in one precision.
+
+    Raises:
+        ExportError: the folder asks for what the runtime does not do to images or texts.
+    """
+    image, text = (
+        f"{args.card}-image-{precision}",
+        f"{args.card}-text-{TEXT_PRECISION[precision]}",
+    )
+    context = towers[1].text_model.config.max_position_embeddings
+    common = {
+        "family": args.family or args.card, "sources": [],
+        "license": args.license or hugging_face.license_of(folder),
+    }  # fmt: skip
+    made = {"sha256": None, "parity": None}
+    tokenizer = f"{args.card}-tokenizer.json"
+    derived = (None, None) if precision == "fp32" else (
+        f"{args.card}-image-fp32", f"{args.card}-text-fp32",
+    )  # fmt: skip
+    with torch.inference_mode():
+        dim = int(towers[1](torch.zeros(1, context, dtype=torch.int64)).shape[1])
+    return [
+        {
+            "name": image, "task": "image", **common, **made, "file": f"{image}.onnx",
+            "precision": precision, "derived_from": derived[0], **image_preprocess(folder),
+            "dim": dim,
+        },
+        {
+            "name": text, "task": "text", **common, **made, "file": f"{text}.onnx",
+            "precision": TEXT_PRECISION[precision], "derived_from": derived[1], "dim": dim,
+            "tokenizer": {
+                "kind": "clip", "file": tokenizer, "context": context,
+                "sha256": sha256_of(args.cache / tokenizer),
+                "pad": hugging_face.pad_token(folder) if _family(folder).pads else 0,
+            },
+        },
+        {
+            "name": f"{args.card}-{precision}", "task": "similarity", **common,
+            "image_encoder": image, "text_encoder": text,
+        },
+    ]  # fmt: skip
+
+
+def image_preprocess(folder: Path) -> dict[str, Any]:
+    """`input` and `preprocess` of an image card, from the folder's `preprocessor_config.json`.
+
+    Raises:
+        ExportError: it asks for anything but a resize, a crop and a normalization.
+    """
+    path = folder / "preprocessor_config.json"
+    told = hugging_face.read_json(path)
+    size = _height_width(told.get("size"), path)
+    crops = bool(told.get("do_center_crop"))
+    if crops and _height_width(told.get("crop_size"), path) != size:
+        raise ExportError(f"{path}: crop_size: must be size; the service crops to what it resizes")
+    if not crops and "shortest_edge" in (told.get("size") or {}):
+        raise ExportError(f"{path}: do_center_crop: must be true where size is the shortest edge")
+    mean, std = told.get("image_mean", [0.0] * 3), told.get("image_std", [1.0] * 3)
+    if not told.get("do_normalize", True):
+        mean, std = [0.0] * 3, [1.0] * 3
+    return {
+        "input": {"height": size[0], "width": size[1]},
+        "preprocess": {
+            "color": "rgb", "scale": float(told.get("rescale_factor", 1 / 255)),
+            "mean": [float(m) for m in mean], "std": [float(s) for s in std],
+            "fit": "crop" if crops else "stretch",
+        },
+    }  # fmt: skip
+
+
+def _height_width(size: Any, path: Path) -> tuple[int, int]:
+    """Of a size as processors tell it: a number, a shortest edge, or both sides."""
+    if isinstance(size, int):
+        return size, size
+    if isinstance(size, dict):
+        if isinstance(edge := size.get("shortest_edge"), int):
+            return edge, edge
+        if isinstance(size.get("height"), int) and isinstance(size.get("width"), int):
+            return size["height"], size["width"]
+    raise ExportError(f"{path}: size: {one_line(size)} is not understood (height and width)")
+
+
+class _Maker:
+    """Makes one tower after the other, and holds each against the step before it."""
+
+    def __init__(
+        self,
+        args: Any,
+        towers: tuple[nn.Module, nn.Module],
+        fp32: Sequence[dict[str, Any]],
+        calibration: list[Path],
+        validation: list[Path],
+    ) -> None:
+        self._args, self._towers = args, towers
+        self._digest = digest_of(calibration) if calibration else None
+        self._weights = hugging_face.weights_sha256(args.weights)
+        image_card = ImageCard.model_validate(fp32[0])
+        tokens = tokens_of(TextCard.model_validate(fp32[1]), args.cache, sentences())
+        vocabulary = towers[1].text_model.config.vocab_size
+        hugging_face.check_tokens(args.weights, tokens.ravel().tolist(), vocabulary)
+        self._feeds = {
+            "image": [{"pixels": pixels_of(read_rgb(p), image_card)} for p in calibration],
+            "text": [{"tokens": row[None]} for row in tokens],
+        }
+        self._tests = {
+            "image": [pixels_of(read_rgb(p), image_card) for p in validation],
+            "text": [row[None] for row in tokens],
+        }
+        # What the other tower's rows are ranked by is the original's, for every variant.
+        self._rows = {
+            task: _embed_torch(tower, self._tests[task])
+            for task, tower in zip(("image", "text"), towers, strict=True)
+        }
+
+    def make(self, card: dict[str, Any]) -> EmbeddingReport | None:
+        """The file and the sidecar of a card; None where there is nothing to compare on."""
+        task, precision, source = card["task"], card["precision"], card["derived_from"]
+        out = self._args.cache / card["file"]
+        print(f"{card['name']}: exporting {out}", file=sys.stderr)
+        with replace_atomically(out) as made:
+            if source is None:
+                tower = self._towers[("image", "text").index(task)]
+                export_tower(tower, made, task, self._example(card))
+            else:
+                fp32 = self._args.cache / f"{source}.onnx"
+                derive(fp32, made, self._feeds[task], precision)
+            report = self._measure(card, made, precision)
+        parity = report.for_card("torch") if report else None
+        digest = self._digest if task == "image" and source is not None else None
+        write_sidecar(out, card["name"], parity, self._weights, digest)
+        return report
+
+    def _measure(self, card: dict[str, Any], made: Path, precision: str) -> EmbeddingReport | None:
+        task = card["task"]
+        if not self._tests[task]:
+            return None
+        found = embed_onnx(made, self._tests[task])
+        other = self._rows["text" if task == "image" else "image"]
+        report = compare(self._rows[task], found, other)
+        print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
+        if not self._args.no_gate:
+            check_tolerance(report, TOLERANCES[precision], card["name"])
+        return report
+
+    def _example(self, card: dict[str, Any]) -> Tensor:
+        if card["task"] == "image":
+            return torch.zeros(1, 3, card["input"]["height"], card["input"]["width"])
+        return torch.from_numpy(np.concatenate(self._tests["text"][:2]))
+
+
+def sentences() -> list[str]:
+    """What a text tower is compared on: VLFM's sentence of what robots are sent to find."""
+    return [SENTENCE.format(names.normalise(word)) for word in PROMPTS.split(",")]
+
+
+def tokens_of(card: TextCard, folder: Path, texts: list[str]) -> np.ndarray:
+    """Texts as a card's model reads them, (n, context) int64."""
+    tokenizer = hugging_face.open_tokenizer(folder / card.tokenizer.file)
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    tokens = np.full((len(texts), card.tokenizer.context), card.tokenizer.pad, np.int64)
+    for row, text in zip(tokens, texts, strict=True):
+        ids = tokenizer.encode(text).ids[: len(row)]
+        row[: len(ids)] = ids
+    return tokens
+
+
+def export_tower(tower: nn.Module, out: Path, task: str, example: Tensor) -> None:
+    """FP32: one image of one size, or any number of texts."""
+    name = "pixels" if task == "image" else "tokens"
+    free = {} if task == "image" else {name: {0: "n"}, "embeddings": {0: "n"}}
+    export_module(tower, out, {name: example}, ("embeddings",), free)
+
+
+def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision: str) -> None:
+    """FP32 ONNX → `out` in another precision."""
+    if precision == "fp16":
+        write_fp16(fp32, out, feeds, Recipe())
+    elif precision == "int8-cpu":
+        quantize(fp32, out, feeds, TRANSFORMER, precision)
+    else:
+        onnx.save(quantize_weights(onnx.load(fp32), precision), out)
+        check_format(out)
+
+
+def _embed_torch(tower: nn.Module, inputs: list[np.ndarray]) -> np.ndarray:
+    """(n, d), one row for each input of one row."""
+    with torch.inference_mode():
+        rows = [tower(torch.from_numpy(batch)).numpy() for batch in inputs]
+    return np.concatenate(rows) if rows else np.empty((0, 0), np.float32)
+
+
+def embed_onnx(path: Path, inputs: list[np.ndarray]) -> np.ndarray:
+    """The same with a file, on the CPU."""
+    session = cpu_session(path, threads=2)
+    name = session.get_inputs()[0].name
+    return np.concatenate([session.run(["embeddings"], {name: batch})[0] for batch in inputs])

@@ -1,0 +1,158 @@
+"""A model's folder as Hugging Face publishes it: configuration, weights, tokenizer, licence.
+
+Only safetensors are read, and only from the folder: a .bin is a pickle, which can run code, and
+neither code nor anything else is fetched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+os.environ.setdefault("HF_HUB_OFFLINE", "1")
+os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
+
+import yaml
+
+from edge.host.files import read_regular
+from edge.text import one_line, read_json_object
+from exporters.files import ExportError, sha256_of
+
+if TYPE_CHECKING:
+    from torch import nn
+
+CONFIG, TOKENIZER = "config.json", "tokenizer.json"
+LICENSE_UNKNOWN = "unknown"
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object of a model's folder; raises ExportError if it is not there or is none."""
+    try:
+        return read_json_object(read_regular(path))
+    except (OSError, ValueError) as error:
+        raise ExportError(
+            f"{path}: cannot be read: {one_line(error)}; give the whole folder of a model, as "
+            "Hugging Face publishes it"
+        ) from None
+
+
+def model_type(folder: Path) -> str:
+    """The architecture that a folder's `config.json` names."""
+    found = read_json(folder / CONFIG).get("model_type")
+    if not isinstance(found, str):
+        raise ExportError(f"{folder / CONFIG}: model_type: missing; give a folder of transformers")
+    return found
+
+
+def weight_files(folder: Path) -> list[Path]:
+    """Its safetensors, in name order; raises ExportError if there are none."""
+    found = sorted(folder.glob("*.safetensors"))
+    if not found:
+        raise ExportError(
+            f"{folder}: no *.safetensors; fetch the model's own (a .bin is not opened, since it "
+            "can run code)"
+        )
+    return found
+
+
+def weights_sha256(folder: Path) -> str:
+    """One digest of all weights: of their own digests, in name order."""
+    own = "".join(sha256_of(path) for path in weight_files(folder))
+    return hashlib.sha256(own.encode()).hexdigest()
+
+
+def load(kind: type, folder: Path) -> nn.Module:
+    """The model with all of its weights, float32, in evaluation mode, its attention spelt out.
+
+    Args:
+        kind: the class of `transformers`.
+
+    Raises:
+        ExportError: it cannot be loaded, or weights are missing, which would be left random.
+    """
+    weight_files(folder)
+    import torch
+    from transformers.utils import logging
+
+    logging.disable_progress_bar()
+    try:
+        model, found = kind.from_pretrained(
+            folder, local_files_only=True, use_safetensors=True, trust_remote_code=False,
+            dtype=torch.float32, attn_implementation="eager", output_loading_info=True,
+        )  # fmt: skip
+    except Exception as error:  # transformers raises many types
+        raise ExportError(f"{folder}: cannot be loaded: {one_line(error)}") from None
+    if missing := sorted(found["missing_keys"]):
+        raise ExportError(
+            f"{folder}: {len(missing)} weights are missing ({missing[0]}, …): fetch it again"
+        )
+    return model.eval().requires_grad_(False)
+
+
+def license_of(folder: Path) -> str:
+    """What the front matter of its `README.md` says; `unknown` where that says nothing."""
+    try:
+        text = read_regular(folder / "README.md").decode("utf-8")
+        _, front, _ = text.split("---", 2)
+        found = yaml.safe_load(front).get("license")
+    except (OSError, ValueError, AttributeError, yaml.YAMLError):
+        return LICENSE_UNKNOWN
+    return found if isinstance(found, str) and found else LICENSE_UNKNOWN
+
+
+def tokenizer_text(folder: Path, lowercase: bool = False) -> str:
+    """The content of its `tokenizer.json`.
+
+    Args:
+        lowercase: the model was trained on lower case, which some tokenizers leave to code of
+            `transformers`: it is put into the file where it is not yet.
+    """
+    path = folder / TOKENIZER
+    tokenizer = open_tokenizer(path)
+    if lowercase and tokenizer.encode("CHAIR").ids != tokenizer.encode("chair").ids:
+        from tokenizers import normalizers
+
+        own = [] if tokenizer.normalizer is None else [tokenizer.normalizer]
+        tokenizer.normalizer = normalizers.Sequence([normalizers.Lowercase(), *own])
+        return tokenizer.to_str()
+    return read_regular(path).decode("utf-8")
+
+
+def open_tokenizer(path: Path) -> Any:
+    """A `tokenizers.Tokenizer`; raises ExportError if there is none."""
+    from tokenizers import Tokenizer
+
+    if not path.is_file():
+        raise ExportError(
+            f"{path}: not there; save one with transformers' AutoTokenizer (save_pretrained)"
+        )
+    try:
+        return Tokenizer.from_file(str(path))
+    except Exception as error:  # it raises Exception itself
+        raise ExportError(f"{path}: not a tokenizer: {one_line(error)}") from None
+
+
+def check_tokens(folder: Path, tokens: Iterable[int], size: int) -> None:
+    """Raise ExportError if a token is beyond the model's vocabulary of `size`."""
+    if (largest := max(tokens, default=0)) >= size:
+        raise ExportError(
+            f"{folder / TOKENIZER}: token {largest}, where the model knows {size}: the files are "
+            "of two models; fetch the folder again"
+        )
+
+
+def pad_token(folder: Path) -> int:
+    """The number of the token that fills a text up; raises ExportError if none is named."""
+    path = folder / "tokenizer_config.json"
+    named = read_json(path).get("pad_token")
+    named = named.get("content") if isinstance(named, dict) else named
+    found = None
+    if isinstance(named, str):
+        found = open_tokenizer(folder / TOKENIZER).token_to_id(named)
+    if found is None:
+        raise ExportError(f"{path}: pad_token: {json.dumps(named)} is no token of {TOKENIZER}")
+    return found

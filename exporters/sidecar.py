@@ -1,0 +1,48 @@
+"""`FILE.onnx.json` beside an exported model: its digest, its parity, and how it was made."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+from pathlib import Path
+
+from edge.host.files import write_atomically
+from exporters.files import sha256_of
+
+TOOLS = (
+    "torch", "ultralytics", "transformers", "onnx", "onnxruntime", "onnxslim", "numpy",
+)  # fmt: skip
+
+
+def write_sidecar(
+    out: Path,
+    name: str,
+    parity: dict | None,
+    weights_sha256: str | None,
+    calibration_sha256: str | None = None,
+) -> None:
+    """Write it for a model, with the digest that the service checks the model against.
+
+    The digest is here and not in the card since the file depends on the calibration images and on
+    the versions of the tools.
+    """
+    content = {
+        "name": name,
+        "sha256": sha256_of(out),
+        "bytes": out.stat().st_size,
+        "parity": parity,
+        "weights_sha256": weights_sha256,
+        "calibration_sha256": calibration_sha256,
+        "tools": {tool: _version(tool) for tool in TOOLS},
+    }
+    sidecar = json.dumps(content, indent=2) + "\n"
+    write_atomically(out.with_name(out.name + ".json"), sidecar.encode())
+    print(f"{out.name} sha256 {content['sha256']}")
+
+
+def _version(tool: str) -> str | None:
+    """None for what is not installed; torch is only needed for FP32."""
+    try:
+        return importlib.metadata.version(tool)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,184 @@
+"""The networks of a vision-language model as modules that can be traced: what each file computes.
+
+Weights and layers are those of `transformers`; what is written anew here is what a trace cannot
+follow there: masks, places, and the cache of keys and values.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+MASKED = -1e4
+"""Added to the score of what must not be seen. -inf would not survive float16."""
+
+
+class Decoder(nn.Module):
+    """Reads on from what was read.
+
+    `inputs_embeds` (b, n, d), `attention_mask` (b, past + n), `position_ids` (b, n), or (3, b, n)
+    where places have three numbers, and of each layer keys and values (b, heads, past, size) →
+    `logits` (b, 1, v) of the last token, and keys and values (b, heads, past + n, size).
+
+    Published decoders give logits of every token. Only the last one's are ever looked at, and of a
+    long prompt the others cost much time and memory.
+    """
+
+    def __init__(self, text_model: nn.Module, lm_head: nn.Module) -> None:
+        super().__init__()
+        self.layers, self.norm = text_model.layers, text_model.norm
+        self.rotary_emb, self.lm_head = text_model.rotary_emb, lm_head
+
+    def forward(
+        self, inputs_embeds: Tensor, attention_mask: Tensor, position_ids: Tensor, *past: Tensor
+    ) -> tuple[Tensor, ...]:
+        cache = _Cache(past)
+        total, n = attention_mask.shape[1], inputs_embeds.shape[1]
+        places = torch.arange(total)
+        causal = places[None] <= places[total - n :, None]
+        seen = causal & attention_mask[:, None, None, :].to(torch.bool)
+        mask = torch.where(seen, 0.0, MASKED)
+        rotation = self.rotary_emb(inputs_embeds, position_ids)
+        hidden = inputs_embeds
+        for layer in self.layers:
+            hidden = layer(
+                hidden, attention_mask=mask, position_embeddings=rotation, past_key_values=cache
+            )
+        logits = self.lm_head(self.norm(hidden[:, -1:]))
+        return logits, *cache.present
+
+
+class _Cache:
+    """Keys and values of the past, with those of the present put behind them."""
+
+    def __init__(self, past: tuple[Tensor, ...]) -> None:
+        self._past = past
+        self.present: list[Tensor] = []
+
+    def update(self, key: Tensor, value: Tensor, layer: int, *_: object) -> tuple[Tensor, Tensor]:
+        """As `transformers.Cache.update`, layer by layer."""
+        both = self._past[2 * layer : 2 * layer + 2]
+        joined = [torch.cat(pair, dim=2) for pair in zip(both, (key, value), strict=True)]
+        self.present += joined
+        return joined[0], joined[1]
+
+
+class Embedding(nn.Module):
+    """`input_ids` (b, n) int64 → `inputs_embeds` (b, n, d)."""
+
+    def __init__(self, embed_tokens: nn.Module) -> None:
+        super().__init__()
+        self.embed_tokens = embed_tokens
+
+    def forward(self, input_ids: Tensor) -> Tensor:
+        return self.embed_tokens(input_ids)
+
+
+class Idefics3Vision(nn.Module):
+    """Of Idefics3 and SmolVLM: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w)
+    bool → `image_features` (b·i, tokens, d).
+
+    A patch counts where any of its pixels does. Images that are all padding are not taken out: a
+    scorer shows one image.
+    """
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.vision_model, self.connector = model.vision_model, model.connector
+        self.places = _Idefics3Places(model.vision_model.embeddings.num_patches_per_side)
+
+    def forward(self, pixel_values: Tensor, pixel_attention_mask: Tensor) -> Tensor:
+        vision, patch = self.vision_model, self.vision_model.patch_size
+        images = pixel_values.flatten(0, 1)
+        pixels = pixel_attention_mask.flatten(0, 1)[:, None].to(images.dtype)
+        seen = nn.functional.max_pool2d(pixels, patch, patch)[:, 0]  # (images, rows, columns)
+        patches = vision.embeddings.patch_embedding(images).flatten(2).transpose(1, 2)
+        hidden = patches + vision.embeddings.position_embedding(self.places(seen))
+        mask = ((1.0 - seen.flatten(1)) * MASKED)[:, None, None, :]
+        encoded = vision.encoder(inputs_embeds=hidden, attention_mask=mask).last_hidden_state
+        return self.connector(vision.post_layernorm(encoded))
+
+
+class _Idefics3Places(nn.Module):
+    """Which patches are seen, (images, rows, columns) of 0 and 1 → their places, (images, n) int64.
+
+    A module of its own for the names of its nodes, which have to stay in float32.
+    """
+
+    def __init__(self, side: int) -> None:
+        super().__init__()
+        self.side = side
+        # As transformers cuts 0..1 into places, rounding errors and all.
+        bounds = torch.arange(1 / side, 1.0, 1 / side)
+        self.register_buffer("bounds", bounds, persistent=False)
+
+    def forward(self, seen: Tensor) -> Tensor:
+        rows, columns = self._along(seen[:, :, 0]), self._along(seen[:, 0, :])
+        places = rows[:, :, None] * self.side + columns[:, None, :]
+        return (places * seen.to(torch.int64)).flatten(1)
+
+    def _along(self, seen: Tensor) -> Tensor:
+        """(images, n) of a row or column of patches → which of `side` places each is in."""
+        step = 1.0 / seen.sum(dim=1, keepdim=True)
+        share = torch.arange(seen.shape[1]).to(torch.float32)[None] * step
+        share = share.clamp(max=1.0 - 1e-6)
+        return (share[..., None] >= self.bounds).to(torch.int64).sum(dim=-1)
+
+
+class Qwen2Vision(nn.Module):
+    """Of Qwen2-VL: `pixel_values` (n, 3·2·patch²), `grid_thw` (1, 3) int64 → `image_features`
+    (n / merge², d), of one still image.
+    """
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.visual = model.visual
+        self.places = _Qwen2Rotation(self.visual)
+
+    def forward(self, pixel_values: Tensor, grid_thw: Tensor) -> Tensor:
+        visual = self.visual
+        rotation = self.places(grid_thw)
+        # A convolution whose stride is its kernel, over one patch each: a product. The first axis
+        # keeps layers products too: a Gemm, which a linear layer is without it, is not quantized.
+        weight = visual.patch_embed.proj.weight
+        hidden = nn.functional.linear(pixel_values[None], weight.flatten(1))
+        for block in visual.blocks:
+            hidden = hidden + _attend(block.attn, block.norm1(hidden), rotation)
+            hidden = hidden + block.mlp(block.norm2(hidden))
+        merger = visual.merger
+        return merger.mlp(merger.ln_q(hidden).reshape(1, -1, merger.hidden_size))[0]
+
+
+class _Qwen2Rotation(nn.Module):
+    """`grid_thw` → cosines and sines of each patch's place, (n, 1, size of a head) each."""
+
+    def __init__(self, visual: nn.Module) -> None:
+        super().__init__()
+        self.merge = visual.spatial_merge_size
+        self.register_buffer("inv_freq", visual.rotary_pos_emb.inv_freq, persistent=False)
+
+    def forward(self, grid_thw: Tensor) -> tuple[Tensor, Tensor]:
+        rows, columns, m = grid_thw[0, 1], grid_thw[0, 2], self.merge
+        row = torch.arange(rows)[:, None].expand(rows, columns)
+        column = torch.arange(columns)[None, :].expand(rows, columns)
+        squares = (rows // m, m, columns // m, m)  # patches come in the order of their squares
+        ordered = [part.reshape(squares).transpose(1, 2).flatten() for part in (row, column)]
+        angles = (torch.stack(ordered, dim=-1)[..., None].float() * self.inv_freq).flatten(1)
+        angles = torch.cat((angles, angles), dim=-1)[:, None]
+        return angles.cos(), angles.sin()
+
+
+def _attend(attention: nn.Module, x: Tensor, rotation: tuple[Tensor, Tensor]) -> Tensor:
+    """Qwen2-VL's attention over all patches of one image, (1, n, d) → (1, n, d)."""
+    heads = attention.num_heads
+    q, k, v = attention.qkv(x).reshape(-1, 3, heads, x.shape[-1] // heads).unbind(1)
+    q, k = (part * rotation[0] + _half_turned(part) * rotation[1] for part in (q, k))
+    q, k, v = (part.transpose(0, 1) for part in (q, k, v))
+    scores = torch.matmul(q, k.transpose(1, 2)) * attention.scaling
+    heard = torch.matmul(scores.softmax(dim=-1), v)
+    return attention.proj(heard.transpose(0, 1).flatten(1)[None])
+
+
+def _half_turned(x: Tensor) -> Tensor:
+    first, second = x.chunk(2, dim=-1)
+    return torch.cat((-second, first), dim=-1)

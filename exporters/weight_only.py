@@ -1,0 +1,98 @@
+"""Weight-only INT8 and INT4: what multiplies gets few bits, what flows through stays in float.
+
+A matrix gets a scale for each block of `BLOCK` weights (onnxruntime's MatMulNBits, rounding to
+nearest), a table of embeddings one for each row, and 8 bits always: a row is read, not summed up.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import onnx
+from onnx import helper, numpy_helper
+
+from exporters.files import ExportError
+
+BITS = {"int8": 8, "q4": 4}
+"""By the precision of a card."""
+BLOCK = 32
+INT8_ARITHMETIC = 4
+"""MatMulNBits' `accuracy_level` of what the CPU multiplies in: inputs are rounded to int8, block by
+block, where float32 would unpack every weight first. A GPU does not look at it."""
+MAX_LEVEL = 127
+
+
+def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
+    """The model with its constant matrices in 8 or 4 bits and its embedding tables in 8.
+
+    Raises:
+        ExportError: no such precision, or nothing in the model to quantize.
+    """
+    if precision not in BITS:
+        raise ExportError(f"precision: unknown {precision!r} (choices: {', '.join(BITS)})")
+    from onnxruntime.quantization.matmul_nbits_quantizer import (
+        DefaultWeightOnlyQuantConfig,
+        MatMulNBitsQuantizer,
+    )
+
+    tables = quantize_tables(model)
+    how = DefaultWeightOnlyQuantConfig(
+        block_size=BLOCK, is_symmetric=True, accuracy_level=INT8_ARITHMETIC, bits=BITS[precision]
+    )
+    quantizer = MatMulNBitsQuantizer(model, algo_config=how)
+    logging.getLogger("onnxruntime.quantization.matmul_nbits_quantizer").setLevel(logging.WARNING)
+    quantizer.process()
+    made = quantizer.model.model
+    if not tables and all(node.op_type != "MatMulNBits" for node in made.graph.node):
+        raise ExportError(f"{precision}: no constant matrix in the model; nothing to quantize")
+    return made
+
+
+def quantize_tables(model: onnx.ModelProto) -> int:
+    """Put every table that rows are gathered from into int8, in place; how many there were."""
+    graph = model.graph
+    constants = {init.name: init for init in graph.initializer}
+    uses = [name for node in graph.node for name in node.input]
+    found = [
+        node for node in graph.node
+        if node.op_type == "Gather" and _is_table(constants.get(node.input[0]))
+        and _axis(node) == 0 and uses.count(node.input[0]) == 1
+    ]  # fmt: skip
+    for node in found:
+        table = constants[node.input[0]]
+        levels, scale = _rows_in_int8(numpy_helper.to_array(table))
+        scales = numpy_helper.from_array(scale, f"{table.name}_scale")
+        table.CopyFrom(numpy_helper.from_array(levels, table.name))
+        graph.initializer.append(scales)
+        name, ids, rows = node.name, node.input[1], node.output[0]
+        parts = {part: f"{rows}_{part}" for part in ("levels", "floats", "scales")}
+        at = list(graph.node).index(node)
+        graph.node.remove(node)
+        for offset, made in enumerate((
+            helper.make_node("Gather", [table.name, ids], [parts["levels"]], name),
+            helper.make_node("Cast", [parts["levels"]], [parts["floats"]], f"{name}_cast",
+                             to=onnx.TensorProto.FLOAT),
+            helper.make_node("Gather", [scales.name, ids], [parts["scales"]], f"{name}_scales"),
+            helper.make_node("Mul", [parts["floats"], parts["scales"]], [rows], f"{name}_scaled"),
+        )):  # fmt: skip
+            graph.node.insert(at + offset, made)
+    return len(found)
+
+
+def _is_table(tensor: onnx.TensorProto | None) -> bool:
+    """Whether it has two axes of floats, more than a block of them."""
+    return (
+        tensor is not None and tensor.data_type == onnx.TensorProto.FLOAT
+        and len(tensor.dims) == 2 and int(np.prod(tensor.dims)) > BLOCK
+    )  # fmt: skip
+
+
+def _axis(node: onnx.NodeProto) -> int:
+    return next((a.i for a in node.attribute if a.name == "axis"), 0)
+
+
+def _rows_in_int8(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, d) float32 → levels (rows, d) int8, scales (rows, 1) float32."""
+    scale = np.maximum(np.abs(table).max(axis=1, keepdims=True), 1e-12) / MAX_LEVEL
+    return np.round(table / scale).astype(np.int8), scale.astype(np.float32)

@@ -1,0 +1,312 @@
+"""Three files of a vision-language model: they answer as the model does that they are made of."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("torch", reason="torch is not installed (extra `transformers`)")
+pytest.importorskip("transformers", reason="transformers is not installed (extra `transformers`)")
+pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
+pytest.importorskip("onnxscript", reason="onnxscript is not installed (extra `transformers`)")
+
+import onnx
+import tiny_folders
+import torch
+from onnx import numpy_helper
+
+from edge.host.files import MAX_TEXT_BYTES
+from edge.perception.cards import load_card
+from exporters import vlm
+from exporters.__main__ import main
+from exporters.files import ExportError, sha256_of
+from exporters.images import read_rgb
+from exporters.vlm_parity import Chain, Original, places_of, questions
+
+pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
+
+KINDS = ("idefics3", "smolvlm", "qwen2_vl")
+EVERY = tuple(vlm.PRECISIONS)
+MADE = [("smolvlm", "fp32"), *((k, p) for k in ("idefics3", "qwen2_vl") for p in EVERY)]
+MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A folder by architecture."""
+    torch.set_num_threads(1)  # more would only wait for each other
+    root = tmp_path_factory.mktemp("published")
+    return {kind: tiny_folders.write_vlm(root / kind, kind) for kind in KINDS}
+
+
+@pytest.fixture(scope="module")
+def cache(folders, photos, tmp_path_factory):
+    """What `$EDGE_CACHE_DIR` is after each was exported."""
+    root = tmp_path_factory.mktemp("cache")
+    for kind, folder in folders.items():
+        words = [name_of(kind), "--weights", folder, "--cache", root / "models"]
+        pictures = ["--calibration", photos, "--validation", photos, "--no-gate"]
+        wanted = [p for k, p in MADE if k == kind]
+        assert main([*map(str, (*words, *pictures)), "--precision", *wanted]) == 0
+    return root
+
+
+def name_of(kind):
+    return f"my-{kind.replace('_', '-')}"
+
+
+def card_of(cache, kind, precision):
+    return yaml.safe_load((cache / "models" / f"{name_of(kind)}-{precision}.yaml").read_text())
+
+
+def files_of(cache, kind, precision):
+    """Vision encoder, embedding, decoder."""
+    card = card_of(cache, kind, precision)
+    folder = cache / "models" / card["folder"]
+    return [folder / card[part]["file"] for part in ("vision_encoder", "embed_tokens", "decoder")]
+
+
+@pytest.fixture(scope="module")
+def originals(folders):
+    """(the model asked as a whole, the questions) by architecture."""
+    found = {}
+    for kind, folder in folders.items():
+        model, networks = vlm.load_model(folder)
+        asked = questions(folder, model.config.image_token_id)
+        found[kind] = Original(model, networks.prepare), asked
+    return found
+
+
+@pytest.fixture(scope="module")
+def rgb(photos):
+    return read_rgb(sorted(photos.iterdir())[0])
+
+
+# -- parity ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_three_files_answer_as_the_model(cache, originals, rgb, kind):
+    """All logits of the last token, not the letters' alone."""
+    original, asked = originals[kind]
+    chain, shown = Chain(files_of(cache, kind, "fp32")), original.show(rgb)
+    features = chain.features(shown.feeds)
+    np.testing.assert_allclose(features, shown.features, atol=2e-5)
+    for question in asked:
+        ids = question.ids(len(features))
+        places = places_of(ids, question.image, shown.grid, original.merge)
+        logits, _ = chain.read(chain.rows(ids, question.image, features), places)
+        np.testing.assert_allclose(logits, original.logits(question, shown), atol=2e-5)
+
+
+@pytest.mark.parametrize("cut", [1, 7, -1])
+@pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
+@pytest.mark.parametrize("precision", ["fp32", "q4f16"])
+def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, cut):
+    original, asked = originals[kind]
+    chain, shown = Chain(files_of(cache, kind, precision)), original.show(rgb)
+    ids = asked[0].ids(len(shown.features))
+    places = places_of(ids, asked[0].image, shown.grid, original.merge)
+    rows = chain.rows(ids, asked[0].image, shown.features)
+    at_once, whole = chain.read(rows, places)
+    _, past = chain.read(rows[:, :cut], places[..., :cut])
+    logits, present = chain.read(rows[:, cut:], places[..., cut:], past)
+    np.testing.assert_allclose(logits, at_once, atol=1e-5 if precision == "fp32" else 0.03)
+    assert {k: v.shape for k, v in present.items()} == {k: v.shape for k, v in whole.items()}
+    assert next(iter(present.values())).shape == (1, 2, ids.shape[1], 16)
+
+
+@pytest.mark.parametrize(("kind", "precision"), MADE)
+def test_every_step_keeps_its_parity(cache, kind, precision):
+    """Of the tiny models; 4 bits are too few for their letters, which hardly differ."""
+    limits = {"fp32": (1e-5, 1.0), "fp16": (2e-3, 0.97), "int8": (0.03, 0.9)}
+    figures = card_of(cache, kind, precision)["measured"]["against torch"]
+    error, order = limits.get(precision, (0.3, 0.6))
+    assert figures["questions"] == 15
+    assert figures["share_error"] < error
+    assert figures["rank_agreement"] >= order
+    assert figures["cosine"] > 0.999
+
+
+def test_tiles_and_pixels_that_are_not_there(cache, originals):
+    """Several squares an image, one of them half empty; only one was traced."""
+    original, _ = originals["idefics3"]
+    random = np.random.default_rng(1)
+    side = tiny_folders.SIDE
+    feeds = {
+        "pixel_values": random.normal(size=(1, 3, 3, side, side)).astype(np.float32),
+        "pixel_attention_mask": np.ones((1, 3, side, side), bool),
+    }
+    feeds["pixel_attention_mask"][0, 1, 18:] = False
+    feeds["pixel_attention_mask"][0, 1, :, 9:] = False
+    with torch.inference_mode():
+        wanted = original._model.model.get_image_features(
+            **{key: torch.from_numpy(value) for key, value in feeds.items()}
+        ).pooler_output
+    wanted = torch.cat(tuple(wanted)).numpy().reshape(-1, wanted[0].shape[-1])
+    found = Chain(files_of(cache, "idefics3", "fp32")).features(feeds)
+    np.testing.assert_allclose(found, wanted, atol=2e-5)
+
+
+@pytest.mark.parametrize("hw", [(8, 16), (40, 24)])
+def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw):
+    original, _ = originals["qwen2_vl"]
+    shown = original.show(np.random.default_rng(0).integers(0, 256, (*hw, 3), np.uint8))
+    found = Chain(files_of(cache, "qwen2_vl", "fp32")).features(shown.feeds)
+    np.testing.assert_allclose(found, shown.features, atol=2e-5)
+
+
+def test_places_of_a_text_and_of_a_picture_in_it():
+    ids = np.array([[5, 9, 9, 9, 9, 6]])
+    np.testing.assert_array_equal(places_of(ids, 9, None, 1), [range(6)])
+    threefold = places_of(ids, 9, np.array([[1, 4, 4]]), 2)
+    wanted = [[0, 1, 1, 1, 1, 3], [0, 1, 1, 2, 2, 3], [0, 1, 2, 1, 2, 3]]
+    np.testing.assert_array_equal(threefold[:, 0], wanted)
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def ends_of(path):
+    """{name: (type, shape)} of inputs and of outputs; a free size by its name."""
+
+    def told(values):
+        return {
+            v.name: (
+                v.type.tensor_type.elem_type,
+                tuple(d.dim_param or d.dim_value for d in v.type.tensor_type.shape.dim),
+            )
+            for v in values
+        }
+
+    graph = onnx.load(path).graph
+    return told(graph.input), told(graph.output)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_inputs_and_outputs_are_the_published_ones(cache, kind):
+    single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
+    vision, embedding, decoder = (ends_of(path) for path in files_of(cache, kind, "fp32"))
+    second = "grid_thw" if kind == "qwen2_vl" else "pixel_attention_mask"
+    assert (list(vision[0]), list(vision[1])) == (["pixel_values", second], ["image_features"])
+    assert embedding[0] == {"input_ids": (whole, ("batch", "tokens"))}
+    assert embedding[1]["inputs_embeds"] == (single, ("batch", "tokens", 64))
+    pasts = [f"{layer}.{part}" for layer in range(2) for part in ("key", "value")]
+    firsts = ["inputs_embeds", "attention_mask", "position_ids"]
+    assert list(decoder[0]) == firsts + [f"past_key_values.{name}" for name in pasts]
+    assert list(decoder[1]) == ["logits", *(f"present.{name}" for name in pasts)]
+    assert decoder[0]["past_key_values.1.value"] == (single, ("batch", 2, "past_tokens", 16))
+    threefold = (3,) if kind == "qwen2_vl" else ()
+    assert decoder[0]["position_ids"] == (whole, (*threefold, "batch", "tokens"))
+
+
+@pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
+@pytest.mark.parametrize("precision", EVERY)
+def test_files_have_the_published_names_and_their_precision(cache, kind, precision):
+    kinds = vlm.PRECISIONS[precision]
+    files = files_of(cache, kind, precision)
+    suffixes = ["" if kind == "fp32" else f"_{kind}" for kind in kinds]
+    assert [f.name for f in files] == [f"{m}{s}.onnx" for m, s in zip(MAIN, suffixes, strict=True)]
+    operators = {n.op_type for n in onnx.load(files[2]).graph.node}
+    assert ("MatMulNBits" in operators) == (precision not in ("fp32", "fp16"))
+    half = precision in ("fp16", "q4f16")
+    past = ends_of(files[2])[0]["past_key_values.0.key"][0]
+    assert past == (onnx.TensorProto.FLOAT16 if half else onnx.TensorProto.FLOAT)
+    if kinds[0] == "int8":
+        vision = onnx.load(files[0]).graph
+        products = [n for n in vision.node if n.op_type == "MatMul"]
+        made_by = {name: node.op_type for node in vision.node for name in node.output}
+        static = [n for n in products if made_by.get(n.input[1]) == "DequantizeLinear"]
+        assert len(static) >= 9, "two layers of at least four matrices, and what follows"
+    if kinds[1] == "int8":
+        tables = [numpy_helper.to_array(t) for t in onnx.load(files[1]).graph.initializer]
+        assert np.int8 in {table.dtype.type for table in tables}
+
+
+@pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
+def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
+    for precision in EVERY:
+        card = card_of(cache, kind, precision)
+        assert (card["task"], card["precision"], card["license"]) == ("choice", precision, "mit")
+        parts = [card[key] for key in ("vision_encoder", "embed_tokens", "decoder")]
+        for part in (*parts, *card["others"]):
+            path = cache / "models" / card["folder"] / part["file"]
+            told = json.loads(path.with_name(path.name + ".json").read_text())
+            assert told["sha256"] == sha256_of(path)
+            assert told["bytes"] == path.stat().st_size
+        assert card["image_tokens"] > 0
+
+
+def test_weights_that_one_file_does_not_hold_are_beside_it(
+    cache, originals, rgb, folders, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(vlm, "ONE_FILE_BYTES", 10_000)
+    words = ["big", "--weights", str(folders["idefics3"]), "--cache", str(tmp_path / "models")]
+    assert main(words) == 0
+    card = yaml.safe_load((tmp_path / "models" / "big-fp32.yaml").read_text())
+    assert {"file": "onnx/decoder_model_merged.onnx_data"} in card["others"]
+    onnx_folder = tmp_path / "models" / "big" / "onnx"
+    assert (onnx_folder / "decoder_model_merged.onnx").stat().st_size < 100_000
+    original, asked = originals["idefics3"]
+    chain, shown = Chain([onnx_folder / f"{name}.onnx" for name in MAIN]), original.show(rgb)
+    ids = asked[0].ids(len(shown.features))
+    rows = chain.rows(ids, asked[0].image, chain.features(shown.feeds))
+    logits, _ = chain.read(rows, places_of(ids, asked[0].image, None, 1))
+    np.testing.assert_allclose(logits, original.logits(asked[0], shown), atol=2e-5)
+
+
+def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
+    """Published ones are longer than what is read into memory elsewhere."""
+    from exporters.hugging_face import weights_sha256
+
+    file = tmp_path / "model.safetensors"
+    file.touch()
+    nothing = weights_sha256(tmp_path)
+    with file.open("r+b") as sparse:
+        sparse.truncate(MAX_TEXT_BYTES + 1)
+    assert weights_sha256(tmp_path) != nothing
+
+
+# -- in the service ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "precision"), MADE)
+def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
+    reason = "the runtime of models of several files is not here"
+    runtime = pytest.importorskip("edge.perception.vlm.model", reason=reason)
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
+    card = load_card(f"{name_of(kind)}-{precision}")
+    asked = [
+        runtime.Asked("Which way? A, B or C", tuple("ABC")),
+        runtime.Asked("Is it?", ("Yes", "No")),
+    ]
+    model = runtime.LanguageModel(card, asked)
+    for p, one in zip(model.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):
+        assert p.shape == (len(one.answers),)
+        assert p.sum() == pytest.approx(1.0, abs=1e-5)
+    model.close()
+
+
+# -- what goes wrong ---------------------------------------------------------------------------
+
+
+def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
+    def fails(*words):
+        start = ["x", "--weights", str(folders["idefics3"]), "--cache", str(tmp_path / "cache")]
+        assert main([*start, *words]) == 1
+        assert not list((tmp_path / "cache").glob("*.yaml"))
+        return capsys.readouterr().err.strip().splitlines()[-1]
+
+    assert "--calibration is missing" in fails("--precision", "q4")
+    assert "'q5' (choices: fp32, fp16, int8, q4, q4f16)" in fails("--precision", "q5")
+
+
+def test_a_vocabulary_without_letters_is_an_error(folders, tmp_path):
+    told = json.loads((folders["idefics3"] / "tokenizer.json").read_text())
+    del told["model"]["vocab"]["C"]
+    (tmp_path / "tokenizer.json").write_text(json.dumps(told))
+    with pytest.raises(ExportError, match="no token for 'C'"):
+        questions(tmp_path, 5)
