@@ -20,6 +20,7 @@ from onnx import numpy_helper
 
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.cards import load_card
+from edge.perception.vlm.model import Asked, LanguageModel
 from exporters import vlm
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
@@ -275,15 +276,13 @@ def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
 
 @pytest.mark.parametrize(("kind", "precision"), MADE)
 def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
-    reason = "the runtime of models of several files is not here"
-    runtime = pytest.importorskip("edge.perception.vlm.model", reason=reason)
     monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
     card = load_card(f"{name_of(kind)}-{precision}")
     asked = [
-        runtime.Asked("Which way? A, B or C", tuple("ABC")),
-        runtime.Asked("Is it?", ("Yes", "No")),
+        Asked("Which way? A, B or C", tuple("ABC")),
+        Asked("Is it?", ("Yes", "No")),
     ]
-    model = runtime.LanguageModel(card, asked)
+    model = LanguageModel(card, asked)
     for p, one in zip(model.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):
         assert p.shape == (len(one.answers),)
         assert p.sum() == pytest.approx(1.0, abs=1e-5)
