@@ -31,10 +31,10 @@ def facts(target: str = "chair") -> MissionFacts:
 
 
 def health() -> dict[str, Any]:
-    return {
-        key: {}
-        for key in ("loop", "checkpoint", "detector", "segmenter", "swap", "scorers", "sinks")
-    }
+    parts = (
+        "loop", "checkpoint", "detector", "segmenter", "swap", "governor", "scorers", "sinks"
+    )  # fmt: skip
+    return {part: {} for part in parts}
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
