@@ -18,6 +18,9 @@ from edge.perception.choice.question import Choice
 from edge.policies.base import Candidates
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
+VALUE_LAYER = "value of "
+"""What the names of the value maps' layers begin with; the target's follows."""
+
 
 class Event(NamedTuple):
     """Something that a person would want to know, at a time of the loop."""

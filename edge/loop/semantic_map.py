@@ -15,6 +15,7 @@ from edge.config import Config
 from edge.geometry import Grid
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
+from edge.loop.result import VALUE_LAYER
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
@@ -182,7 +183,7 @@ class SemanticMap:
         """
         valued = self._targets if self.config.value_source is not None else ()
         values, found = self.grid.values, {"looked at": self.grid.coverage.snapshot}
-        found |= {f"value of {target}": partial(values.snapshot, target) for target in valued}
+        found |= {VALUE_LAYER + target: partial(values.snapshot, target) for target in valued}
         if self.prior is not None and likely:
             found |= {f"likely place of {x}": self.prior.layer(x) for x in self._targets}
         return found

@@ -15,7 +15,7 @@ from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
-from edge.report import palette, picture, raster, story
+from edge.report import choices, palette, picture, raster, story
 from edge.report.document import data_url, document
 from edge.report.record import Keyframe, RunRecord
 
@@ -86,6 +86,7 @@ def html(record: RunRecord, png: bytes) -> str:
         story.section(record),
         _latency(record.latency),
         _frames(record),
+        choices.section(record),
         f'<div class="columns">{_timeline(record)}<div>{_facts(record)}</div></div>',
         _configuration(record),
     )

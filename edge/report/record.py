@@ -53,6 +53,24 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A model's answer about directions.
+
+    Attributes:
+        rgb: (h, w, 3) uint8, with letters.
+        letters: (letter, P of ViTL eq. 4) of the marks that are still there.
+        elsewhere, scene: see `Choice`.
+    """
+
+    stamp_ns: int
+    rgb: np.ndarray
+    target: str
+    letters: tuple[tuple[str, float], ...]
+    elsewhere: float
+    scene: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """Everything a report shows.
 
@@ -63,6 +81,7 @@ class RunRecord:
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
         frontiers_m: (n, 2) float32 cells or centroids in `map`, as they are at the end.
+        values: value maps by name, uint8, 0 where nothing was said.
         events: (t_s, text) in order of time.
         config: the whole configuration, as JSON types, without the secrets of its URLs.
     """
@@ -82,6 +101,8 @@ class RunRecord:
     goals: tuple[Goal, ...] = ()
     instances: tuple[Instance, ...] = ()
     frames: tuple[Keyframe, ...] = ()
+    asked: tuple[Asked, ...] = ()
+    values: Mapping[str, Grid] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()
     counters: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)

@@ -13,9 +13,10 @@ import numpy as np
 from edge.config import Config
 from edge.geometry import SE2
 from edge.host.machine import this_cpu
-from edge.loop.result import Event, TickResult
+from edge.loop.result import VALUE_LAYER, Event, TickResult
 from edge.mission.translate import Translation
 from edge.report.album import Album
+from edge.report.choices import Choices
 from edge.report.record import RunRecord
 from edge.text import shorten, without_secrets
 from edge.types import Goal, MissionStatus
@@ -97,6 +98,7 @@ class Recorder:
         self._config = config
         self._trail = Trail()
         self._album = Album(config.report.frames)
+        self._choices = Choices(config.report.frames)
         self._goals: Ends[Goal] = Ends()
         self._events: Ends[Event] = Ends()
         self._start_ns: int | None = None
@@ -108,6 +110,7 @@ class Recorder:
             self._start_ns = _first_ns(result)
         if seen is not None:
             self._album.offer(seen, result.targets)
+        self._choices.offer(result)
         for event in result.events:
             self._events.append(event)
         for goal in result.goals:
@@ -148,6 +151,8 @@ class Recorder:
             goals=self._goals.items(),
             instances=tuple(end.instances()),
             frames=self._album.frames(),
+            asked=self._choices.kept(),
+            values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
             events=tuple(sorted(events, key=lambda event: event[0])),
             counters={**more, **counters},
             config=without_secrets(self._config.model_dump(mode="json")),
