@@ -14,10 +14,12 @@ from edge.models.make import with_file
 from edge.models.pull import cards_of
 from edge.perception.backends.runtime import open_session
 from edge.perception.card_types import (
+    MARK_FIELDS,
     ChoiceCard,
     DetectCard,
     FileCard,
     ImageCard,
+    MarksCard,
     MaskDecoderCard,
     MaskEncoderCard,
 )
@@ -133,6 +135,20 @@ def _check_choice(card: ChoiceCard) -> str:
     )
 
 
+def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
+    random = np.random.default_rng(0)
+    text = random.normal(size=(1, card.text_dim)).astype(np.float32)
+    text /= np.linalg.norm(text, axis=1, keepdims=True)
+    images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
+    marks = random.random((1, MAX_MARKS, MARK_FIELDS), dtype=np.float32)
+    marks[..., -1] = 1.0
+    feed = {"images": images, "txt_feats": text, "marks": marks}
+    directions, scene = _infer(path, session, feed)
+    _hold_shape(path, "directions", directions, (1, MAX_MARKS + 1))
+    _hold_shape(path, "scene", scene, (1, 1))
+    return f"{MAX_MARKS} marks, finite"
+
+
 def _check_encoder(path: Path | str, session: Any, card: FileCard) -> str:
     if isinstance(card, ImageCard):
         random, rows = np.random.default_rng(0), 1
@@ -183,6 +199,7 @@ _TRIALS = {
     DetectCard: _check_detector,
     MaskEncoderCard: _check_mask_encoder,
     MaskDecoderCard: _check_mask_decoder,
+    MarksCard: _check_marks,
 }
 """How a model is tried out, where it is no encoder of one embedding."""
 

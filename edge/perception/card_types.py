@@ -365,6 +365,29 @@ class SegmentCard(BaseCard):
         return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
 
 
+MARK_FIELDS = 5
+
+
+class MarksCard(_FileCard):
+    """A network that chooses among marked frontiers (ViTL eq. 4 and 5).
+
+    `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target and `marks` (1, MAX_MARKS,
+    MARK_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the marks and of "elsewhere", and
+    `scene` (1, 1), the logit of the second question; all float32. A mark is its column and row as
+    shares of the letterboxed image, its bearing [rad, to the left], its distance [m], and 1; all 0
+    where there is none.
+
+    Attributes:
+        text_encoder: card of the encoder for targets.
+    """
+
+    task: Literal["marks"]
+    input: Input
+    preprocess: Preprocess
+    text_dim: Positive
+    text_encoder: str
+
+
 RUNNING = "running detector"
 """What a similarity card names in the place of one detector: whichever runs."""
 
@@ -473,8 +496,8 @@ class ChoiceCard(BaseCard):
         return all(os.path.isfile(self.path_of(part)) for part in self.parts)
 
 
-FileCard = Union[DetectCard, TextCard, ImageCard, MaskEncoderCard, MaskDecoderCard]
-Card = Union[DetectCard, TextCard, ImageCard, SegmentCard, SimilarityCard, ChoiceCard]
+FileCard = Union[DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard]
+Card = Union[DetectCard, TextCard, ImageCard, MarksCard, SegmentCard, SimilarityCard, ChoiceCard]
 
 
 def _locate(file: str) -> Path:

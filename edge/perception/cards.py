@@ -26,6 +26,7 @@ from edge.perception.card_types import (
     FileCard,
     FolderFile,
     ImageCard,
+    MarksCard,
     Parity,
     SegmentCard,
     SimilarityCard,
@@ -44,6 +45,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "text": TextCard,
     "image": ImageCard,
     "segment": SegmentCard,
+    "marks": MarksCard,
     "similarity": SimilarityCard,
     "choice": ChoiceCard,
 }

@@ -14,12 +14,15 @@ from typing import Any, NamedTuple
 
 from edge.host.files import open_regular
 from edge.perception.card_types import (
+    MARK_FIELDS,
     DetectCard,
     FileCard,
+    MarksCard,
     MaskDecoderCard,
     MaskEncoderCard,
     TextCard,
 )
+from edge.perception.choice.question import MAX_MARKS
 from edge.perception.model_file import ModelError
 
 MAX_IR = 10
@@ -212,6 +215,14 @@ def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
         boxes = Value("boxes", FLOAT, (1, _ANY, 4))
         scores = Value("scores", FLOAT, (1, _ANY, _ANY))
         return [Value("images", FLOAT, image), texts], [boxes, scores]
+    if isinstance(card, MarksCard):
+        text = Value("txt_feats", FLOAT, (1, card.text_dim))
+        marks = Value("marks", FLOAT, (1, MAX_MARKS, MARK_FIELDS))
+        directions = Value("directions", FLOAT, (1, MAX_MARKS + 1))
+        return (
+            [Value("images", FLOAT, image), text, marks],
+            [directions, Value("scene", FLOAT, (1, 1))],
+        )
     return [Value("pixels", FLOAT, image)], [Value("embeddings", FLOAT, (_ANY, card.dim))]
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, Perception
+from edge.perception.card_types import MarksCard
+from edge.perception.cards import load_card
 from edge.perception.choice.question import Choice, View
 from edge.perception.choice.scorer import make_server_choice
+from edge.perception.model_file import ModelError
 
 
 class ViewScorer(Protocol):
@@ -39,6 +42,15 @@ def make_choice(
 
 
 def _make_onnx(choice: ChoiceOnnx, perception: Perception) -> ViewScorer:
+    """The card's task tells what runs it."""
+    try:
+        card = load_card(choice.card)
+    except ModelError as error:
+        raise ModelError(f"perception.choice.card: {error}") from None
+    if isinstance(card, MarksCard):
+        from edge.perception.choice.mark_scorer import open_mark_scorer
+
+        return open_mark_scorer(card, choice)
     from edge.perception.choice.onnx_scorer import OnnxChoice, choice_card, open_model
 
     if perception.isolation == "process":
