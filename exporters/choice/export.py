@@ -1,0 +1,213 @@
+"""Trunk and net as one ONNX file, with its card.
+
+    python -m exporters.choice.export RUN --out models
+
+RUN is the folder of `exporters.train_choice`; the file is made and measured there, on houses that
+training never saw. Trunk and net are joined as they are: the trunk INT8, as the quantizer made the
+detector, and the net float32, which has a tenth of its weights and learned from the INT8 trunk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+import yaml
+from onnx import compose
+from torch import Tensor, nn
+
+from edge.host.files import replace_atomically
+from edge.perception.choice.question import MAX_MARKS
+from exporters.choice import evaluate, labels
+from exporters.choice.collect import HW, Views, load_views
+from exporters.choice.features import GRID_HW, HEADS, NECK, Features, Trunk, make_features
+from exporters.choice.net import FAR, MARK, NEAR, ChoiceNet
+from exporters.choice.training import Data, answers
+from exporters.files import ExportError, sha256_of, tells_errors
+from exporters.mini import checkpoint as checkpoints
+from exporters.mini import looks
+from exporters.mini.batches import PAD
+from exporters.mini.net import EMBED_DIM
+from exporters.onnx_format import check_format, export_module
+
+NAME, DETECTOR, TEXT = "mini-house-choice", "mini-house-256x320-int8-cpu", "mini-house-text"
+MODELS = Path(__file__).parents[2] / "models"
+NOTE = "# Knows only the built-in world. Written by exporters.choice.export."
+MAX_LOGIT_ERROR = 0.05
+"""What the joined file may differ from the net on kept features, where scores have 8 bits."""
+_PREFIX = "net/"
+
+
+class Head(nn.Module):
+    """What follows the trunk: the detector's scores in each cell, and the net."""
+
+    def __init__(self, net: ChoiceNet, trunk: Trunk) -> None:
+        super().__init__()
+        self.net, self.scale, self.bias = net, trunk.scale, trunk.bias
+        self.register_buffer("words", torch.from_numpy(trunk.words))
+
+    def forward(
+        self,
+        fine: Tensor,
+        mid: Tensor,
+        coarse: Tensor,
+        near: Tensor,
+        far: Tensor,
+        txt_feats: Tensor,
+        marks: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        words = torch.cat([self.words, txt_feats])
+        best = None
+        for grid in (fine, mid, coarse):
+            h, w = grid.shape[2:]
+            score = (words @ grid.flatten(2)).reshape(1, -1, h, w)
+            pooled = nn.functional.max_pool2d(score, (h // GRID_HW[0], w // GRID_HW[1]))
+            best = pooled if best is None else torch.maximum(best, pooled)
+        scores = torch.sigmoid(self.scale * best + self.bias)
+        kinds = self.words.shape[0]
+        seen = self.net.read(nn.functional.avg_pool2d(near, 2), far, scores[:, :kinds])
+        directions, scene = self.net(seen, scores[:, kinds:].flatten(2), txt_feats[None], marks)
+        return directions.reshape(1, -1), scene
+
+
+def export(net: ChoiceNet, trunk: Trunk, out: Path) -> None:
+    """Write the joined model."""
+    (h, w), (gh, gw) = HW, GRID_HW
+    shapes = ((EMBED_DIM, h // 8, w // 8), (EMBED_DIM, h // 16, w // 16), (EMBED_DIM, gh, gw),
+              (NEAR, 2 * gh, 2 * gw), (FAR, gh, gw))  # fmt: skip
+    names = ("fine", "mid", "coarse", "near", "far")
+    inputs = {name: torch.zeros(1, *shape) for name, shape in zip(names, shapes, strict=True)}
+    inputs["txt_feats"] = torch.zeros(1, EMBED_DIM)
+    inputs["marks"] = torch.zeros(1, MAX_MARKS, MARK)
+    head = out.with_suffix(".head.onnx")
+    export_module(Head(net, trunk).eval(), head, inputs, ("directions", "scene"), {})
+    joined = compose.merge_models(
+        _at_version(trunk.model, onnx.load(head)), compose.add_prefix(onnx.load(head), _PREFIX),
+        [(tensor, _PREFIX + name) for tensor, name in zip((*HEADS, *NECK), names, strict=True)],
+    )  # fmt: skip
+    _rename(joined, {_PREFIX + n: n for n in ("txt_feats", "marks", "directions", "scene")})
+    with replace_atomically(out) as part:
+        onnx.save(joined, part)
+        check_format(part)
+    head.unlink()
+
+
+def _at_version(model: onnx.ModelProto, like: onnx.ModelProto) -> onnx.ModelProto:
+    """A copy with another's versions, which are the same but for the file format's."""
+    copy = onnx.ModelProto()
+    copy.CopyFrom(model)
+    copy.ir_version = like.ir_version
+    del copy.opset_import[:]
+    copy.opset_import.extend(like.opset_import)
+    return copy
+
+
+def _rename(model: onnx.ModelProto, names: dict[str, str]) -> None:
+    graph = model.graph
+    for value in (*graph.input, *graph.output):
+        value.name = names.get(value.name, value.name)
+    for node in graph.node:
+        for ends in (node.input, node.output):
+            ends[:] = [names.get(name, name) for name in ends]
+
+
+def parity(net: ChoiceNet, data: Data, views: Views, logits: evaluate.Logits) -> float:
+    """How much the file's logits differ at most from the net's on the features as kept."""
+    worst = 0.0
+    counts = evaluate.asked_at(views)
+    for i in np.flatnonzero(counts.any(axis=1)):
+        targets = np.flatnonzero(counts[i])
+        with torch.no_grad():
+            direction, scene = answers(net, data.batch(np.array([i]), targets[None]))
+        there = np.append(labels.shown(views)[i], True)
+        off = np.abs(direction[0].numpy() - logits[0][i, targets])[:, there].max()
+        worst = max(worst, off, np.abs(scene[0].numpy() - logits[1][i, targets]).max())
+    return float(worst)
+
+
+def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
+    """The card of a file."""
+    return {
+        "name": NAME, "task": "marks", "family": "mini-house", "sources": [],
+        "license": "Apache-2.0", "derived_from": None, "parity": None,
+        "file": f"{NAME}.onnx", "sha256": sha256_of(path), "precision": "int8-cpu",
+        "input": {"height": HW[0], "width": HW[1]},
+        "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": PAD},
+        "text_dim": EMBED_DIM, "text_encoder": TEXT, "measured": measured,
+    }  # fmt: skip
+
+
+def load_net(checkpoint: Path) -> tuple[ChoiceNet, dict[str, Any]]:
+    """The averaged weights of a training run, and all that its checkpoint says."""
+    if not checkpoint.is_file():
+        raise ExportError(f"{checkpoint}: no checkpoint; run `python -m exporters.train_choice`")
+    kept, net = checkpoints.load(checkpoint), ChoiceNet(len(looks.CATEGORIES))
+    net.load_state_dict(kept["averaged"])
+    return net.eval().requires_grad_(False), kept
+
+
+def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> dict[str, Any]:
+    """What the card says of a file, measured on the views of these files.
+
+    Raises:
+        ExportError: it does not say what the net says.
+    """
+    views, features = load_views(paths), make_features(paths, trunk)
+    assert isinstance(features, Features)
+    logits = evaluate.logits_of(model, views, trunk.words)
+    off = parity(net, Data(views, features, trunk.scales, trunk.words), views, logits)
+    if off > MAX_LOGIT_ERROR:
+        raise ExportError(f"{model}: logits differ by {off:.3f} from the net's; not put in place")
+    return {
+        "first_seed": int(views.house.min()), "houses": len(set(views.house.tolist())),
+        "views": len(views), **evaluate.top1(views, logits),
+        "scene_auc": round(evaluate.scene_auc(views, logits), 3),
+        "logit_error": round(off, 4), "bytes": model.stat().st_size,
+        **evaluate.latency_ms(model),
+    }  # fmt: skip
+
+
+def training_figures(run: Path, kept: dict[str, Any]) -> dict[str, Any]:
+    """What the card says of the training."""
+    plan, made = kept["plan"], yaml.safe_load((run / "run.yaml").read_text())
+    return {
+        "command": f"python -m exporters.train_choice --out RUN --seed {plan['seed']} "
+        f"--houses {made['houses']} && python -m exporters.choice.export RUN",
+        "seed": plan["seed"], "houses": made["houses"], "views": kept["frames"],
+        "steps": kept["step"], "minutes": round(kept["seconds"] / 60), "torch": kept["torch"],
+        "machine": kept["machine"], "trunk": DETECTOR,
+    }  # fmt: skip
+
+
+@tells_errors
+def main(argv: list[str] | None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m exporters.choice.export")
+    parser.add_argument("run", type=Path, help="folder of exporters.train_choice")
+    parser.add_argument("--out", type=Path, default=MODELS)
+    args = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    net, kept = load_net(args.run / "checkpoint.pt")
+    trunk = Trunk(MODELS / f"{DETECTOR}.onnx", MODELS / f"{TEXT}.onnx")
+    model, paths = args.run / f"{NAME}.onnx", sorted((args.run / "held-out").glob("[0-9]*.npz"))
+    paths = [path for path in paths if path.stem.isdigit()]
+    export(net, trunk, model)
+    measured = {
+        "training": training_figures(args.run, kept),
+        "held-out houses": held_out(net, trunk, model, paths),
+    }
+    card = yaml.safe_dump(make_card(model, measured), sort_keys=False, width=100)
+    with replace_atomically(args.out / f"{NAME}.onnx") as part:  # the file before its card
+        part.write_bytes(model.read_bytes())
+    with replace_atomically(args.out / f"{NAME}.yaml") as part:
+        part.write_text(f"{NOTE}\n{card}")
+    print(yaml.safe_dump(measured, sort_keys=False))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,195 @@
+"""The training loop: views, each with several targets at once."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from exporters.choice import labels
+from exporters.choice.collect import Views
+from exporters.choice.features import Features
+from exporters.choice.net import ChoiceNet
+from exporters.files import ExportError
+from exporters.mini import checkpoint as checkpoints
+
+log = logging.getLogger(__name__)
+
+DROP = 0.25
+"""Chance of a mark to be left out, so that there are more ways to ask about a view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast to learn; a step takes `views` views with `targets` targets each."""
+
+    steps: int = 3000
+    views: int = 24
+    targets: int = 8
+    rate: float = 1.5e-3
+    decay: float = 0.05
+    warm_up: int = 100
+    average: float = 0.998
+    keep_every: int = 200
+    seed: int = 0
+
+
+class Batch(NamedTuple):
+    """Tensors as `ChoiceNet` takes them, and what is right: see `labels`."""
+
+    near: Tensor
+    far: Tensor
+    evidence: Tensor
+    target: Tensor
+    text: Tensor
+    marks: Tensor
+    direction: Tensor
+    scene: Tensor
+
+
+class Data:
+    """Views with their features and labels, of which batches are made.
+
+    Args:
+        scales, words: of the trunk (`features.Trunk`).
+    """
+
+    def __init__(
+        self, views: Views, features: Features, scales: tuple[float, float], words: np.ndarray
+    ) -> None:
+        self._views, self._features, self._scales, self._words = views, features, scales, words
+        self._marks, self._asked = labels.marks_of(views), labels.asked(views)
+        self._scene = labels.scene(views)
+        self.rows = np.flatnonzero(self._asked.any(axis=1))
+
+    def batch(self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray | int = 0) -> Batch:
+        """Views with targets, as they are.
+
+        Args:
+            rows: (v,) views; targets: (v, t) indices of `looks.CATEGORIES`.
+            sides: (v,) 1 for the mirrored ones.
+        """
+        sides = np.broadcast_to(sides, rows.shape)
+        return self._batch(rows, targets, sides, self._marks[rows, :, 4] > 0.0)
+
+    def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
+        """A batch for each step from `first` on: random views and targets, mirrored by half, some
+        marks left out."""
+        for step in range(first, plan.steps):
+            rng = np.random.default_rng([plan.seed, step])
+            rows = rng.choice(self.rows, plan.views)
+            chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
+            targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
+            there = self._marks[rows, :, 4] > 0.0
+            kept = there & (rng.random(there.shape) >= DROP)
+            there = np.where(kept.any(axis=1, keepdims=True), kept, there)
+            yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), there)
+
+    def _batch(
+        self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray, there: np.ndarray
+    ) -> Batch:
+        views, f, each = self._views, self._features, np.arange(len(rows))[:, None]
+        near, far = (
+            torch.from_numpy(x[rows, sides].astype(np.float32) * scale)
+            for x, scale in zip((f.near, f.far), self._scales, strict=True)
+        )
+        evidence = torch.from_numpy(f.evidence[rows, sides].astype(np.float32) / 255.0)
+        marks = self._marks[rows] * there[..., None]
+        marks[..., 0] = np.where(sides[:, None] & there, 1.0 - marks[..., 0], marks[..., 0])
+        marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
+        left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
+        hidden_m = np.where(there[:, None], np.inf, left_m).min(axis=-1)
+        else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
+        left_m = np.where(there[:, None], left_m, np.inf)
+        right = labels.directions(left_m, else_m)
+        scene = np.take_along_axis(self._scene[rows], targets, 1).astype(np.float32)
+        return Batch(
+            near, far, evidence, evidence.flatten(2)[each, targets],
+            torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
+            torch.from_numpy(right), torch.from_numpy(scene),
+        )  # fmt: skip
+
+
+def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Logits; see `ChoiceNet.forward`."""
+    seen = net.read(batch.near, batch.far, batch.evidence)
+    return net(seen, batch.target, batch.text, batch.marks)
+
+
+def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Cross-entropies of directions and of the scene."""
+    direction, scene = answers(net, batch)
+    of_direction = -(batch.direction * direction.log_softmax(-1)).sum(-1).mean()
+    return of_direction, nn.functional.binary_cross_entropy_with_logits(scene, batch.scene)
+
+
+def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
+    """Train, or go on from `checkpoint`; returns the averaged weights.
+
+    Raises:
+        ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.
+    """
+    if not len(data.rows):
+        raise ExportError("no view has a frontier in it; collect from more houses")
+    run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
+    torch.manual_seed(plan.seed)
+    net = ChoiceNet(kinds)
+    averaged = copy.deepcopy(net).eval().requires_grad_(False)
+    matrices = [p for p in net.parameters() if p.ndim > 1]
+    rest = [p for p in net.parameters() if p.ndim <= 1]
+    groups = [{"params": matrices, "weight_decay": plan.decay}, {"params": rest, "weight_decay": 0}]
+    optimizer = torch.optim.AdamW(groups, lr=plan.rate)
+    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
+    first, trained_s, started = 0, 0.0, time.monotonic()
+    state = {"model": net, "averaged": averaged, "optimizer": optimizer, "rates": rates}
+    if kept := checkpoints.resume(checkpoint, run):
+        for name, part in state.items():
+            part.load_state_dict(kept[name])
+        first, trained_s = kept["step"], kept["seconds"]
+    sums = torch.zeros(2)
+    for step, batch in enumerate(data.disturbed(plan, first), first + 1):
+        torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
+        parts = losses(net, batch)
+        optimizer.zero_grad(set_to_none=True)
+        sum(parts).backward()
+        nn.utils.clip_grad_norm_(net.parameters(), 5.0)
+        optimizer.step()
+        rates.step()
+        _average(averaged, net, plan.average, step)
+        sums += torch.stack(parts).detach()
+        if step % plan.keep_every == 0 or step == plan.steps:
+            shown = sums / plan.keep_every
+            log.info("step %d/%d: direction %.3f scene %.3f", step, plan.steps, *shown.tolist())
+            sums.zero_()
+            seconds = trained_s + time.monotonic() - started
+            checkpoints.save(checkpoint, state, run, step, seconds)
+    return averaged
+
+
+def _rate(step: int, plan: Plan) -> float:
+    """Linear up at first, then half a cosine down to one percent."""
+    if step < plan.warm_up:
+        return (step + 1) / plan.warm_up
+    share = (step - plan.warm_up) / max(1, plan.steps - plan.warm_up)
+    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
+
+
+@torch.no_grad()
+def _average(averaged: nn.Module, net: nn.Module, keep: float, step: int) -> None:
+    """Exponential mean of weights and of norm statistics, faster at first."""
+    keep = min(keep, (1.0 + step) / (20.0 + step))
+    pairs = zip(averaged.state_dict().values(), net.state_dict().values(), strict=True)
+    for mean, value in pairs:
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1.0 - keep)
+        else:
+            mean.copy_(value)
