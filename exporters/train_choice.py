@@ -16,7 +16,24 @@ from pathlib import Path
 
 from exporters.files import ExportError, tells_errors
 
-SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, 60, 20, 2
+SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:60", "1000:1020", 2
+STEPS = 3000
+
+
+def seeds(option: str, text: str) -> list[int]:
+    """The numbers of half-open ranges, in their order.
+
+    >>> seeds("--houses", "0:3,7:9")
+    [0, 1, 2, 7, 8]
+    """
+    try:
+        ends = [part.split(":") for part in text.split(",")]
+        ranges = [range(int(first), int(end)) for first, end in ends]
+    except ValueError:
+        ranges = []
+    if not ranges or not all(ranges) or min(r.start for r in ranges) < 0:
+        raise ExportError(f"{option} {text}: give ranges such as 0:60 or 0:10,50:60")
+    return [seed for one in ranges for seed in one]
 
 
 @tells_errors
@@ -28,18 +45,19 @@ def main(argv: list[str] | None) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of views and weights")
     parser.add_argument("--seed", type=int, default=SEED, help="of the training; default: 0")
     parser.add_argument(
-        "--houses", type=int, default=HOUSES, help="how many to train on (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--held-out", type=int, default=HELD_OUT_HOUSES,
-        help="how many more to measure on (default: %(default)s)",
+        "--houses", default=HOUSES,
+        help="seeds of those to train on, as half-open ranges (default: %(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--held-out", default=HELD_OUT_HOUSES,
+        help="seeds of those to measure on (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--steps", type=int, default=STEPS, help="default: %(default)s")
     parser.add_argument("--cores", type=int, default=CORES, help="processes that explore")
     args = parser.parse_args(argv)
-    for option in ("houses", "held_out", "cores"):
+    for option in ("steps", "cores"):
         if getattr(args, option) < 1:
-            named = option.replace("_", "-")
-            raise ExportError(f"--{named} {getattr(args, option)}: give at least 1")
+            raise ExportError(f"--{option} {getattr(args, option)}: give at least 1")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     _train(args)
 
@@ -54,18 +72,20 @@ def _train(args: argparse.Namespace) -> None:
     from exporters.choice.features import Trunk, make_features
     from exporters.choice.training import Data, Plan, train
 
-    if args.houses > HELD_OUT:
-        raise ExportError(f"--houses {args.houses}: at most {HELD_OUT}, the others are held out")
-    paths = make_views(range(args.houses), args.out / "views", args.cores)
-    measured = range(HELD_OUT, HELD_OUT + args.held_out)
+    houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
+    if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
+        raise ExportError(f"seeds from {HELD_OUT} on are held out, those below are to train on")
+    paths = make_views(houses, args.out / "views", args.cores)
     make_views(measured, args.out / "held-out", args.cores)
     trunk = Trunk(MODELS / f"{DETECTOR}.onnx", MODELS / f"{TEXT}.onnx")
     views, features = load_views(paths), make_features(paths, trunk)
-    logging.info("%d views of %d houses", len(views), args.houses)
-    (args.out / "run.yaml").write_text(yaml.safe_dump({"houses": args.houses}))
+    logging.info("%d views of %d houses", len(views), len(houses))
+    made = {"houses": args.houses, "held-out": args.held_out, "count": len(houses)}
+    (args.out / "run.yaml").write_text(yaml.safe_dump(made))
     torch.set_num_threads(1)  # tensors this small gain nothing by more
     data = Data(views, features, trunk.scales, trunk.words)
-    train(data, Plan(seed=args.seed), len(trunk.words), args.out / "checkpoint.pt")
+    plan = Plan(seed=args.seed, steps=args.steps)
+    train(data, plan, len(trunk.words), args.out / "checkpoint.pt")
 
 
 if __name__ == "__main__":

@@ -176,10 +176,13 @@ def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> di
 def training_figures(run: Path, kept: dict[str, Any]) -> dict[str, Any]:
     """What the card says of the training."""
     plan, made = kept["plan"], yaml.safe_load((run / "run.yaml").read_text())
+    options = {"seed": plan["seed"], "steps": plan["steps"], "houses": made["houses"],
+               "held-out": made["held-out"]}  # fmt: skip
+    said = " ".join(f"--{name} {value}" for name, value in options.items())
     return {
-        "command": f"python -m exporters.train_choice --out RUN --seed {plan['seed']} "
-        f"--houses {made['houses']} && python -m exporters.choice.export RUN",
-        "seed": plan["seed"], "houses": made["houses"], "views": kept["frames"],
+        "command": f"python -m exporters.train_choice --out RUN {said} && "
+        "python -m exporters.choice.export RUN",
+        "seed": plan["seed"], "houses": made["count"], "views": kept["frames"],
         "steps": kept["step"], "minutes": round(kept["seconds"] / 60), "torch": kept["torch"],
         "machine": kept["machine"], "trunk": DETECTOR,
     }  # fmt: skip

@@ -39,7 +39,7 @@ class Plan:
     decay: float = 0.05
     warm_up: int = 100
     average: float = 0.998
-    keep_every: int = 200
+    keep_every: int = 100
     seed: int = 0
 
 
