@@ -15,7 +15,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnx
 import torch
 import yaml
@@ -24,11 +23,11 @@ from torch import Tensor, nn
 
 from edge.host.files import replace_atomically
 from edge.perception.choice.question import MAX_MARKS
-from exporters.choice import evaluate, labels
-from exporters.choice.collect import HW, Views, load_views
-from exporters.choice.features import GRID_HW, HEADS, NECK, Features, Trunk, make_features
+from exporters.choice import evaluate
+from exporters.choice.collect import HW, load_views
+from exporters.choice.features import GRID_HW, HEADS, NECK, Trunk, make_features
 from exporters.choice.net import FAR, MARK, NEAR, ChoiceNet
-from exporters.choice.training import Data, answers
+from exporters.choice.training import Data
 from exporters.files import ExportError, sha256_of, tells_errors
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import looks
@@ -117,20 +116,6 @@ def _rename(model: onnx.ModelProto, names: dict[str, str]) -> None:
             ends[:] = [names.get(name, name) for name in ends]
 
 
-def parity(net: ChoiceNet, data: Data, views: Views, logits: evaluate.Logits) -> float:
-    """How much the file's logits differ at most from the net's on the features as kept."""
-    worst = 0.0
-    counts = evaluate.asked_at(views)
-    for i in np.flatnonzero(counts.any(axis=1)):
-        targets = np.flatnonzero(counts[i])
-        with torch.no_grad():
-            direction, scene = answers(net, data.batch(np.array([i]), targets[None]))
-        there = np.append(labels.shown(views)[i], True)
-        off = np.abs(direction[0].numpy() - logits[0][i, targets])[:, there].max()
-        worst = max(worst, off, np.abs(scene[0].numpy() - logits[1][i, targets]).max())
-    return float(worst)
-
-
 def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
     """The card of a file."""
     return {
@@ -158,10 +143,10 @@ def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> di
     Raises:
         ExportError: it does not say what the net says.
     """
-    views, features = load_views(paths), make_features(paths, trunk)
-    assert isinstance(features, Features)
-    logits = evaluate.logits_of(model, views, trunk.words)
-    off = parity(net, Data(views, features, trunk.scales, trunk.words), views, logits)
+    views = load_views(paths)
+    data = Data(views, make_features(paths, trunk), trunk.scales, trunk.words)
+    logits = evaluate.logits_of(net, data, views)
+    off = evaluate.parity(model, views, trunk.words, logits)
     if off > MAX_LOGIT_ERROR:
         raise ExportError(f"{model}: logits differ by {off:.3f} from the net's; not put in place")
     return {

@@ -44,11 +44,12 @@ def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
             frontier without a mark.
 
     Returns:
-        (…, m + 1) float32, sums to 1; "elsewhere" is the last.
+        (…, m + 1) float32, sums to 1, or to 0 where nothing leads there; "elsewhere" is the last.
     """
     each = np.concatenate([left_m, else_m[..., None]], -1)
-    p = np.exp((each.min(axis=-1, keepdims=True) - each) / SOFT_M)
-    return (p / p.sum(axis=-1, keepdims=True)).astype(np.float32)
+    least = each.min(axis=-1, keepdims=True)
+    p = np.exp((np.where(np.isfinite(least), least, 0.0) - each) / SOFT_M)
+    return (p / np.maximum(p.sum(axis=-1, keepdims=True), 1e-9)).astype(np.float32)
 
 
 def scene(views: Views) -> np.ndarray:

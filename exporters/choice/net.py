@@ -39,7 +39,7 @@ class ChoiceNet(nn.Module):
         self.direction = nn.Linear(width, 1)
         self.of_rest = nn.Linear(width, 2)
         self.register_buffer("cells", cell_centres(), persistent=False)
-        self.drop = nn.Dropout(0.1)
+        self.drop, self.fade = nn.Dropout(0.2), nn.Dropout2d(0.2)
 
     def read(self, near: Tensor, far: Tensor, evidence: Tensor) -> Tensor:
         """The map of images, (v, width, 8, 10).
@@ -49,7 +49,7 @@ class ChoiceNet(nn.Module):
             evidence: (v, kinds, 8, 10) scores in [0, 1].
         """
         x = torch.cat([self.near(near), self.far(far), self.kinds(evidence)], 1)
-        return self.map(x) + self.place
+        return self.map(self.fade(x)) + self.place
 
     def forward(
         self, seen: Tensor, target: Tensor, text: Tensor, marks: Tensor

@@ -53,6 +53,7 @@ class Batch(NamedTuple):
     text: Tensor
     marks: Tensor
     direction: Tensor
+    among: Tensor
     scene: Tensor
 
 
@@ -111,11 +112,12 @@ class Data:
         else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
         left_m = np.where(there[:, None], left_m, np.inf)
         right = labels.directions(left_m, else_m)
+        among = labels.directions(left_m, np.full_like(else_m, np.inf))[..., :-1]
         scene = np.take_along_axis(self._scene[rows], targets, 1).astype(np.float32)
         return Batch(
             near, far, evidence, evidence.flatten(2)[each, targets],
             torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
-            torch.from_numpy(right), torch.from_numpy(scene),
+            torch.from_numpy(right), torch.from_numpy(among), torch.from_numpy(scene),
         )  # fmt: skip
 
 
@@ -125,11 +127,20 @@ def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
     return net(seen, batch.target, batch.text, batch.marks)
 
 
-def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Cross-entropies of directions and of the scene."""
+def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+    """Cross-entropies of directions, of the marks among themselves, and of the scene.
+
+    The second is there since views teach little of their marks where "elsewhere" is far better.
+    """
     direction, scene = answers(net, batch)
-    of_direction = -(batch.direction * direction.log_softmax(-1)).sum(-1).mean()
-    return of_direction, nn.functional.binary_cross_entropy_with_logits(scene, batch.scene)
+    of_direction = _cross_entropy(direction, batch.direction)
+    of_marks = _cross_entropy(direction[..., :-1], batch.among)
+    of_scene = nn.functional.binary_cross_entropy_with_logits(scene, batch.scene)
+    return of_direction, of_marks, of_scene
+
+
+def _cross_entropy(logits: Tensor, right: Tensor) -> Tensor:
+    return -(right * logits.log_softmax(-1)).sum(-1).mean()
 
 
 def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
@@ -155,7 +166,7 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
         for name, part in state.items():
             part.load_state_dict(kept[name])
         first, trained_s = kept["step"], kept["seconds"]
-    sums = torch.zeros(2)
+    sums = torch.zeros(3)
     for step, batch in enumerate(data.disturbed(plan, first), first + 1):
         torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
         parts = losses(net, batch)
@@ -168,7 +179,12 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
         sums += torch.stack(parts).detach()
         if step % plan.keep_every == 0 or step == plan.steps:
             shown = sums / plan.keep_every
-            log.info("step %d/%d: direction %.3f scene %.3f", step, plan.steps, *shown.tolist())
+            log.info(
+                "step %d/%d: direction %.3f marks %.3f scene %.3f",
+                step,
+                plan.steps,
+                *shown.tolist(),
+            )
             sums.zero_()
             seconds = trained_s + time.monotonic() - started
             checkpoints.save(checkpoint, state, run, step, seconds)
