@@ -1,4 +1,4 @@
-"""What a configured choice scorer costs the tick in which it is asked."""
+"""What a configured choice scorer costs the tick in which it is asked, and what our own takes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
+from edge.perception.card_types import MarksCard
+from edge.perception.cards import load_card_of
+from edge.perception.choice.mark_scorer import open_mark_scorer
+from edge.perception.choice.question import Mark, View
 from edge.perception.instances import InstanceTracker
+from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
 
 CANDIDATES = 200
@@ -50,3 +55,19 @@ def test_ask_choice_200(benchmark):
     values = grid.RollingMap(config.Mapping()).values
     benchmark(scorers.ask, seen, ("chair",), "chair", pool.candidates, tracker, values)
     assert scorers.status()["choice"]["failed"] == 0
+
+
+def test_choose_mini_house(benchmark, against):
+    """One view of four marks, against a detection by the same trunk; one thread each."""
+    benchmark.extra_info["budget"] = "choose_mini_house"
+    rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
+    seen = Observation(0, 1, np.eye(4), rgb=rgb)
+    card = load_card_of(MarksCard, "mini-house-choice")
+    scorer = open_mark_scorer(card, config.ChoiceOnnx(card=card.name, threads=1))
+    marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
+    view = View(seen, "bed", marks)
+    choice = benchmark(lambda: scorer.answer(scorer.look(view)))
+    assert choice.ids == (0, 1, 2, 3)
+    of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)
+    detector = OnnxDetector(of_trunk, ["bed"])
+    against(lambda: detector.detect(seen))

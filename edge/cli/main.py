@@ -81,8 +81,15 @@ def _leave(code: int) -> int:
     return code
 
 
+_DEMO_SCORERS = {
+    "directional": ("EDGE__PERCEPTION__CHOICE", {"kind": "onnx", "card": "mini-house-choice"}),
+    "vlfm": ("EDGE__PERCEPTION__SIMILARITY", "mini-house-similarity"),
+}
+"""What the demo's house is scored by, for the policies that go by a scorer."""
+
+
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The configuration that a command names, with `--target` or `--mission` put in.
+    """The configuration that a command names, with `--target`, `--mission`, `--policy` put in.
 
     A formula is no part of it: the configured translator is still there for later requests.
     """
@@ -94,6 +101,11 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
         environ["EDGE__MISSION__INSTRUCTION"] = "null"
     elif (instruction := getattr(args, "mission", None)) is not None:
         environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
+    if (policy := getattr(args, "policy", None)) is not None:
+        environ["EDGE__POLICY"] = json.dumps({"kind": policy})
+        if args.config == "demo" and policy in _DEMO_SCORERS:
+            key, scorer = _DEMO_SCORERS[policy]
+            environ.setdefault(key, json.dumps(scorer))
     return load(args.config, environ)
 
 

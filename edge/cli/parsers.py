@@ -91,6 +91,8 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     _what(demo)
+    text = "policy.kind; the configuration demo brings along what it goes by"
+    demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument("--report", metavar="DIR", default="report", help="default: ./report")
     text = "show a page of what happens, on this port (default: http.port, or a free one)"
     demo.add_argument("--live", metavar="PORT", nargs="?", type=port, const=0, help=text)

@@ -177,12 +177,12 @@ class ChoiceText(Section):
 
 
 class ChoiceOnnx(Section):
-    """The same by a model that runs here; `card` names one of task `choice`
-    (a language model) or `marks` (a small network; it needs no time limit, sees `max_image_px` by its
-    own input, and always runs in the service) in `models/`.
+    """The same by a model that runs here; `card` names one in `models/`.
 
-    With `perception.isolation: process` it has a process of its own, started again by the rules of
-    `perception.process`, which gets what the loop and the detector leave of the cores.
+    One of task `choice` is a language model. With `perception.isolation: process` it has a process
+    of its own, started again by the rules of `perception.process`, which gets what the loop and the
+    detector leave of the cores. One of task `marks` is a small network: it runs in the service, and
+    takes neither a time limit nor `max_image_px`.
     """
 
     kind: Literal["onnx"] = "onnx"

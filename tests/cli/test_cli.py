@@ -205,6 +205,31 @@ def test_the_target_of_the_command_line_wins(monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("options", "policy", "choice", "similarity"),
+    [
+        ([], "search", "none", None),
+        (["--policy", "hvl"], "hvl", "none", None),
+        (["--policy", "directional"], "directional", "onnx", None),
+        (["--policy", "vlfm"], "vlfm", "none", "mini-house-similarity"),
+    ],
+)
+def test_the_demos_house_has_a_scorer_for_each_policy(
+    monkeypatch, options, policy, choice, similarity
+):
+    for key in [key for key in os.environ if key.startswith("EDGE__")]:
+        monkeypatch.delenv(key)
+    config = cli.load_config(cli.make_parser("", {}).parse_args(["demo", *options]))
+    assert config.policy.kind == policy
+    assert (config.perception.choice.kind, config.perception.similarity) == (choice, similarity)
+
+
+def test_another_configuration_must_name_its_scorer_itself():
+    args = cli.make_parser("", {}).parse_args(["demo", "cpu", "--policy", "directional"])
+    with pytest.raises(ConfigError, match=r"perception\.choice\.kind to openai, text, onnx"):
+        cli.load_config(args)
+
+
+@pytest.mark.parametrize(
     ("option", "code"),
     [("--target", os.EX_CONFIG), ("--mission", os.EX_CONFIG), ("--formula", os.EX_DATAERR)],
 )

@@ -10,15 +10,18 @@ import pytest
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
 from edge.config import ChoiceOnnx
-from edge.perception.card_types import MARK_FIELDS
+from edge.perception.card_types import MARK_FIELDS, MarksCard
+from edge.perception.cards import load_card_of, verify_model
 from edge.perception.choice import mark_scorer
 from edge.perception.choice.factory import make_choice
-from edge.perception.choice.mark_scorer import MarkScorer, as_input, letterboxed
+from edge.perception.choice.mark_scorer import MarkScorer, as_input, letterboxed, open_mark_scorer
 from edge.perception.choice.question import MAX_MARKS, Mark, View
 from edge.perception.model_file import ModelError
 from edge.perception.text import PromptError
 from edge.types import Observation
 
+NAME = "mini-house-choice"
+MAX_BYTES = 8_000_000
 HW = (256, 320)
 
 
@@ -177,3 +180,37 @@ def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
 def test_a_card_that_is_none_is_named_with_its_key(card, says):
     with pytest.raises(ModelError, match=says):
         make_choice(ChoiceOnnx(card=card))
+
+
+# -- the one that is shipped ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def shipped() -> MarkScorer:
+    return open_mark_scorer(load_card_of(MarksCard, NAME), ChoiceOnnx(card=NAME, threads=1))
+
+
+def test_the_file_is_that_of_the_card_and_small():
+    card = load_card_of(MarksCard, NAME)
+    assert verify_model(card).stat().st_size <= MAX_BYTES
+    figures = card.measured["held-out houses"]
+    assert figures["first_seed"] >= 1000
+    assert figures["bytes"] == card.path.stat().st_size
+
+
+def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped):
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (*HW, 3), np.uint8)
+    marks = [
+        mark(1, 20.0, 150.0, 0.6, 2.0), mark(2, 160.0, 140.0, 0.0, 5.0),
+        mark(3, 300.0, 200.0, -0.6, 1.2),
+    ]  # fmt: skip
+    one = shipped.answer(shipped.look(view(*marks, rgb=rgb)))
+    other = shipped.answer(shipped.look(view(*marks[::-1], rgb=rgb)))
+    assert one.p.sum() + one.elsewhere == pytest.approx(1.0)
+    np.testing.assert_allclose(one.p, other.p[::-1], atol=1e-5)
+    doubled = [m._replace(u_px=2 * m.u_px + 0.5, v_px=2 * m.v_px + 0.5) for m in marks]
+    large = rgb.repeat(2, axis=0).repeat(2, axis=1)
+    scaled = shipped.answer(shipped.look(view(*doubled, rgb=large)))
+    np.testing.assert_allclose(one.p, scaled.p, atol=1e-4)
+    assert scaled.scene == pytest.approx(one.scene, abs=1e-4)
