@@ -172,7 +172,7 @@ class _Collector:
     def _lifts(self, xy_m: np.ndarray) -> np.ndarray:
         """(MAX_MARKS, t) float32."""
         n, out = len(xy_m), np.ones((len(looks.CATEGORIES), MAX_MARKS), np.float32)
-        prior = self.loop.service._prior  # which the service shows to its policy only
+        prior = self.loop.service.map.prior
         if prior is not None:
             for word, lift in zip(looks.CATEGORIES, out, strict=True):
                 prior.lift(word, np.ascontiguousarray(xy_m, np.float32), n, lift)
