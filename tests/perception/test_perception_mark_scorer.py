@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from simulated import simulated
 
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
@@ -174,12 +175,12 @@ def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
     ("card", "says"),
     [
         ("no-such", r"perception\.choice\.card: model 'no-such': no such card"),
-        ("mini-house-text", r"perception\.choice\.card: .*task 'text', not 'marks'"),
+        ("mini-house-text", r"perception\.choice\.card: .*task 'text', not 'choice'"),
     ],
 )
 def test_a_card_that_is_none_is_named_with_its_key(card, says):
     with pytest.raises(ModelError, match=says):
-        make_choice(ChoiceOnnx(card=card))
+        make_choice(ChoiceOnnx(card=card), simulated().perception)
 
 
 # -- the one that is shipped ----------------------------------------------------------------------
