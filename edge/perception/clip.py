@@ -24,7 +24,7 @@ from edge.perception.card_types import ClipTokenizer, ImageCard, TextCard
 from edge.perception.cards import ModelError, verify_model
 from edge.perception.model_file import fresh_sha256
 from edge.perception.text import MAX_SYNONYMS, PromptError, check_prompts, run_encoder, tidy
-from edge.text import one_line
+from edge.perception.tokenizer import read_tokenizer
 
 CPU = ("CPUExecutionProvider",)
 
@@ -180,19 +180,7 @@ def _open_tokenizer(card: TextCard) -> Any:
     wanted = card.tokenizer.sha256
     if wanted is not None and fresh_sha256(path) != wanted:
         raise ModelError(f"{path}: another tokenizer: its sha256 is not {wanted[:12]}…")
-    try:
-        from tokenizers import Tokenizer
-    except ImportError:
-        raise ModelError(
-            f"{card.name}: the package tokenizers is not installed: pip install 'edge-vln[clip]'"
-        ) from None
-    try:
-        tokenizer = Tokenizer.from_file(str(path))
-    except Exception as error:  # it raises Exception itself
-        raise ModelError(f"{path}: not a tokenizer: {one_line(error)}") from None
-    tokenizer.no_padding()
-    tokenizer.no_truncation()
-    return tokenizer
+    return read_tokenizer(path, card.name, "pip install 'edge-vln[clip]'")
 
 
 def _unit_rows(

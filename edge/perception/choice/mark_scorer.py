@@ -16,7 +16,7 @@ from edge.config import ChoiceOnnx
 from edge.perception.backends.runtime import failing_as, open_session
 from edge.perception.card_types import MARK_FIELDS, MarksCard, TextCard
 from edge.perception.cards import load_card_of, verify_model
-from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View
+from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, choice_of
 from edge.perception.encoders import open_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.text import TextEncoder
@@ -104,14 +104,8 @@ class MarkScorer:
             raise ModelError(f"model {self.name}: returns logits that are not finite")
         p = np.exp(logits - logits.max())
         p /= p.sum()
-        return Choice(
-            stamp_ns=view.observation.stamp_ns,
-            target=view.target,
-            ids=tuple(mark.id for mark in marks),
-            p=p[:-1].astype(np.float32),
-            elsewhere=float(p[-1]),
-            scene=float(1.0 / (1.0 + np.exp(-np.float64(scene[0, 0])))),
-        )
+        promising = float(1.0 / (1.0 + np.exp(-np.float64(scene[0, 0]))))
+        return choice_of(view, marks, p, promising)
 
     def _row(self, target: str) -> np.ndarray:
         """(1, dim), encoded once a target."""

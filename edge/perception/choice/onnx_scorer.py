@@ -19,6 +19,7 @@ from edge.perception.choice.question import (
     Choice,
     Mark,
     View,
+    choice_of,
     describe,
     direction_question,
     scene_question,
@@ -86,14 +87,7 @@ class OnnxChoice:
         if n == 0:
             return None
         p, scene = self._model.ask(SYSTEM, shown.part, asked_of(n, view.target), self._limit_s)
-        return Choice(
-            stamp_ns=view.observation.stamp_ns,
-            target=view.target,
-            ids=tuple(mark.id for mark in shown.marks),
-            p=p[:n],
-            elsewhere=float(p[n]),
-            scene=float(scene[0]),
-        )
+        return choice_of(view, shown.marks, p, float(scene[0]))
 
     def close(self) -> None:
         """Give up what is being asked; may be called from another thread."""

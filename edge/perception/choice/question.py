@@ -5,6 +5,7 @@ A language model without eyes reads a view in words, as ESC and L3MVN ask theirs
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -95,6 +96,20 @@ class Choice:
     def value(self) -> np.ndarray:
         """(n,) float32, V_curr(f_i) of ViTL eq. 6."""
         return np.float32(self.scene) * self.p
+
+
+def choice_of(view: View, marks: Sequence[Mark], p: np.ndarray, scene: float) -> Choice:
+    """What a model made of a view.
+
+    Args:
+        marks: (n) those that it could choose among.
+        p: (n + 1,) for each of them, and for "explore elsewhere".
+        scene: the probability that the view promises anything.
+    """
+    return Choice(
+        view.observation.stamp_ns, view.target, tuple(mark.id for mark in marks),
+        p[:-1].astype(np.float32), float(p[-1]), scene,
+    )  # fmt: skip
 
 
 def direction_question(n_marks: int, target: str) -> str:

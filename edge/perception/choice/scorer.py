@@ -19,6 +19,7 @@ from edge.perception.choice.question import (
     Choice,
     Mark,
     View,
+    choice_of,
     describe,
     direction_question,
     scene_question,
@@ -92,14 +93,7 @@ class ChoiceScorer:
         begin_s = time.monotonic()
         p = self._ask(shown, direction_question(n, view.target), LETTERS[: n + 1], begin_s)
         scene = self._ask(shown, scene_question(view.target), YES_NO, begin_s)
-        return Choice(
-            stamp_ns=view.observation.stamp_ns,
-            target=view.target,
-            ids=tuple(mark.id for mark in shown.marks),
-            p=p[:n],
-            elsewhere=float(p[n]),
-            scene=float(scene[0]),
-        )
+        return choice_of(view, shown.marks, p, float(scene[0]))
 
     def close(self) -> None:
         """Give up what is being asked; may be called from another thread."""

@@ -13,6 +13,7 @@ import numpy as np
 from edge.host.files import read_regular
 from edge.perception.card_types import ChoiceCard
 from edge.perception.model_file import ModelError
+from edge.perception.tokenizer import read_tokenizer
 from edge.text import one_line, read_json_object
 
 CONFIG = "config.json"
@@ -136,20 +137,7 @@ def open_tokenizer(files: ModelFiles) -> Any:
     Raises:
         ModelError: the package is not installed, or the file is no tokenizer.
     """
-    try:
-        from tokenizers import Tokenizer
-    except ImportError:
-        raise ModelError(
-            f"model {files.name}: the package tokenizers is not installed: {EXTRA}"
-        ) from None
-    path = files.folder / TOKENIZER
-    try:
-        tokenizer = Tokenizer.from_file(str(path))
-    except Exception as error:  # it raises Exception itself
-        raise ModelError(f"{path}: not a tokenizer: {one_line(error)}") from None
-    tokenizer.no_padding()
-    tokenizer.no_truncation()
-    return tokenizer
+    return read_tokenizer(files.folder / TOKENIZER, f"model {files.name}", EXTRA)
 
 
 def vocabulary(tokenizer: Any) -> Sequence[str]:
