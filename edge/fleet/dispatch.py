@@ -104,7 +104,8 @@ class Dispatcher:
 
     Args:
         tell: hears what happens, a line each.
-        patience_s: how long a robot that is gone, or gives no account, is hoped to come back.
+        patience_s: how long a robot that is gone, or gives no account, is hoped to come back;
+            counted from the first look that misses it.
     """
 
     def __init__(
@@ -117,7 +118,8 @@ class Dispatcher:
     ) -> None:
         self._roster, self._plan, self._tell = roster, mission, tell
         self._patience_s, self._clock = patience_s, clock
-        self._heard: dict[str, tuple[str, float]] = {}  # who was at a part, and when it said so
+        self._at: dict[str, str] = {}  # who was last known to be at a part
+        self._missed: dict[str, float] = {}  # since when a robot is gone, or gives no account
         self._refused: Counter[tuple[str, str]] = Counter()
         self._settled: dict[str, Outcome] = {}
         self._gave: set[tuple[str, str]] = set()
@@ -137,8 +139,7 @@ class Dispatcher:
         robots = self._roster.seen()
         if robots is None:
             self._once("router", "the router is gone; robots go on, trying to reach it")
-            now_s = self._clock()
-            self._heard = {id: (robot, now_s) for id, (robot, _) in self._heard.items()}
+            self._missed.clear()
             return None
         self._once("router", None, "the router is back")
         for at in [at for at in self._refused if at[1] in robots and robots[at[1]].busy_with]:
@@ -159,12 +160,14 @@ class Dispatcher:
     def _away(self, robots: Mapping[str, Robot]) -> dict[str, str]:
         now_s, away = self._clock(), {}
         for name, robot in robots.items():
-            account = robot.account
-            if account is not None and account.phase not in OVER:
-                self._heard[account.id.partition("~")[0]] = (name, now_s)
-        for id, (name, heard_s) in self._heard.items():
+            if (account := robot.account) is None:
+                continue
+            self._missed.pop(name, None)
+            if account.phase not in OVER:
+                self._at[account.id.partition("~")[0]] = name
+        for id, name in self._at.items():
             silent = name not in robots or robots[name].account is None
-            if silent and now_s - heard_s < self._patience_s:
+            if silent and now_s - self._missed.setdefault(name, now_s) < self._patience_s:
                 away[id] = name
         return away
 
@@ -216,7 +219,7 @@ class Dispatcher:
             self._tell(f"{refused}{one_line(error)}")
         else:
             self._gave.add((give.part.id, give.robot))
-            self._heard[give.part.id] = (give.robot, self._clock())
+            self._at[give.part.id] = give.robot
             self._tell(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
     def _cancel(self, cancel: Cancel) -> None:
