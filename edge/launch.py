@@ -24,6 +24,7 @@ from edge.errors import UserError
 from edge.host import calibration, resources
 from edge.host.children import python_module
 from edge.host.interruptible import raise_if_stopped, unless_stopped
+from edge.host.memory import trimmed
 from edge.host.ports import free_port
 from edge.loop import requests
 from edge.loop.keeper import Keeper
@@ -165,6 +166,8 @@ def open_service(
         # detector's or the sink's thread to give it back, more than a whole tick's budget.
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_S)
+        if not lockstep:
+            stack.enter_context(trimmed())
         yield Launched(config, service, worker, source, servers, session, every)
 
 

@@ -1,0 +1,50 @@
+"""Memory goes back to the system: in a process of its own, whose heap nobody else uses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+from edge.host import memory
+
+HOLES = """
+import ctypes, os, time
+from edge.host import memory
+from edge.host.processes import usage
+
+def held_mb():
+    return usage(os.getpid()).memory_mb
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+libc.free.argtypes = [ctypes.c_void_p]
+before_mb = held_mb()
+blocks = [libc.malloc(100_000) for _ in range(2000)]
+for block in blocks:
+    ctypes.memset(block, 1, 100_000)
+for block in blocks[:-1]:  # the last one keeps the heap's end where it is
+    libc.free(block)
+assert held_mb() > before_mb + 150.0
+with memory.trimmed(every_s=0.01):
+    while held_mb() > before_mb + 50.0:
+        time.sleep(0.01)
+"""
+
+
+def test_what_was_freed_between_blocks_goes_back():
+    subprocess.run([sys.executable, "-c", HOLES], check=True, timeout=240)
+
+
+def test_nothing_is_left_of_it():
+    before = threading.active_count()
+    with memory.trimmed():
+        assert threading.active_count() == before + 1
+    assert threading.active_count() == before
+
+
+def test_another_c_library_has_nothing_to_trim(monkeypatch):
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
+    before = threading.active_count()
+    with memory.trimmed():
+        assert threading.active_count() == before
