@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -144,10 +145,13 @@ def zenoh_session(
     try:
         yield opened
     finally:
-        closing = start_unjoined("zenoh-close", _close, opened)
-        closing.join(CLOSE_S)
-        if closing.is_alive():
-            log.warning("a peer at %s takes nothing: not waited for", settings.address)
+        if sys.is_finalizing():  # whoever opened it never left: no thread would begin any more
+            _close(opened)
+        else:
+            closing = start_unjoined("zenoh-close", _close, opened)
+            closing.join(CLOSE_S)
+            if closing.is_alive():
+                log.warning("a peer at %s takes nothing: not waited for", settings.address)
 
 
 def _close(opened: zenoh.Session) -> None:

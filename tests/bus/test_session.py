@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 from itertools import repeat
 from types import SimpleNamespace
@@ -145,6 +147,19 @@ def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, c
         assert session is stuck
     assert "a peer at tcp/here:1 takes nothing: not waited for" in caplog.text
     go.set()
+
+
+LEFT_OPEN = """
+import builtins, sys
+from edge.bus.session import zenoh_session
+from edge.config import Zenoh
+builtins.opened = zenoh_session(Zenoh(endpoint=sys.argv[1], shared_memory=False), "listen")
+builtins.opened.__enter__()
+"""
+
+
+def test_an_interpreter_ends_though_nobody_left_its_session(free_endpoint):
+    subprocess.run([sys.executable, "-c", LEFT_OPEN, free_endpoint], check=True, timeout=PATIENCE_S)
 
 
 def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
