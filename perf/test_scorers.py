@@ -11,9 +11,7 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
-from edge.perception.card_types import MarksCard
-from edge.perception.cards import load_card_of
-from edge.perception.choice.mark_scorer import open_mark_scorer
+from edge.perception.choice.factory import open_choice
 from edge.perception.choice.question import Mark, View
 from edge.perception.instances import InstanceTracker
 from edge.perception.onnx_detector import OnnxDetector
@@ -62,8 +60,7 @@ def test_choose_mini_house(benchmark, against):
     benchmark.extra_info["budget"] = "choose_mini_house"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
     seen = Observation(0, 1, np.eye(4), rgb=rgb)
-    card = load_card_of(MarksCard, "mini-house-choice")
-    scorer = open_mark_scorer(card, config.ChoiceOnnx(card=card.name, threads=1))
+    scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
     view = View(seen, "bed", marks)
     choice = benchmark(lambda: scorer.answer(scorer.look(view)))

@@ -1,43 +1,47 @@
 """Models that choose directions, compared on the same lettered views, each in a process of its own.
 
-What they choose is held against the FP32 model of their family; nobody knows what would be right.
+What they choose is held against the FP32 model of their family, and against the mark that is
+nearest to the target in the image, where the target is known to be in sight.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import pickle
-import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, Union
 
 import numpy as np
 
-from edge.config import ChoiceOnnx, Config
+from edge import names
+from edge.config import ChoiceOnnx
 from edge.host import machine, resources
-from edge.host.children import python_module
 from edge.host.files import save
-from edge.host.private_folder import private_folder
-from edge.models.bench import frames
+from edge.models.bench.alone import run_alone
 from edge.models.bench.frames import Frames
-from edge.models.bench.variants import PROVIDERS, providers_here
-from edge.perception.card_types import ChoiceCard
+from edge.models.bench.variants import PROVIDERS, providers_here, runs_on
+from edge.perception.card_types import DirectionsCard
 from edge.perception.cards import all_cards, how_to_get
 from edge.perception.choice.question import Mark, Sighting, View
 from edge.text import aligned
 from edge.types import Observation
 
-MEASURE = python_module("edge.models.bench.measure_choice")
+MEASURE = "edge.models.bench.measure_choice"
 REFERENCE = "fp32"
 _AT = ((0.2, 0.65, 0.5, 2.0), (0.5, 0.6, 0.0, 4.0), (0.8, 0.65, -0.5, 3.0))
 """Marks that every view has: column and row as shares, bearing and distance."""
 _SEEN = 5
 _TARGETS = ("television", "bed", "sink", "sofa")
 _VIEW_S, _LOAD_S = 60.0, 600.0
-_HEADINGS = ("variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|")
+_HEADINGS = (
+    "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
+)  # fmt: skip
+_NOWHERE = -1
+
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,91 +69,117 @@ class Measured:
     memory_mb: float
 
 
+Results = list[tuple[DirectionsCard, str, Union[Measured, str]]]
+
+
 def families() -> list[str]:
     """Families that have a model that chooses directions."""
-    return sorted({card.family for card in all_cards() if isinstance(card, ChoiceCard)})
+    return sorted({card.family for card in all_cards() if isinstance(card, DirectionsCard)})
 
 
-def run(args: argparse.Namespace, config: Config) -> int:
-    """Compare a family's models, print, keep; 1 when nothing could run.
+def run(args: argparse.Namespace, pictures: Frames) -> int:
+    """Compare the models of a family that has no other, print, keep; 1 when nothing could run.
 
     Raises:
-        UserError: an option, the configuration or the world cannot be used.
+        UserError: an option cannot be used.
     """
-    cards = [c for c in all_cards() if isinstance(c, ChoiceCard) and c.family == args.family]
+    rows = compare(args.family, args, pictures)
+    print(machine.summary(machine.describe()))
+    print(as_text(args.family, rows, pictures))
+    path = _keep(args.family, rows)
+    if args.json is not None:
+        save(args.json, json.dumps(rows, indent=1).encode())
+    print(f"kept in {path}")
+    return 0 if any_ran(rows) else 1
+
+
+def compare(family: str, args: argparse.Namespace, pictures: Frames) -> list[Row]:
+    """A row for each of a family's models on each provider.
+
+    Args:
+        args: of the command line: `providers` and `threads`.
+
+    Raises:
+        UserError: an option cannot be used.
+    """
+    cards = [c for c in all_cards() if isinstance(c, DirectionsCard) and c.family == family]
     cards.sort(key=lambda card: (card.precision != REFERENCE, card.name))
-    ons = [on for on in providers_here(args.providers) if on in ("cpu", "cuda")]
-    if args.images is not None:
-        pictures = frames.from_folder(args.images, args.frames)
-    else:
-        pictures = frames.from_world(config, args.frames, [])
     views = views_of(pictures)
-    settings = ChoiceOnnx(card=args.family, time_limit_s=_VIEW_S)
+    settings = ChoiceOnnx(card=family, time_limit_s=_VIEW_S)
     if args.threads is not None:
         settings = settings.model_copy(update={"threads": args.threads})
-    rows = [
+    results = [
         (card, on, _measured(card, settings.model_copy(update=_asked(card, on)), views))
-        for on in ons
+        for on in providers_here(args.providers)
         for card in cards
+        if on in ("cpu", "cuda") and runs_on(card, on)
     ]
-    report = [_row(card, on, found, rows) for card, on, found in rows]
-    print(f"{args.family}: {len(views)} views of {pictures.source}, {len(_AT)} letters each")
-    print(machine.summary(machine.describe()))
-    print(as_text(report))
-    path = _keep(args.family, report)
-    if args.json is not None:
-        save(args.json, json.dumps(report, indent=1).encode())
-    print(f"kept in {path}")
-    return 0 if any("ms_p50" in row for row in report) else 1
+    nearest = marks_at_targets(views, pictures)
+    return [_row(*result, results, nearest) for result in results]
 
 
-def _asked(card: ChoiceCard, on: str) -> dict[str, object]:
+def any_ran(rows: Sequence[Row]) -> bool:
+    return any("why" not in row for row in rows)
+
+
+def _asked(card: DirectionsCard, on: str) -> dict[str, object]:
     return {"card": card.name, "providers": PROVIDERS[on]}
 
 
 def views_of(pictures: Frames) -> list[View]:
-    """A view of each picture, with three letters and what is known to be in it."""
+    """A view of each picture, with three letters and what is known to be in it; where it can be,
+    the target is in sight."""
     views = []
     for k, rgb in enumerate(pictures.rgb):
         h, w = rgb.shape[:2]
         marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_AT))
-        truth = None if pictures.truth is None else pictures.truth[k]
-        labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
+        labels = [label for label, _ in _in_sight(pictures, k)]
         seen = tuple(Sighting(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
-        target = _TARGETS[k % len(_TARGETS)]
+        turn = k % len(_TARGETS)
+        targets = _TARGETS[turn:] + _TARGETS[:turn]
+        there = (t for t in targets if any(names.same(label, t) for label in labels))
+        target = next(there, targets[0])
         views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen))
     return views
 
 
-def _measured(card: ChoiceCard, settings: ChoiceOnnx, views: list[View]) -> Measured | str:
+def _in_sight(pictures: Frames, k: int) -> list[tuple[str, np.ndarray]]:
+    """Label and box, (4,) xyxy_px, of everything that counts in a picture."""
+    if pictures.truth is None:
+        return []
+    truth = pictures.truth[k]
+    rows = zip(truth.label[truth.counts], truth.xyxy_px[truth.counts], strict=True)
+    return [(pictures.labels[i], box) for i, box in rows]
+
+
+def marks_at_targets(views: Sequence[View], pictures: Frames) -> np.ndarray:
+    """(n,) int: of each view the mark whose column is nearest to the target's in the image, -1
+    where no target is known to be in sight."""
+    out = np.full(len(views), _NOWHERE)
+    for k, view in enumerate(views):
+        boxes = [box for label, box in _in_sight(pictures, k) if names.same(label, view.target)]
+        if boxes:
+            u_px = np.array(boxes)[:, [0, 2]].mean(axis=1)
+            away_px = np.abs(np.array([mark.u_px for mark in view.marks])[:, None] - u_px)
+            out[k] = away_px.min(axis=1).argmin()
+    return out
+
+
+def _measured(card: DirectionsCard, settings: ChoiceOnnx, views: list[View]) -> Measured | str:
     """What was measured, or in one line why nothing was."""
     if not card.is_here():
         return f"not here: {how_to_get(card)}"
-    with private_folder("edge-bench-") as folder:
-        job, out = folder / "job", folder / "out"
-        job.write_bytes(pickle.dumps(Job(settings, views)))
-        limit_s = _LOAD_S + _VIEW_S * len(views)
-        try:
-            done = subprocess.run(
-                [*MEASURE, str(job), str(out)], stdout=subprocess.PIPE, text=True,
-                errors="replace", check=False, timeout=limit_s,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return f"failed: not done after {limit_s:g} s"
-        if done.returncode:
-            said = [line for line in done.stdout.splitlines() if line.strip()]
-            return f"failed: {said[-1] if said else f'exit code {done.returncode}'}"
-        return pickle.loads(out.read_bytes())
+    return run_alone(MEASURE, Job(settings, views), _LOAD_S + _VIEW_S * len(views))
 
 
 def _row(
-    card: ChoiceCard, on: str, found: Measured | str, rows: list[tuple[Any, str, Any]]
-) -> dict[str, Any]:
-    row: dict[str, Any] = {"name": card.name, "on": on}
+    card: DirectionsCard, on: str, found: Measured | str, results: Results, nearest: np.ndarray
+) -> Row:
+    row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
         return {**row, "why": found}
     reference = next(
-        (f for c, _, f in rows if c.precision == REFERENCE and isinstance(f, Measured)), None
+        (f for c, _, f in results if c.precision == REFERENCE and isinstance(f, Measured)), None
     )
     agreed = None if reference in (None, found) else agreement(reference.p, found.p)
     return {
@@ -159,7 +189,22 @@ def _row(
         "load_s": round(found.load_s, 1),
         "memory_mb": round(found.memory_mb),
         **(agreed or {}),
+        **right_marks(nearest, found.p),
     }
+
+
+def right_marks(nearest: np.ndarray, p: np.ndarray) -> dict[str, float]:
+    """How often the likeliest letter is the one at the target, of the views that have it in sight;
+    nothing where there is no such view.
+
+    >>> right_marks(np.array([0, 1, -1]), np.array([[0.7, 0.3, 0.5], [0.6, 0.4, 0.5], [1, 0, 1]]))
+    {'right': 0.5, 'in_sight': 2}
+    """
+    there = nearest != _NOWHERE
+    if not there.any():
+        return {}
+    right = p[there, :-1].argmax(axis=1) == nearest[there]
+    return {"right": round(float(right.mean()), 3), "in_sight": int(there.sum())}
 
 
 def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
@@ -173,22 +218,26 @@ def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
     return {"same": round(float(same.mean()), 3), "difference": round(float(difference), 4)}
 
 
-def as_text(report: list[dict[str, Any]]) -> str:
+def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
     """The table; a variant without figures has why below it."""
-    ran = [row for row in report if "why" not in row]
-    rows = [
+    ran = [row for row in rows if "why" not in row]
+    cells = [
         (
             row["name"], row["on"], row["load_s"], row["ms_p50"], row["ms_p95"], row["memory_mb"],
-            row.get("same", "-"), row.get("difference", "-"),
+            row.get("same", "-"), row.get("difference", "-"), row.get("right", "-"),
         )
         for row in ran
     ]  # fmt: skip
-    missing = [f"{row['name']} on {row['on']}: {row['why']}" for row in report if "why" in row]
-    return "\n".join([aligned([_HEADINGS, *rows], left=2), *missing])
+    missing = [f"{row['name']} on {row['on']}: {row['why']}" for row in rows if "why" in row]
+    in_sight = max((row.get("in_sight", 0) for row in ran), default=0)
+    views = f"{len(pictures.rgb)} views of {pictures.source}, {len(_AT)} letters each"
+    title = f"{family}, directions: {views}"
+    note = [f"right: the letter at the target, of {in_sight} views with it in sight"]
+    return "\n".join([title, aligned([_HEADINGS, *cells], left=2), *missing, *note[: in_sight > 0]])
 
 
-def _keep(family: str, report: list[dict[str, Any]]) -> Path:
+def _keep(family: str, rows: list[Row]) -> Path:
     stamp = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S")
     path = resources.cache_dir() / "bench" / f"{family}-{stamp}.json"
-    save(path, json.dumps({"machine": machine.describe(), "rows": report}, indent=1).encode())
+    save(path, json.dumps({"machine": machine.describe(), "rows": rows}, indent=1).encode())
     return path
