@@ -245,9 +245,7 @@ def test_an_image_smaller_than_the_networks_cannot_be_demanded():
 
 
 def test_tensorrt_by_itself_is_refused():
-    with pytest.raises(
-        ModelError, match="'tensorrt' alone runs detectors only"
-    ):
+    with pytest.raises(ModelError, match="'tensorrt' alone runs detectors only"):
         open_choice(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
 
 

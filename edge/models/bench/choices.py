@@ -1,16 +1,18 @@
 """Models that choose directions, compared on the same lettered views, each in a process of its own.
 
-What they choose is held against the FP32 model of their family, and against the mark that is
-nearest to the target in the image, where the target is known to be in sight.
+What they choose is held against the FP32 model of their family and, in a simulated world, against
+what is truly left to drive from each mark.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any, Union
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from edge import names
 from edge.config import ChoiceOnnx
+from edge.eval import geodesic
 from edge.host import machine, resources
 from edge.host.files import save
 from edge.models.bench.alone import run_alone
@@ -39,7 +42,10 @@ _VIEW_S, _LOAD_S = 60.0, 600.0
 _HEADINGS = (
     "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
 )  # fmt: skip
-_NOWHERE = -1
+_RIGHT_M = 0.5
+"""A mark is right from which no more than this is left to drive than from the best."""
+_ROBOT_M, _THERE_M, _STEP_M = 0.2, 1.0, 0.1
+"""Radius of what drives; it ends so near the target; how finely a way is looked along."""
 
 Row = dict[str, Any]
 
@@ -114,8 +120,8 @@ def compare(family: str, args: argparse.Namespace, pictures: Frames) -> list[Row
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
     ]
-    nearest = marks_at_targets(views, pictures)
-    return [_row(*result, results, nearest) for result in results]
+    left_m = np.array(list(map(partial(_left_m, pictures), views))).reshape(-1, len(_AT))
+    return [_row(*result, results, right_of(left_m)) for result in results]
 
 
 def any_ran(rows: Sequence[Row]) -> bool:
@@ -127,42 +133,60 @@ def _asked(card: DirectionsCard, on: str) -> dict[str, object]:
 
 
 def views_of(pictures: Frames) -> list[View]:
-    """A view of each picture, with three letters and what is known to be in it; where it can be,
-    the target is in sight."""
+    """A view of each picture, with three letters, what is known to be in it, and a target that is
+    not."""
     views = []
     for k, rgb in enumerate(pictures.rgb):
         h, w = rgb.shape[:2]
         marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_AT))
-        labels = [label for label, _ in _in_sight(pictures, k)]
+        truth = None if pictures.truth is None else pictures.truth[k]
+        labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(Sighting(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
         turn = k % len(_TARGETS)
         targets = _TARGETS[turn:] + _TARGETS[:turn]
-        there = (t for t in targets if any(names.same(label, t) for label in labels))
-        target = next(there, targets[0])
+        unseen = (t for t in targets if not any(names.same(label, t) for label in labels))
+        target = next(unseen, targets[0])
         views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen))
     return views
 
 
-def _in_sight(pictures: Frames, k: int) -> list[tuple[str, np.ndarray]]:
-    """Label and box, (4,) xyxy_px, of everything that counts in a picture."""
-    if pictures.truth is None:
-        return []
-    truth = pictures.truth[k]
-    rows = zip(truth.label[truth.counts], truth.xyxy_px[truth.counts], strict=True)
-    return [(pictures.labels[i], box) for i, box in rows]
+def _left_m(pictures: Frames, view: View) -> list[float]:
+    """What is left to drive to the view's target from each of its marks, or from as far towards it
+    as the floor is free; inf where nobody knows, or there is no way."""
+    world = pictures.world
+    things = [o for o in world.objects if names.same(o.label, view.target)] if world else []
+    if not things:
+        return [math.inf] * len(view.marks)
+    plan, pose = world.plan, pictures.poses[view.observation.seq]
+    field = geodesic.distance_field(plan, things, _ROBOT_M, _THERE_M)
+    found = []
+    for mark in view.marks:
+        yaw_rad, left_m = pose.yaw_rad + mark.bearing_rad, math.inf
+        for away_m in np.arange(0.0, mark.distance_m, _STEP_M):
+            x_m = pose.x_m + away_m * math.cos(yaw_rad)
+            y_m = pose.y_m + away_m * math.sin(yaw_rad)
+            if math.isinf(here_m := geodesic.at(plan, field, x_m, y_m)):
+                break
+            left_m = here_m
+        found.append(left_m)
+    return found
 
 
-def marks_at_targets(views: Sequence[View], pictures: Frames) -> np.ndarray:
-    """(n,) int: of each view the mark whose column is nearest to the target's in the image, -1
-    where no target is known to be in sight."""
-    out = np.full(len(views), _NOWHERE)
-    for k, view in enumerate(views):
-        boxes = [box for label, box in _in_sight(pictures, k) if names.same(label, view.target)]
-        if boxes:
-            u_px = np.array(boxes)[:, [0, 2]].mean(axis=1)
-            away_px = np.abs(np.array([mark.u_px for mark in view.marks])[:, None] - u_px)
-            out[k] = away_px.min(axis=1).argmin()
-    return out
+def right_of(left_m: np.ndarray) -> np.ndarray:
+    """Which marks are right, of the views in which not all are.
+
+    Args:
+        left_m: (n, m) metres left to drive from each mark.
+
+    Returns:
+        (n, m) bool; of a view that tells nothing, none.
+
+    >>> right_of(np.array([[2.0, 2.4, 9.0], [3.0, 3.0, 3.0], [np.inf, np.inf, np.inf]])).tolist()
+    [[True, True, False], [False, False, False], [False, False, False]]
+    """
+    least_m = left_m.min(axis=1, keepdims=True)
+    right = np.isfinite(least_m) & (left_m <= least_m + _RIGHT_M)
+    return right & ~right.all(axis=1, keepdims=True)
 
 
 def _measured(card: DirectionsCard, settings: ChoiceOnnx, views: list[View]) -> Measured | str:
@@ -173,7 +197,7 @@ def _measured(card: DirectionsCard, settings: ChoiceOnnx, views: list[View]) -> 
 
 
 def _row(
-    card: DirectionsCard, on: str, found: Measured | str, results: Results, nearest: np.ndarray
+    card: DirectionsCard, on: str, found: Measured | str, results: Results, right: np.ndarray
 ) -> Row:
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
@@ -189,22 +213,32 @@ def _row(
         "load_s": round(found.load_s, 1),
         "memory_mb": round(found.memory_mb),
         **(agreed or {}),
-        **right_marks(nearest, found.p),
+        **against_truth(right, found.p),
     }
 
 
-def right_marks(nearest: np.ndarray, p: np.ndarray) -> dict[str, float]:
-    """How often the likeliest letter is the one at the target, of the views that have it in sight;
-    nothing where there is no such view.
+def against_truth(right: np.ndarray, p: np.ndarray) -> dict[str, float]:
+    """How often the likeliest letter is a right one, and how often one at random is; nothing where
+    no view tells.
 
-    >>> right_marks(np.array([0, 1, -1]), np.array([[0.7, 0.3, 0.5], [0.6, 0.4, 0.5], [1, 0, 1]]))
-    {'right': 0.5, 'in_sight': 2}
+    Args:
+        right: as `right_of` returns it.
+        p: as in `Measured`.
+
+    >>> right = np.array([[True, False], [False, True], [False, False]])
+    >>> against_truth(right, np.array([[0.7, 0.2, 0.1, 0.5], [0.6, 0.4, 0, 0.5], [1, 0, 0, 1]]))
+    {'right': 0.5, 'at_random': 0.5, 'of_views': 2}
     """
-    there = nearest != _NOWHERE
-    if not there.any():
+    telling = right.any(axis=1)
+    if not telling.any():
         return {}
-    right = p[there, :-1].argmax(axis=1) == nearest[there]
-    return {"right": round(float(right.mean()), 3), "in_sight": int(there.sum())}
+    chosen = p[telling, : right.shape[1]].argmax(axis=1)
+    hits = right[telling][np.arange(len(chosen)), chosen]
+    return {
+        "right": round(float(hits.mean()), 3),
+        "at_random": round(float(right[telling].mean()), 3),
+        "of_views": int(telling.sum()),
+    }
 
 
 def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
@@ -229,11 +263,14 @@ def as_text(family: str, rows: Sequence[Row], pictures: Frames) -> str:
         for row in ran
     ]  # fmt: skip
     missing = [f"{row['name']} on {row['on']}: {row['why']}" for row in rows if "why" in row]
-    in_sight = max((row.get("in_sight", 0) for row in ran), default=0)
     views = f"{len(pictures.rgb)} views of {pictures.source}, {len(_AT)} letters each"
-    title = f"{family}, directions: {views}"
-    note = [f"right: the letter at the target, of {in_sight} views with it in sight"]
-    return "\n".join([title, aligned([_HEADINGS, *cells], left=2), *missing, *note[: in_sight > 0]])
+    told = next((row for row in ran if "right" in row), None)
+    note = [] if told is None else [
+        f"right: a letter from which the least is left to drive, in {told['of_views']} views "
+        f"where not all are; at random {told['at_random']:.2f}"
+    ]  # fmt: skip
+    table = aligned([_HEADINGS, *cells], left=2)
+    return "\n".join([f"{family}, directions: {views}", table, *missing, *note])
 
 
 def _keep(family: str, rows: list[Row]) -> Path:
