@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -172,6 +173,11 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
     assert missing["why"].startswith("not here: run `edge models pull tiny-lost")
     assert "tiny-fp16  cpu" in told
     assert "tiny-lost on cpu: not here" in told
+
+
+def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
+    said = says(capsys, "bench", "smolvlm", "--update-cards", code=os.EX_DATAERR)
+    assert "--update-cards: cards keep figures of detectors only" in said
 
 
 def test_views_have_letters_and_what_is_in_them():

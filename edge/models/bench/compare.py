@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
     family = _family(args.family, config)
     chooses = family in choices.families()
     if chooses and family not in families():
+        if args.update_cards:
+            raise UserError("models bench: --update-cards: cards keep figures of detectors only")
         return choices.run(args, _pictures(args, config))
     todo = variants(family, providers_here(args.providers))
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import Future
 from typing import Any, NamedTuple
@@ -58,7 +59,7 @@ class Restarts:
         return Pause(seconds, False)
 
 
-class KeptProcess:
+class KeptProcess(ABC):
     """A thread of its own starts the process, waits for its end, and starts it again by `Restarts`.
 
     Who inherits says what is started (`_run_once`, by `_run_link`), and is told of it (`_ready`,
@@ -122,13 +123,13 @@ class KeptProcess:
             if not self._closing.wait(None if math.isinf(pause.seconds) else pause.seconds):
                 self.restarts += 1
 
+    @abstractmethod
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
         """One process, from its start to its end: seconds that it was ready, and how it ended.
 
         Raises:
             as `Link.wait_ready`.
         """
-        raise NotImplementedError
 
     def _run_link(
         self, first: Future[None], told: dict[str, Any], progress: Tell, program: Sequence[str] = ()
