@@ -63,13 +63,16 @@ class _Process(KeptProcess):
         return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
+        """See `KeptProcess`."""
         return self._run_link(first, self._told, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
+        """See `KeptProcess`."""
         if again:
             log.info("model %s: its process runs", self.name)
 
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
+        """See `KeptProcess`."""
         often = " (perception.process.restarts)" if pause.limit else ""
         never = math.isinf(pause.seconds)
         again = "not started again" if never else f"started again after {pause.seconds:.1f} s"

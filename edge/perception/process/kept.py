@@ -149,10 +149,13 @@ class KeptProcess(ABC):
             link.close()
 
     def _told_to_end(self, first: Future[None]) -> bool:
+        """Whether what is being started is not wanted any more."""
         return self._closing.is_set()
 
+    @abstractmethod
     def _ready(self, again: bool) -> None:
         """It can be asked; `again`: not for the first time."""
 
+    @abstractmethod
     def _ended(self, why: str, failed: Exception | None, pause: Pause) -> None:
         """It has ended, or failed to start, and is started again after the pause."""
