@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
+import pytest
 from test_mapping import CAMERA, T_BASE_CAMERA
 
 from edge import config
+from edge.config import parse
+from edge.eval.closed_loop import ClosedLoop
 from edge.geometry import SE2
 from edge.loop.candidates import CandidatePool
 from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
-from edge.perception.card_types import MarksCard
-from edge.perception.cards import load_card_of
-from edge.perception.choice.mark_scorer import open_mark_scorer
+from edge.perception.choice.factory import ViewScorer, open_choice
 from edge.perception.choice.question import Mark, View
 from edge.perception.instances import InstanceTracker
 from edge.perception.onnx_detector import OnnxDetector
@@ -62,8 +65,7 @@ def test_choose_mini_house(benchmark, against):
     benchmark.extra_info["budget"] = "choose_mini_house"
     rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
     seen = Observation(0, 1, np.eye(4), rgb=rgb)
-    card = load_card_of(MarksCard, "mini-house-choice")
-    scorer = open_mark_scorer(card, config.ChoiceOnnx(card=card.name, threads=1))
+    scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
     view = View(seen, "bed", marks)
     choice = benchmark(lambda: scorer.answer(scorer.look(view)))
@@ -71,3 +73,49 @@ def test_choose_mini_house(benchmark, against):
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)
     detector = OnnxDetector(of_trunk, ["bed"])
     against(lambda: detector.detect(seen))
+
+
+class Busy:
+    """A scorer whose one answer lasts until it is closed: its network runs all the while."""
+
+    def __init__(self, scorer: ViewScorer) -> None:
+        self.name, self._scorer, self._over = scorer.name, scorer, threading.Event()
+        self.runs = 0
+
+    def look(self, view: View) -> object:
+        return self._scorer.look(view)
+
+    def answer(self, looked: object) -> None:
+        while not self._over.is_set():
+            self._scorer.answer(looked)
+            self.runs += 1
+
+    def close(self) -> None:
+        self._over.set()
+
+
+@pytest.mark.parametrize("asks", [False, True])
+def test_tick(benchmark, monkeypatch, asks):
+    """A tick beside which a scorer's network runs, and one without scorers, on one road."""
+    benchmark.extra_info["budget"] = "tick_choosing" if asks else "tick_not_choosing"
+    choice = config.ChoiceOnnx(card="mini-house-choice", threads=1)
+    busy = Busy(open_choice(choice))
+    scorers = Scorers(None, busy) if asks else None
+    monkeypatch.setattr("edge.eval.closed_loop.make_scorers", lambda *_: scorers)
+    loop = ClosedLoop(
+        parse({
+            "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.05},
+            "perception": {"detector": {"kind": "sim"}, "choice": choice.model_dump()},
+            "mission": {"target": "toilet"},
+        })
+    )  # fmt: skip
+
+    def drive() -> tuple[tuple, dict]:
+        loop.step()
+        return (loop.observe(), loop.drive.motion.stamp_ns), {}
+
+    benchmark.pedantic(loop.service.tick, setup=drive, rounds=300, warmup_rounds=20)
+    loop.close()
+    if scorers is not None:
+        assert scorers.status()["choice"]["failed"] == 0
+        assert busy.runs > 10

@@ -7,8 +7,10 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
+
+import http_server
 
 Behaviour = Callable[[BaseHTTPRequestHandler], None]
 
@@ -27,13 +29,8 @@ class ChatServer:
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """A whole answer."""
-    handler.send_response(status)
-    for name, value in {"Content_Type": "application/json", **headers}.items():
-        handler.send_header(name.replace("_", "-"), value)
-    handler.send_header("Content-Length", str(len(body)))
-    handler.end_headers()
-    handler.wfile.write(body)
+    """A whole answer, of JSON where no header says otherwise."""
+    http_server.send(handler, body, status, **{"Content_Type": "application/json", **headers})
 
 
 def completion(content: Any, finish_reason: str = "stop") -> bytes:
@@ -75,7 +72,7 @@ def serving(behave: Behaviour) -> Iterator[ChatServer]:
     """Runs a server that behaves so, on a free port of this machine."""
     server = ChatServer()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(http_server.Quiet):
         stopping = server.stopping
 
         def do_POST(self) -> None:
@@ -84,16 +81,6 @@ def serving(behave: Behaviour) -> Iterator[ChatServer]:
             with contextlib.suppress(ConnectionError):
                 behave(self)
 
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as http_server:
-        server.url = f"http://127.0.0.1:{http_server.server_port}/v1"
-        thread = threading.Thread(target=http_server.serve_forever, args=(0.01,), daemon=True)
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.stopping.set()
-            http_server.shutdown()
-            thread.join()
+    with http_server.running(Handler, server.stopping) as url:
+        server.url = f"{url}/v1"
+        yield server

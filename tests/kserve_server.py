@@ -7,10 +7,10 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
+from http_server import Quiet, running, send
 
 from edge.perception.remote.messages import BINARY, HEADER_LENGTH
 
@@ -41,15 +41,12 @@ class KServe:
     stopping: threading.Event = field(default_factory=threading.Event)
 
 
-class Handler(BaseHTTPRequestHandler):
-    """What a behaviour is given; `server.kserve` is the server."""
+class Handler(Quiet):
+    """What a behaviour is given; `kserve` is the server."""
 
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
-
-    @property
-    def kserve(self) -> KServe:
-        return self.server.kserve  # type: ignore[attr-defined]
+    kserve: KServe
 
     def setup(self) -> None:
         super().setup()
@@ -110,34 +107,17 @@ class Handler(BaseHTTPRequestHandler):
         self.send(json.dumps(told).encode(), status)
 
     def send(self, body: bytes, status: int = 200, **headers: str) -> None:
-        self.send_response(status)
-        for name, value in headers.items():
-            self.send_header(name, value)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False  # a connection that is kept open has a thread that waits for more
+        send(self, body, status, **headers)
 
 
 @contextlib.contextmanager
 def serving(kserve: KServe, port: int = 0) -> Iterator[KServe]:
     """Runs it on a port of this machine."""
+
+    class Bound(Handler):
+        pass
+
+    Bound.kserve = kserve
     kserve.stopping.clear()
-    with _Server(("127.0.0.1", port), Handler) as server:
-        server.kserve = kserve  # type: ignore[attr-defined]
-        kserve.url = f"http://127.0.0.1:{server.server_port}"
-        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-        thread.start()
-        try:
-            yield kserve
-        finally:
-            kserve.stopping.set()
-            server.shutdown()
-            thread.join()
+    with running(Bound, kserve.stopping, port) as kserve.url:
+        yield kserve

@@ -179,10 +179,10 @@ class ChoiceText(Section):
 class ChoiceOnnx(Section):
     """The same by a model that runs here; `card` names one in `models/`.
 
-    One of task `choice` is a language model. With `perception.isolation: process` it has a process
-    of its own, started again by the rules of `perception.process`, which gets what the loop and the
-    detector leave of the cores. One of task `marks` is a small network: it runs in the service, and
-    takes neither a time limit nor `max_image_px`.
+    One of task `choice` is a language model, one of task `marks` a small network, whose images are
+    of its own size: a smaller `max_image_px` is refused. With `perception.isolation: process` it
+    has a process of its own, started again by the rules of `perception.process`, which gets what
+    the loop and the detector leave of the cores.
     """
 
     kind: Literal["onnx"] = "onnx"

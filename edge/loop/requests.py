@@ -13,7 +13,7 @@ from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of
 from edge.mission.brief import Brief
-from edge.perception.card_types import ChoiceCard, DetectCard
+from edge.perception.card_types import DetectCard, DirectionsCard
 from edge.perception.cards import load_card, load_detector_card
 from edge.perception.swap.swapper import SwapError, Swapper
 from edge.text import one_line
@@ -172,10 +172,10 @@ def _model(fields: dict) -> dict:
     return {"model": name, "force": check_flag("force", fields)}
 
 
-def _card_to_use(fields: dict) -> DetectCard | ChoiceCard:
+def _card_to_use(fields: dict) -> DetectCard | DirectionsCard:
     """Raises ModelError for no card, and for one that nothing can be swapped for."""
     card = load_card(fields["model"])
-    return card if isinstance(card, ChoiceCard) else load_detector_card(fields["model"])
+    return card if isinstance(card, DirectionsCard) else load_detector_card(fields["model"])
 
 
 MODEL_VERBS = {
@@ -203,7 +203,7 @@ def handle_model(
         if scorers is None:
             raise UserError("no scorers are configured: nothing to pause")
         scorers.paused = request.do == "pause"
-    elif request.do == "use" and isinstance(request.prepared, ChoiceCard):
+    elif request.do == "use" and isinstance(request.prepared, DirectionsCard):
         if swap is None:
             raise SwapError(
                 "no model that runs here chooses directions: set perception.choice.kind to onnx"

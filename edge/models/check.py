@@ -12,7 +12,7 @@ import numpy as np
 
 from edge.models.make import with_file
 from edge.models.pull import cards_of
-from edge.perception.backends.runtime import open_session
+from edge.perception.backends.runtime import DTYPES, open_session
 from edge.perception.card_types import (
     MARK_FIELDS,
     ChoiceCard,
@@ -26,7 +26,6 @@ from edge.perception.card_types import (
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import LETTERS, MAX_MARKS, SYSTEM
-from edge.perception.masks.sam import DTYPES
 from edge.perception.onnx_file import MASK_OUTPUTS
 from edge.perception.remote.session import RemoteSession
 from edge.perception.vlm.model import FIRST_RUN_S, LanguageModel

@@ -129,6 +129,11 @@ class DetectorWorker(Worker[Observation, Detections]):
         super()._failed(error, excused=self.detector.health().state != "ok")
 
 
+ScorerWatch = Callable[["Scorer", "Question", object], None]
+"""Called with every question that a scorer was put, and with the answer, or the exception that came
+of it."""
+
+
 class Question(Protocol):
     """What a scorer is asked; its observation is held until the scorer has looked at it."""
 
@@ -169,6 +174,9 @@ class ScorerWorker(Worker[Q, A]):
     Args:
         kind: what the scorer is for, in messages.
         inline, rest_s, pause_s: see `Worker`.
+
+    Attributes:
+        watch: told of every answer, on the thread that asks.
     """
 
     def __init__(
@@ -180,6 +188,7 @@ class ScorerWorker(Worker[Q, A]):
         pause_s: float = PAUSE_S,
     ) -> None:
         self._scorer, self._using = scorer, None
+        self.watch: ScorerWatch | None = None
         self._hand = threading.Lock()
         super().__init__(
             kind, self._put, inline=inline, rest_s=rest_s, pause_s=pause_s,
@@ -226,14 +235,22 @@ class ScorerWorker(Worker[Q, A]):
     def _put(self, question: Q) -> A | None:
         with self._hand:
             scorer = self._using = self._scorer
+        answer: A | None = None
+        outcome: object = None
         try:
             try:
                 looked = scorer.look(question)
             finally:
                 question.observation.release()
-            return scorer.answer(looked)
+            outcome = answer = scorer.answer(looked)
+        except Exception as error:
+            outcome = error
+            raise
         finally:
             self._using = None
+            if (watch := self.watch) is not None:
+                watch(scorer, question, outcome)
+        return answer
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
         """See `Worker`; what is given up has not failed."""

@@ -97,17 +97,21 @@ class Bench:
 
     def run(self, seconds: float) -> Bench:
         for _ in range(int(seconds * 10)):
-            self.now_ns += TICK_NS
-            seen = Observation(
-                self.now_ns // TICK_NS, self.now_ns, np.eye(4), rgb=np.zeros((8, 8, 3), np.uint8),
-                camera=CameraModel.from_hfov(8, 8, 1.3),
-            )  # fmt: skip
-            self.worker.submit(seen)
-            # What it says it took stands for what it took: no clock decides here.
-            self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
+            self.see()
             self.swapper.step(self.now_ns)
             self.governor.step(self.now_ns)
         return self
+
+    def see(self) -> None:
+        """The next image."""
+        self.now_ns += TICK_NS
+        seen = Observation(
+            self.now_ns // TICK_NS, self.now_ns, np.eye(4), rgb=np.zeros((8, 8, 3), np.uint8),
+            camera=CameraModel.from_hfov(8, 8, 1.3),
+        )  # fmt: skip
+        self.worker.submit(seen)
+        # What it says it took stands for what it took: no clock decides here.
+        self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
 
     def until(self, what) -> Bench:
         eventually(lambda: self.run(1.0) and what(), f"never: {self.governor.status()}")

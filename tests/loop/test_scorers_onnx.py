@@ -73,9 +73,16 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
     for _ in range(3):
         loop.step()
 
-    def kept():
+    def switched():
         # Of a tick the part that takes the step: the house is explored sooner than it is loaded.
         loop.scorers.take_up(loop.service.map.grid.values)
+        return request(loop, do="status")["state"] == "on probation"
+
+    eventually(switched)
+
+    def kept():
+        loop.step()
+        eventually(lambda: loop.scorers._choice.idle)
         return request(loop, do="status")["state"] == "kept"
 
     eventually(kept)

@@ -20,7 +20,7 @@ from edge.cli import main as cli
 from edge.errors import UserError
 from edge.geometry import invert
 from edge.host import resources
-from edge.models.bench import compare, frames, measure, report, variants
+from edge.models.bench import alone, compare, frames, measure, report, variants
 from edge.models.bench.boxes import (
     KIND,
     NAMED,
@@ -254,10 +254,10 @@ import os, signal, sys
 from pathlib import Path
 from edge.host import resources
 resources.data_dir = lambda kind: Path({folder!r})
-from edge.models.bench import measure
+from edge.models.bench import alone, measure
 if b"tiny-crash" in Path(sys.argv[1]).read_bytes():
     os.kill(os.getpid(), signal.SIGSEGV)
-sys.exit(measure.main(sys.argv[1:]))
+sys.exit(alone.main(sys.argv[1:], measure.measure))
 """
 
 
@@ -306,7 +306,7 @@ def place(tmp_path, monkeypatch):
     np.savez(tmp_path / "words.npz", names=np.array(WORDS), emb=np.eye(len(WORDS), 16))
     program = tmp_path / "measure.py"
     program.write_text(MEASURE.format(folder=str(folder)))
-    monkeypatch.setattr(compare, "MEASURE", (sys.executable, str(program)))
+    monkeypatch.setattr(alone, "python_module", lambda name: (sys.executable, str(program)))
     resources.models_dir().mkdir(parents=True)
 
     def put(name, content, precision="fp32", task="detect"):
@@ -413,7 +413,7 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     place("tiny-fp32", b"x")
     (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
-    made = compare.Bench(tmp_path, measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
+    made = compare.Bench(measure.Job(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 
@@ -529,8 +529,7 @@ def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_pat
     def fail(job):
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr(measure, "setup", lambda *_: None)
-    monkeypatch.setattr(measure, "measure", fail)
+    monkeypatch.setattr(alone, "setup", lambda *_: None)
     (tmp_path / "job").write_bytes(pickle.dumps("x"))
-    assert measure.main([str(tmp_path / "job"), str(tmp_path / "out")]) == 1
+    assert alone.main([str(tmp_path / "job"), str(tmp_path / "out")], fail) == 1
     assert capsys.readouterr().out == "RuntimeError: two lines\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import yaml
 from tiny_vlm import publish
 
 from edge.cli.main import main
+from edge.geometry import SE2, Grid
 from edge.host import resources
 from edge.models import pull
 from edge.models.bench import choices
@@ -20,7 +22,11 @@ from edge.models.bench.boxes import Truth
 from edge.models.bench.frames import Frames
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import all_cards, load_card
+from edge.perception.choice.question import Mark, View
+from edge.sim.base import FloorPlan, WorldObject
+from edge.types import Observation
 
+MARKS = tuple(Mark(i, 0.0, 0.0, bearing, 3.0) for i, bearing in enumerate((0.5, 0.0, -0.5)))
 DECODER = "onnx/decoder_model_merged.onnx"
 
 
@@ -169,11 +175,67 @@ def test_variants_are_compared_on_the_same_views(tmp_path, monkeypatch, capsys):
     assert "tiny-lost on cpu: not here" in told
 
 
+def test_cards_of_models_that_choose_keep_no_figures(published, capsys):
+    said = says(capsys, "bench", "smolvlm", "--update-cards", code=os.EX_DATAERR)
+    assert "--update-cards: cards keep figures of detectors only" in said
+
+
 def test_views_have_letters_and_what_is_in_them():
     rgb = np.zeros((40, 60, 3), np.uint8)
     boxes = np.zeros((2, 4), np.float32)
     truth = Truth(boxes, np.array([1, 0], np.int32), np.array([True, False]))
     assert choices.views_of(Frames("nothing", [], (), None)) == []
-    (view,) = choices.views_of(Frames("one", [rgb], ("bed", "sofa"), [truth]))
-    assert len(view.marks) == 3
-    assert [s.label for s in view.sightings] == ["sofa"]
+    pictures = Frames("two", [rgb, rgb, rgb, rgb], ("bed", "sofa"), [truth] * 4)
+    views = choices.views_of(pictures)
+    assert all(len(view.marks) == 3 for view in views)
+    assert [s.label for s in views[0].sightings] == ["sofa"]
+    assert [view.target for view in views] == ["television", "bed", "sink", "television"]
+
+
+class Corridor:
+    """East and west of the start; a bed in the east."""
+
+    def __init__(self, bed: str = "bed"):
+        box = ((4.0, 0.5, 0.3), (0.4, 0.4, 0.4), 0.0)
+        cells = np.ones((20, 100), np.uint8)
+        cells[5:15] = 0
+        self.plan = FloorPlan(Grid(cells, (-5.0, -1.0), 0.1))
+        self.objects = [WorldObject(1, bed, bed, bed, *box)]
+
+
+@pytest.mark.parametrize(
+    ("yaw_rad", "thing", "expected"),
+    [
+        (0.0, "bed", [False, True, False]),  # ahead; the others end at the walls
+        (np.pi, "bed", [True, False, True]),  # the way ahead leads away
+        (0.0, "lamp", [False] * 3),  # none there
+    ],
+)
+def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing, expected):
+    world, pose = Corridor(thing), SE2(0.0, 0.0, yaw_rad)
+    pictures = Frames("one", [], (), None, world, (pose,))
+    view = View(Observation(0, 0, np.eye(4)), "bed", MARKS)
+    left_m = np.array([choices._left_m(pictures, view)])
+    assert choices.right_of(left_m).tolist() == [expected]
+    blind = Frames("one", [], (), None)
+    assert not choices.right_of(np.array([choices._left_m(blind, view)])).any()
+
+
+def test_the_small_scorer_is_listed_beside_the_detectors_of_its_family(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    told = says(
+        capsys, "bench", "mini-house", "--config", "demo", "--frames", "4", "--providers", "cpu",
+        "--threads", "1", "--json", str(tmp_path / "out.json"),
+    )  # fmt: skip
+    kept = json.loads((tmp_path / "out.json").read_text())
+    assert [row["name"] for row in kept["rows"]] == ["mini-house-256x320-int8-cpu"]
+    (row,) = kept["directions"]
+    assert row["name"] == "mini-house-choice"
+    assert 0.0 < row["ms_p50"] <= row["ms_p95"]
+    assert row["memory_mb"] > 0
+    assert row["of_views"] > 0
+    assert 0.0 <= row["right"] <= 1.0
+    assert told.index("256x320-int8-cpu  cpu") < told.index("mini-house-choice  cpu")
+    assert "at random" in told

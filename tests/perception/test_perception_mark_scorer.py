@@ -6,18 +6,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S, eventually
 from simulated import simulated
 
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
-from edge.config import ChoiceOnnx
+from edge.config import ChoiceOnnx, Perception
 from edge.perception.card_types import MARK_FIELDS, MarksCard
 from edge.perception.cards import load_card_of, verify_model
 from edge.perception.choice import mark_scorer
-from edge.perception.choice.factory import make_choice
-from edge.perception.choice.mark_scorer import MarkScorer, as_input, letterboxed, open_mark_scorer
+from edge.perception.choice.factory import make_choice, open_choice
+from edge.perception.choice.mark_scorer import MarkNetwork, MarkScorer, as_input, letterboxed
 from edge.perception.choice.question import MAX_MARKS, Mark, View
 from edge.perception.model_file import ModelError
+from edge.perception.process.choice import ProcessMarks
 from edge.perception.text import PromptError
 from edge.types import Observation
 
@@ -65,16 +67,15 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
     assert (inner[0, 0] == 0).all()
 
 
-def test_without_marks_the_network_gets_zeros():
-    assert not as_input((), 1.0, 0, 0, HW).any()
+def test_without_marks_there_is_no_row():
+    assert as_input((), 1.0, 0, 0, HW).shape == (0, MARK_FIELDS)
 
 
 def test_marks_are_shares_of_the_letterboxed_image():
     found = as_input((mark(1, -0.5, 239.5, 0.3, 4.0), mark(2, 319.5, 0.0)), 0.5, 8, 0, HW)
-    assert found.shape == (1, MAX_MARKS, MARK_FIELDS)
-    np.testing.assert_allclose(found[0, 0], [0.0, 0.5, 0.3, 4.0, 1.0])
-    np.testing.assert_allclose(found[0, 1, :2], [0.5, 8.25 / 256])
-    assert not found[0, 2:].any()
+    assert found.shape == (2, MARK_FIELDS)
+    np.testing.assert_allclose(found[0], [0.0, 0.5, 0.3, 4.0, 1.0])
+    np.testing.assert_allclose(found[1, :2], [0.5, 8.25 / 256])
 
 
 # -- what is made of its logits -------------------------------------------------------------------
@@ -86,8 +87,10 @@ class FakeSession:
     def __init__(self, directions, scene=0.0) -> None:
         self.directions, self.scene, self.feeds = directions, scene, []
 
-    def run(self, names, feed):
+    def run(self, names, feed, options):
         self.feeds.append(feed)
+        if len(self.feeds) == 1:  # at the start it is asked once
+            return [np.zeros((1, MAX_MARKS + 1), np.float32), np.zeros((1, 1), np.float32)]
         if isinstance(self.directions, Exception):
             raise self.directions
         return [np.array([self.directions], np.float32), np.array([[self.scene]], np.float32)]
@@ -107,19 +110,20 @@ class FakeText:
 def scorer_of(monkeypatch, session, dim: int = 64) -> MarkScorer:
     how = SimpleNamespace(scale=1 / 255, letterbox_pad=114)
     card = SimpleNamespace(
-        name="fake", text_dim=dim, text_encoder="text", preprocess=how,
+        name="fake", text_dim=dim, text_encoder="text", preprocess=how, precision="fp32",
         input=SimpleNamespace(height=HW[0], width=HW[1]),
     )  # fmt: skip
     monkeypatch.setattr(mark_scorer, "verify_model", lambda card, believe_cache: None)
     monkeypatch.setattr(mark_scorer, "open_session", lambda *_: session)
-    return MarkScorer(card, FakeText(), ("CPUExecutionProvider",), 1)
+    network = MarkNetwork(card, FakeText(), ("CPUExecutionProvider",), 1)
+    return MarkScorer(card, network, PATIENCE_S)
 
 
 def test_without_marks_there_is_nothing_to_choose(monkeypatch):
     session = FakeSession([0.0] * (MAX_MARKS + 1))
     scorer = scorer_of(monkeypatch, session)
     assert scorer.answer(scorer.look(view())) is None
-    assert not session.feeds
+    assert len(session.feeds) == 1
 
 
 def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
@@ -132,13 +136,17 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
     assert choice.elsewhere == pytest.approx(0.625)
     assert choice.scene == pytest.approx(0.75)
     np.testing.assert_allclose(choice.value, 0.75 * choice.p)
+    marks = session.feeds[-1]["marks"]
+    assert marks.shape == (1, MAX_MARKS, MARK_FIELDS)
+    assert marks[0, :2, -1].all()
+    assert not marks[0, 2:].any()
 
 
 def test_the_image_is_copied_when_it_is_looked_at(monkeypatch):
     scorer, rgb = scorer_of(monkeypatch, FakeSession([0.0] * 9)), np.zeros((*HW, 3), np.uint8)
     looked = scorer.look(view(mark(1, 1.0), rgb=rgb))
     rgb[:] = 255
-    assert not looked.images.any()
+    assert not looked.image.any()
 
 
 @pytest.mark.parametrize(
@@ -183,12 +191,43 @@ def test_a_card_that_is_none_is_named_with_its_key(card, says):
         make_choice(ChoiceOnnx(card=card), simulated().perception)
 
 
+class Slow(FakeSession):
+    """Runs until it is told to end."""
+
+    def run(self, names, feed, options):
+        if self.feeds:
+            eventually(lambda: options.terminate)
+            raise RuntimeError("terminated")
+        return super().run(names, feed, options)
+
+
+def test_what_takes_longer_than_the_limit_is_broken_off(monkeypatch):
+    scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
+    scorer._limit_s = 0.01
+    with pytest.raises(ModelError, match=r"fake: no answer within 0\.01 s .*time_limit_s"):
+        scorer.answer(scorer.look(view(mark(1, 1.0))))
+
+
+def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
+    scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
+    scorer.close()
+    with pytest.raises(ModelError, match="fake: given up"):
+        scorer.answer(scorer.look(view(mark(1, 1.0))))
+
+
+def test_a_network_that_fails_at_its_first_run_is_refused(monkeypatch):
+    session = FakeSession(RuntimeError("out of memory"))
+    session.feeds.append("of another")
+    with pytest.raises(ModelError, match="fake: out of memory"):
+        scorer_of(monkeypatch, session)
+
+
 # -- the one that is shipped ----------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def shipped() -> MarkScorer:
-    return open_mark_scorer(load_card_of(MarksCard, NAME), ChoiceOnnx(card=NAME, threads=1))
+    return open_choice(ChoiceOnnx(card=NAME, threads=1))
 
 
 def test_the_file_is_that_of_the_card_and_small():
@@ -197,6 +236,40 @@ def test_the_file_is_that_of_the_card_and_small():
     figures = card.measured["held-out houses"]
     assert figures["first_seed"] >= 1000
     assert figures["bytes"] == card.path.stat().st_size
+
+
+def test_an_image_smaller_than_the_networks_cannot_be_demanded():
+    with pytest.raises(ModelError, match=r"max_image_px: 319, but mini-house-choice .* least 320"):
+        open_choice(ChoiceOnnx(card=NAME, max_image_px=319))
+    open_choice(ChoiceOnnx(card=NAME, max_image_px=320)).close()
+
+
+def test_tensorrt_by_itself_is_refused():
+    with pytest.raises(ModelError, match="'tensorrt' alone runs detectors only"):
+        open_choice(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
+
+
+def test_in_a_process_of_its_own_it_says_the_same(shipped):
+    perception = Perception.model_validate(
+        {
+            "isolation": "process",
+            "process": {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S},
+            "detector": {"kind": "onnx"},
+            "choice": {"kind": "onnx", "card": NAME, "threads": 1, "time_limit_s": PATIENCE_S},
+        }
+    )
+    there = make_choice(perception.choice, perception)
+    assert isinstance(there._network, ProcessMarks)
+    rgb = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
+    asked = view(mark(4, 10.0, bearing_rad=0.4), mark(9, 120.0, away_m=5.0), rgb=rgb)
+    theirs, ours = (one.answer(one.look(asked)) for one in (there, shipped))
+    np.testing.assert_array_equal(theirs.p, ours.p)
+    assert (theirs.ids, theirs.scene) == (ours.ids, ours.scene)
+    with pytest.raises(PromptError, match="unicorn"):
+        there.answer(there.look(view(mark(1, 1.0), target="unicorn")))
+    there.close()
+    with pytest.raises(ModelError, match="its process"):
+        there.answer(there.look(asked))
 
 
 def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped):

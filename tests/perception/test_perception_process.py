@@ -25,7 +25,7 @@ from edge.perception.cards import ModelError, card_names
 from edge.perception.detector import Health, log_progress
 from edge.perception.factory import make_detector
 from edge.perception.process import detector as process_detector
-from edge.perception.process import link, wire
+from edge.perception.process import kept, link, wire
 from edge.perception.process.wire import ModelProcessError
 from edge.perception.swap import swapper as swaps
 from edge.perception.text import PromptError
@@ -363,7 +363,7 @@ def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch)
 def outlive(monkeypatch):
     """Stand-in for a process that the kernel cannot end: nobody's SIGKILL reaches it."""
     monkeypatch.setattr(link.subprocess.Popen, "kill", lambda process: None)
-    for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (process_detector, "_CLOSE_S")):
+    for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (kept, "_CLOSE_S")):
         monkeypatch.setattr(module, limit, 0.01)
 
 

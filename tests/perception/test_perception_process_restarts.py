@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.config import ModelProcess
-from edge.perception.process.detector import Pause, Restarts
+from edge.perception.process.kept import Pause, Restarts
 
 CONFIG = ModelProcess(backoff_s=1.0, backoff_max_s=5.0, restarts=4, window_s=60.0)
 

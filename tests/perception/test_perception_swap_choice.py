@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import threading
 
+import numpy as np
 import pytest
 from patience import eventually
 
 from edge.errors import UserError
-from edge.perception.swap.choice import CARD_KEY, ChoiceSwap
+from edge.perception.swap.choice import CARD_KEY, PROBATION, ChoiceSwap
 from edge.perception.swap.swapper import SwapError
 from edge.perception.worker import ScorerWorker
 from edge.types import Observation
 
 
 class Named:
-    """Answers with its name, once `go` is set."""
+    """Answers with its name, once `go` is set, or fails with `error`."""
 
     def __init__(self, name):
         self.name, self.go, self.asked, self.closed = name, threading.Event(), threading.Event(), 0
         self.go.set()
+        self.error = None
 
     def look(self, question):
         return question
@@ -27,6 +29,8 @@ class Named:
     def answer(self, looked):
         self.asked.set()
         self.go.wait()
+        if self.error is not None:
+            raise self.error
         return self.name
 
     def close(self):
@@ -34,7 +38,10 @@ class Named:
 
 
 class Question:
-    observation = Observation(0, 0, None)
+    def __init__(self, rgb=True):
+        self.observation = Observation(
+            0, 0, None, rgb=np.zeros((2, 2, 3), np.uint8) if rgb else None
+        )
 
 
 @pytest.fixture
@@ -57,7 +64,7 @@ def swapping():
         return what
 
     old = Named("old")
-    worker = ScorerWorker("choice", old)
+    worker = ScorerWorker("choice", old, pause_s=0.0)
     swap = ChoiceSwap(worker, make)
     yield swap, worker, old, give
     swap.close()
@@ -75,6 +82,22 @@ def stepped(swap, state):
 def answer(worker):
     worker.submit(Question())
     return eventually(worker.poll)
+
+
+def fail(worker, **question):
+    failed = worker.stats.failed
+    worker.submit(Question(**question))
+    eventually(lambda: worker.stats.failed > failed and worker.idle)
+
+
+def proved(swap, worker, name):
+    """On probation, until it is kept."""
+    stepped(swap, "on probation")
+    for done in range(PROBATION):
+        swap.step()
+        assert swap.status()["progress"] == f"{done} of {PROBATION} answers"
+        assert answer(worker) == name
+    stepped(swap, "kept")
 
 
 def test_nothing_is_asked_for():
@@ -97,8 +120,13 @@ def test_the_old_one_answers_until_the_new_one_is_loaded(swapping):
     swap.step()
     assert answer(worker) == "old"
     new = give("new", Named("new"))
-    stepped(swap, "kept")
+    stepped(swap, "on probation")
     assert "loaded and asked in" in swap.status()["detail"]
+    with pytest.raises(SwapError, match="new is still on probation"):
+        swap.request("other")
+    assert old.closed == 0
+    proved(swap, worker, "new")
+    assert swap.status()["detail"].startswith(f"{PROBATION} answers; loaded and asked in")
     eventually(lambda: old.closed == 1)
     assert answer(worker) == worker.name == worker.counts()["model"] == "new"
     assert new.closed == 0
@@ -113,12 +141,48 @@ def test_who_is_being_asked_is_closed_afterwards(swapping):
     old.asked.wait()
     swap.request("new")
     give("new", Named("new"))
-    stepped(swap, "kept")
+    stepped(swap, "on probation")
     assert worker.uses(old)
+    swap.close()
     assert old.closed == 0
     old.go.set()
     assert eventually(worker.poll) == "old"
     eventually(lambda: old.closed == 1)
+    assert answer(worker) == "new"
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (UserError("prompt: no unicorns"), "prompt: no unicorns; old runs again"),
+        (RuntimeError("no\nluck"), "it fails: RuntimeError: no luck; old runs again"),
+    ],
+)
+def test_what_fails_on_probation_gives_its_place_back(swapping, error, says):
+    swap, worker, old, give = swapping
+    swap.request("new")
+    new = give("new", Named("new"))
+    stepped(swap, "on probation")
+    assert answer(worker) == "new"
+    new.error = error
+    fail(worker)
+    stepped(swap, "rolled back")
+    assert swap.status()["detail"] == says
+    eventually(lambda: new.closed == 1)
+    assert answer(worker) == "old"
+    assert old.closed == 0
+
+
+def test_without_an_image_neither_is_to_blame(swapping):
+    swap, worker, old, give = swapping
+    old.error = RuntimeError("of the old one")
+    swap.request("new")
+    new = give("new", Named("new"))
+    stepped(swap, "on probation")
+    new.error = RuntimeError("no image")
+    fail(worker, rgb=False)
+    new.error = None
+    proved(swap, worker, "new")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +203,7 @@ def test_what_cannot_be_loaded_changes_nothing(swapping, error, says):
     swap.request("new")
     assert swap.status()["number"] == 2
     give("new", Named("new"))
-    stepped(swap, "kept")
+    proved(swap, worker, "new")
 
 
 def test_what_is_loaded_too_late_is_closed(swapping):

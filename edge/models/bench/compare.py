@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import argparse
 import logging
-import pickle
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any, Union
 
 import numpy as np
@@ -17,9 +14,8 @@ import numpy as np
 from edge.config import Config, DetectorOnnx, load
 from edge.errors import UserError
 from edge.host import machine
-from edge.host.children import python_module
-from edge.host.private_folder import private_folder
 from edge.models.bench import boxes, choices, frames, report
+from edge.models.bench.alone import run_alone
 from edge.models.bench.frames import Frames
 from edge.models.bench.measure import Job, Measured
 from edge.models.bench.report import Report
@@ -31,11 +27,12 @@ from edge.perception.model_file import remembered_sha256
 log = logging.getLogger(__name__)
 
 Results = list[tuple[Variant, Union[Measured, str]]]
-MEASURE = python_module("edge.models.bench.measure")
+MEASURE = "edge.models.bench.measure"
 VERSION = 1
 STAGES = ("pre", "session", "post")
 _FRAME_S = 2.0
 """What one frame may take at most, on average."""
+_LIMIT = "perception.swap.load_timeout_s and a bit for each frame"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,21 +42,35 @@ def run(args: argparse.Namespace) -> int:
         UserError: an option, the configuration or the world cannot be used.
     """
     config = load(args.config)
-    if args.family in choices.families():
-        return choices.run(args, config)
-    todo = variants(_family(args.family, config), providers_here(args.providers))
-    if args.images is not None:
-        pictures = frames.from_folder(args.images, args.frames)
-    else:
-        sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
-        pictures = frames.from_world(config, args.frames, sizes)
+    family = _family(args.family, config)
+    chooses = family in choices.families()
+    if chooses and family not in families():
+        if args.update_cards:
+            raise UserError("models bench: --update-cards: cards keep figures of detectors only")
+        return choices.run(args, _pictures(args, config))
+    todo = variants(family, providers_here(args.providers))
+    sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
+    pictures = _pictures(args, config, sizes)
     found = compare(config, todo, pictures, _settings(config, args.threads))
+    found["directions"] = choices.compare(family, args, pictures) if chooses else []
     print(report.as_text(found))
+    if chooses:
+        print("\n" + choices.as_text(family, found["directions"], pictures))
     print(f"kept in {report.keep(found, args.json)}")
     if args.update_cards:
         for path in report.update_cards(found):
             print(f"written to {path}")
-    return 0 if any(row["state"] == "ran" for row in found["rows"]) else 1
+    ran = any(row["state"] == "ran" for row in found["rows"])
+    return 0 if ran or choices.any_ran(found["directions"]) else 1
+
+
+def _pictures(
+    args: argparse.Namespace, config: Config, inputs_hw: Sequence[tuple[int, int]] = ()
+) -> Frames:
+    """Those that the command line asks for; `inputs_hw` as `frames.from_world` takes them."""
+    if args.images is not None:
+        return frames.from_folder(args.images, args.frames)
+    return frames.from_world(config, args.frames, inputs_hw)
 
 
 def _family(asked: str | None, config: Config) -> str:
@@ -87,12 +98,10 @@ class Bench:
     """Runs variants over the same frames.
 
     Attributes:
-        folder: for files that pass between the processes.
         job: but for the model and its providers.
         limit_s: a process that takes longer is ended.
     """
 
-    folder: Path
     job: Job
     limit_s: float
 
@@ -100,29 +109,9 @@ class Bench:
         """What was measured, or in one line why nothing was."""
         if not variant.card.is_here():
             return f"not here: {how_to_get(variant.card)}"
-        job_file, out = self.folder / "job", self.folder / "out"
         asked = {"model": variant.card.name, "providers": PROVIDERS[variant.on]}
         detector = self.job.detector.model_copy(update=asked)
-        job_file.write_bytes(pickle.dumps(replace(self.job, detector=detector)))
-        try:
-            done = subprocess.run(
-                [*MEASURE, str(job_file), str(out)], stdout=subprocess.PIPE, text=True,
-                errors="replace", check=False, timeout=self.limit_s,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            limit = "perception.swap.load_timeout_s and a bit for each frame"
-            return f"failed: not done after {self.limit_s:g} s ({limit})"
-        if done.returncode:
-            return f"failed: {_reason(done)}"
-        return pickle.loads(out.read_bytes())
-
-
-def _reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Why a process ended: its signal, or its last line on stdout."""
-    if done.returncode < 0:
-        return f"its process was ended by signal {-done.returncode}"
-    lines = done.stdout.split("\n")
-    return next(filter(str.strip, reversed(lines)), f"exit code {done.returncode}")
+        return run_alone(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
 
 
 def compare(
@@ -146,10 +135,9 @@ def compare(
     tau_det, perception = config.perception.tau_det, config.perception
     limit_s = perception.swap.load_timeout_s + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
-    with private_folder("edge-bench-") as folder:
-        bench = Bench(folder, Job(settings, prompts, pictures.rgb, tau_det), limit_s)
-        results = _run_all(bench, todo)
-        again = _again(bench, results)
+    bench = Bench(Job(settings, prompts, pictures.rgb, tau_det), limit_s)
+    results = _run_all(bench, todo)
+    again = _again(bench, results)
     return {
         "version": VERSION,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),

@@ -14,7 +14,7 @@ import numpy as np
 from edge import names
 from edge.config import Config
 from edge.errors import UserError
-from edge.geometry import invert
+from edge.geometry import SE2, invert
 from edge.models.bench.boxes import KIND, NAMED, NO, Truth
 from edge.perception import kernels, text
 from edge.sim.base import World, WorldObject, free_poses
@@ -39,12 +39,15 @@ class Frames:
         rgb: (h, w, 3) uint8 each.
         labels: what the things in them are called.
         truth: as many as pictures, or None.
+        world: that they are views of, or None; `poses` are where from.
     """
 
     source: str
     rgb: list[np.ndarray]
     labels: tuple[str, ...]
     truth: list[Truth] | None
+    world: World | None = None
+    poses: tuple[SE2, ...] = ()
 
     @property
     def counted(self) -> int:
@@ -73,12 +76,13 @@ def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]])
     rig = CameraRig(config.model_copy(update={"sensors": sensors}), world)
     labels = tuple(sorted({item.label for item in world.objects}))
     rgb, truth = [], []
-    for pose in free_poses(world, count, SEED, config.robot.radius_m):
+    poses = tuple(free_poses(world, count, SEED, config.robot.radius_m))
+    for pose in poses:
         rig.look(pose)
         rgb.append(rig.rgb.copy())
         T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
         truth.append(_truth(rig, world, labels, T_camera_map, MIN_SIDE_PX * scale))
-    return Frames(f"{world.name}, seed {SEED}", rgb, labels, truth)
+    return Frames(f"{world.name}, seed {SEED}", rgb, labels, truth, world, poses)
 
 
 def _truth(

@@ -1,30 +1,23 @@
-"""One model alone in a process: `python -m edge.models.bench.measure JOB OUT`, both pickled.
-
-Whatever it costs here, in time or memory, is this model's doing; if it crashes, nothing else does.
-"""
+"""What a process of its own measures of a detector (see `alone`)."""
 
 from __future__ import annotations
 
-import pickle
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from edge.config import DetectorOnnx, Perception
-from edge.errors import UserError
 from edge.eval.bench import resident_mb
 from edge.host import machine
-from edge.logs import setup
+from edge.models.bench import alone
 from edge.models.bench.boxes import Found
 from edge.perception.backends.cuda import gpu_of
 from edge.perception.detector import Health
 from edge.perception.factory import make_detector
 from edge.perception.warmup import warmup
-from edge.text import one_line
 from edge.types import Detections, Observation
 
 WARM_FRAMES = 5
@@ -69,21 +62,6 @@ class Measured:
     others_cores: float | None
     invalid_boxes: int
     gpu: str | None
-
-
-def main(argv: list[str]) -> int:
-    """Do what the job says; 0, or 1 with one line on stdout."""
-    setup("error")
-    job, out = map(Path, argv)
-    try:
-        out.write_bytes(pickle.dumps(measure(pickle.loads(job.read_bytes()))))
-    except UserError as error:
-        print(one_line(error, 1000))
-        return 1
-    except Exception as error:  # of the runtime: one row of the table
-        print(one_line(f"{type(error).__name__}: {error}"))
-        return 1
-    return 0
 
 
 def measure(job: Job) -> Measured:
@@ -151,4 +129,4 @@ def _tell(health: Health) -> None:
 if __name__ == "__main__":
     from edge.models.bench import measure as module  # whose types are pickled by this name
 
-    sys.exit(module.main(sys.argv[1:]))
+    sys.exit(alone.main(sys.argv[1:], module.measure))

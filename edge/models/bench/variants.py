@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from edge.errors import UnavailableError, UserError
 from edge.perception.backends.runtime import TENSORRT
-from edge.perception.card_types import DetectCard
+from edge.perception.card_types import DetectCard, DirectionsCard
 from edge.perception.cards import all_cards
 
 PROVIDERS = {
@@ -54,12 +54,13 @@ def variants(family: str, ons: Sequence[str]) -> list[Variant]:
         raise UserError(f"models bench: no detector of family {family!r} (choices: {choices})")
     cards.sort(key=lambda c: (c.input.height * c.input.width, _PRECISIONS.index(c.precision)))
     return [
-        Variant(card, on)
-        for on in PROVIDERS
-        if on in ons
-        for card in cards
-        if on == "cpu" or card.precision not in _CPU_ONLY
+        Variant(card, on) for on in PROVIDERS if on in ons for card in cards if runs_on(card, on)
     ]
+
+
+def runs_on(card: DetectCard | DirectionsCard, on: str) -> bool:
+    """Whether a card is meant for a provider of `PROVIDERS`."""
+    return on == "cpu" or card.precision not in _CPU_ONLY
 
 
 def providers_here(asked: str | None) -> list[str]:

@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from edge.errors import UserError
 from edge.perception.backends import tensorrt
 from edge.perception.backends.engines import EngineOptions, engine_of
@@ -23,6 +25,15 @@ from edge.text import one_line
 TENSORRT = "tensorrt"
 ORT_TENSORRT = "TensorrtExecutionProvider"
 TENSORRT_PROVIDERS = {TENSORRT, ORT_TENSORRT}
+
+DTYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+    "tensor(bool)": np.bool_,
+}
+"""onnxruntime's names of what networks take and make."""
 
 RECIPE = 1
 """Counts what `provider_options` tells TensorRT's builder: one more where that changes."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, Perception
+from edge.config import ChoiceOnnx, ChoiceOpenai, ChoiceText, ModelProcess, Perception
 from edge.perception.card_types import MarksCard
 from edge.perception.cards import load_card
+from edge.perception.choice.mark_scorer import MarkScorer, check_size, open_network
 from edge.perception.choice.question import Choice, View
 from edge.perception.choice.scorer import make_server_choice
 from edge.perception.model_file import ModelError
+from edge.perception.process.choice import ProcessMarks, ProcessModel
 
 
 class ViewScorer(Protocol):
@@ -35,28 +37,39 @@ def make_choice(
     Raises:
         ChatError: the URL or the key of a server cannot be used.
         ModelError: a model or its card is missing or unusable.
+        PromptError: a network for marks has no text encoder.
     """
     if isinstance(choice, ChoiceOnnx):
-        return _make_onnx(choice, perception)
+        isolated = perception.isolation == "process"
+        return open_choice(choice, perception.process if isolated else None)
     return make_server_choice(choice)
 
 
-def _make_onnx(choice: ChoiceOnnx, perception: Perception) -> ViewScorer:
-    """The card's task tells what runs it."""
+def open_choice(choice: ChoiceOnnx, process: ModelProcess | None = None) -> ViewScorer:
+    """The scorer of a card that runs here; the card's task tells what runs it.
+
+    Args:
+        process: rules of a process of its own; None: it runs in this one.
+
+    Raises:
+        ModelError: a model or its card is missing or unusable.
+        PromptError: a network for marks has no text encoder.
+    """
     try:
         card = load_card(choice.card)
     except ModelError as error:
         raise ModelError(f"perception.choice.card: {error}") from None
     if isinstance(card, MarksCard):
-        from edge.perception.choice.mark_scorer import open_mark_scorer
-
-        return open_mark_scorer(card, choice)
+        check_size(card, choice)
+        network = (
+            open_network(card, choice) if process is None else ProcessMarks(card, choice, process)
+        )
+        return MarkScorer(card, network, choice.time_limit_s)
     from edge.perception.choice.onnx_scorer import OnnxChoice, choice_card, open_model
 
-    if perception.isolation == "process":
-        from edge.perception.process.language import ProcessModel
-
-        model = ProcessModel(choice_card(choice), choice, perception.process)
-    else:
-        model = open_model(choice)
+    model = (
+        open_model(choice)
+        if process is None
+        else ProcessModel(choice_card(choice), choice, process)
+    )
     return OnnxChoice(model, choice.max_image_px, choice.time_limit_s)

@@ -7,39 +7,42 @@ to go by numbers sooner than to read.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from edge.config import ChoiceOnnx
-from edge.perception.backends.runtime import failing_as, open_session
+from edge.perception.backends.engines import EngineOptions
+from edge.perception.backends.runtime import TENSORRT, open_session
 from edge.perception.card_types import MARK_FIELDS, MarksCard, TextCard
 from edge.perception.cards import load_card_of, verify_model
+from edge.perception.choice.deadline import FIRST_RUN_S, Deadline
 from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, choice_of
 from edge.perception.encoders import open_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.text import TextEncoder
 
+_KEY = "perception.choice.providers"
 
-class Looked(NamedTuple):
-    """What of a view the network gets.
+
+class Network(Protocol):
+    """What answers; see `MarkNetwork`."""
+
+    name: str
+
+    def ask(
+        self, image: np.ndarray, marks: np.ndarray, target: str, limit_s: float
+    ) -> list[np.ndarray]: ...
+
+    def close(self) -> None: ...
+
+
+class MarkNetwork:
+    """The network of a card, loaded; `ask` is for one thread at a time.
 
     Attributes:
-        images: (1, 3, h, w) float32.
-        marks: (1, MAX_MARKS, MARK_FIELDS) float32; see `MarksCard`.
-    """
-
-    view: View
-    images: np.ndarray
-    marks: np.ndarray
-
-
-class MarkScorer:
-    """A scorer (`edge.perception.worker`) of views.
-
-    Attributes:
-        name: the model's card.
+        name: its card.
     """
 
     def __init__(
@@ -52,18 +55,109 @@ class MarkScorer:
     ) -> None:
         """
         Raises:
-            ModelError: the model is not there, is unusable, or its text encoder's embeddings have
-                another length.
+            ModelError: the model is not there, is unusable, its first run fails, or its text
+                encoder's embeddings have another length.
         """
         if text.dim != card.text_dim:
             raise ModelError(
                 f"model {card.name}: takes text embeddings of length {card.text_dim}, those of "
                 f"{card.text_encoder} have {text.dim}: name another text_encoder"
             )
-        self.name, self._card, self._text = card.name, card, text
+        self.name, self._text = card.name, text
+        self._scale, self._deadline = np.float32(card.preprocess.scale), Deadline(card.name)
+        if TENSORRT in providers:
+            raise ModelError(
+                f"{_KEY}: {TENSORRT!r} alone runs detectors only; name onnxruntime's "
+                "TensorrtExecutionProvider"
+            )
         path = verify_model(card, believe_cache=True)
-        self._session = open_session(path, providers, threads, device_id)
+        engine = EngineOptions(card.name, card.precision)
+        self._session = open_session(path, providers, threads, device_id, engine, _KEY)
         self._rows: dict[str, np.ndarray] = {}
+        blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
+        nowhere = np.zeros((1, card.text_dim), np.float32)
+        self._run(blank, np.ones((1, MARK_FIELDS), np.float32), nowhere, FIRST_RUN_S)
+
+    def ask(
+        self, image: np.ndarray, marks: np.ndarray, target: str, limit_s: float
+    ) -> list[np.ndarray]:
+        """Put both questions about a view.
+
+        Args:
+            image: (h, w, 3) uint8 RGB of the card's size.
+            marks: (n, MARK_FIELDS) float32, from 1 to MAX_MARKS; see `MarksCard`.
+
+        Returns:
+            (n + 1,) float32 of the marks and of "elsewhere" (ViTL eq. 4), and (2,) of yes and no
+            (eq. 5); each sums to 1.
+
+        Raises:
+            PromptError: the text encoder does not know the target.
+            ModelError: it fails, takes too long, or returns what is not finite; one line.
+        """
+        return self._run(image, marks, self._row(target), limit_s)
+
+    def close(self) -> None:
+        """Give up what is being asked; may be called from another thread."""
+        self._deadline.end()
+
+    def _run(
+        self, image: np.ndarray, marks: np.ndarray, row: np.ndarray, limit_s: float
+    ) -> list[np.ndarray]:
+        n, padded = len(marks), np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
+        padded[0, :n] = marks
+        planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
+        planes *= self._scale
+        feed = {"images": planes, "txt_feats": row, "marks": padded}
+        with self._deadline.within(limit_s):
+            options = self._deadline.options
+            directions, scene = self._session.run(["directions", "scene"], feed, options)
+        # Of the marks that are there, and of "elsewhere".
+        logits = np.append(directions[0, :n], directions[0, MAX_MARKS])
+        if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
+            raise ModelError(f"model {self.name}: returns logits that are not finite")
+        return [_shares(logits), _shares(np.array([scene[0, 0], 0.0]))]
+
+    def _row(self, target: str) -> np.ndarray:
+        """(1, dim), encoded once a target."""
+        if target not in self._rows:
+            self._rows[target] = self._text.embed([target])[0]
+        return self._rows[target]
+
+
+def _shares(logits: np.ndarray) -> np.ndarray:
+    """Softmax, (n,) float32."""
+    p = np.exp(logits.astype(np.float64) - logits.max())
+    return (p / p.sum()).astype(np.float32)
+
+
+class Looked(NamedTuple):
+    """What of a view the network gets.
+
+    Attributes:
+        image: (h, w, 3) uint8, letterboxed.
+        marks: (n, MARK_FIELDS) float32; see `MarksCard`.
+    """
+
+    view: View
+    image: np.ndarray
+    marks: np.ndarray
+
+
+class MarkScorer:
+    """A scorer (`edge.perception.worker`) of views.
+
+    Attributes:
+        name: the model's card.
+    """
+
+    def __init__(self, card: MarksCard, network: Network, limit_s: float) -> None:
+        """
+        Args:
+            limit_s: for both questions.
+        """
+        self.name, self._card = card.name, card
+        self._network, self._limit_s = network, limit_s
 
     def look(self, view: View) -> Looked:
         """Prepare what the network gets; the observation is not needed afterwards.
@@ -74,11 +168,11 @@ class MarkScorer:
         rgb = view.observation.rgb
         if rgb is None:
             raise ModelError(f"observation {view.observation.seq}: no image to show {self.name}")
-        how, hw = self._card.preprocess, (self._card.input.height, self._card.input.width)
-        image, scale, top, left = letterboxed(rgb, hw, how.letterbox_pad)
-        planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
-        planes *= np.float32(how.scale)
-        return Looked(view, planes, as_input(view.marks[:MAX_MARKS], scale, top, left, hw))
+        hw = (self._card.input.height, self._card.input.width)
+        image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
+        if image is rgb:
+            image = rgb.copy()
+        return Looked(view, image, as_input(view.marks[:MAX_MARKS], scale, top, left, hw))
 
     def answer(self, looked: Looked) -> Choice | None:
         """Both answers at once.
@@ -88,33 +182,17 @@ class MarkScorer:
 
         Raises:
             PromptError: the text encoder does not know the target.
-            ModelError: the network fails, or what it says is not finite.
+            ModelError: the network gave no usable answer within the time limit; one line.
         """
-        view, marks = looked.view, looked.view.marks[:MAX_MARKS]
-        if not marks:
+        view, image, rows = looked
+        if not len(rows):
             return None
-        feed = {
-            "images": looked.images, "txt_feats": self._row(view.target), "marks": looked.marks,
-        }  # fmt: skip
-        with failing_as(f"model {self.name}: it fails"):
-            directions, scene = self._session.run(["directions", "scene"], feed)
-        # Of the marks that are there, and of "elsewhere".
-        logits = np.append(directions[0, : len(marks)], directions[0, MAX_MARKS]).astype(np.float64)
-        if not (np.isfinite(logits).all() and np.isfinite(scene).all()):
-            raise ModelError(f"model {self.name}: returns logits that are not finite")
-        p = np.exp(logits - logits.max())
-        p /= p.sum()
-        promising = float(1.0 / (1.0 + np.exp(-np.float64(scene[0, 0]))))
-        return choice_of(view, marks, p, promising)
-
-    def _row(self, target: str) -> np.ndarray:
-        """(1, dim), encoded once a target."""
-        if target not in self._rows:
-            self._rows[target] = self._text.embed([target])[0]
-        return self._rows[target]
+        p, scene = self._network.ask(image, rows, view.target, self._limit_s)
+        return choice_of(view, view.marks[: len(rows)], p, float(scene[0]))
 
     def close(self) -> None:
-        """Nothing to give up: an answer takes milliseconds."""
+        """Give up what is being asked; may be called from another thread."""
+        self._network.close()
 
 
 def letterboxed(
@@ -137,21 +215,31 @@ def letterboxed(
 def as_input(
     marks: Sequence[Mark], scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
-    """Marks as the network takes them, (1, MAX_MARKS, MARK_FIELDS) float32; see `MarksCard`."""
-    out = np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
-    for row, mark in zip(out[0], marks, strict=False):
+    """Marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
+    out = np.zeros((len(marks), MARK_FIELDS), np.float32)
+    for row, mark in zip(out, marks, strict=True):
         u = ((mark.u_px + 0.5) * scale + left) / hw[1]
         v = ((mark.v_px + 0.5) * scale + top) / hw[0]
         row[:] = u, v, mark.bearing_rad, mark.distance_m, 1.0
     return out
 
 
-def open_mark_scorer(card: MarksCard, config: ChoiceOnnx) -> MarkScorer:
-    """The scorer of a card.
+def open_network(card: MarksCard, config: ChoiceOnnx) -> MarkNetwork:
+    """The network of a card, ready to be asked.
 
     Raises:
         ModelError: a model is missing or unusable.
         PromptError: there is no text encoder.
     """
     text = open_text_encoder(load_card_of(TextCard, card.text_encoder), None)
-    return MarkScorer(card, text, config.providers, config.threads, config.device_id)
+    return MarkNetwork(card, text, config.providers, config.threads, config.device_id)
+
+
+def check_size(card: MarksCard, config: ChoiceOnnx) -> None:
+    """Raise ModelError where `max_image_px` forbids the image that the network takes."""
+    longer = max(card.input.height, card.input.width)
+    if longer > config.max_image_px:
+        raise ModelError(
+            f"perception.choice.max_image_px: {config.max_image_px}, but {card.name} is shown "
+            f"images of {card.input.width}x{card.input.height}: at least {longer}"
+        )

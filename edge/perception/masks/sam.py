@@ -26,7 +26,7 @@ import numpy as np
 
 from edge import config
 from edge.perception.backends.engines import EngineOptions
-from edge.perception.backends.runtime import TENSORRT, failing_as, open_session
+from edge.perception.backends.runtime import DTYPES, TENSORRT, failing_as, open_session
 from edge.perception.card_types import SegmentCard
 from edge.perception.cards import ModelError, load_card_of, verify_model
 from edge.perception.masks.segmenter import Deadline, rasterise
@@ -36,8 +36,6 @@ from edge.types import MASK_SIDE
 _KEY = "perception.segmenter.providers"
 _BOX_LABELS = np.array([[2.0, 3.0]], np.float32)
 """SAM's labels of a box's upper left and lower right corner."""
-DTYPES = {"tensor(float)": np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
-"""onnxruntime's names of what a mask decoder takes."""
 
 
 class SamSegmenter:

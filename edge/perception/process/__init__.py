@@ -16,10 +16,11 @@ The protocol of a detector, between the service (`detector.py`, `link.py`) and t
     {id} or {id, error, text}. What counts is what the next request on `images` says.
  6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One
     request is under way at a time: who does not answer it within `timeout_s`, or answers nonsense,
-    is killed. A process that ended is started again by the rules of `detector.Restarts`.
+    is killed. A process that ended is started again by the rules of `kept.Restarts`.
  7. The process ends with SIGTERM, and the kernel ends it (PR_SET_PDEATHSIG) with its parent.
 
-A language model that chooses directions (`language.py`, `serve_language.py`) is asked on `images`
-{seq, hw, rules, view, asked, limit_s}, where hw is null for a view in words, and answers
-{seq, p}. There is nothing to be asked on its `control`; it gives way to whatever else runs.
+A model that chooses directions (`choice.py`, `serve_choice.py`) is asked on `images`: a language
+model {seq, hw, rules, view, asked, limit_s}, where hw is null for a view in words, a network for
+marks {seq, hw, marks, target, limit_s}; it answers {seq, p}. There is nothing to be asked on its
+`control`; it gives way to whatever else runs.
 """

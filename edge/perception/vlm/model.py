@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.perception.backends.runtime import open_session
+from edge.perception.backends.runtime import DTYPES, open_session
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import verify_parts
 from edge.perception.choice.answers import shares, spellings
+from edge.perception.choice.deadline import FIRST_RUN_S, Deadline
 from edge.perception.model_file import ModelError
-from edge.perception.vlm.decoder import DTYPES, Deadline, Decoder, Past
+from edge.perception.vlm.decoder import Decoder, Past
 from edge.perception.vlm.files import common_prefix, read_files, vocabulary
 from edge.perception.vlm.pictures import make_prepare, positions
 from edge.perception.vlm.prompt import Prompter
 
 PROVIDERS_KEY = "perception.choice.providers"
-FIRST_RUN_S = 600.0
 _BLANK_PX = 64
 
 

@@ -17,7 +17,7 @@ from edge.perception.choice.factory import make_choice
 from edge.perception.choice.onnx_scorer import asked_of, open_model
 from edge.perception.choice.question import SYSTEM
 from edge.perception.model_file import ModelError
-from edge.perception.process.language import ProcessModel, _decode
+from edge.perception.process.choice import ProcessModel, _decode
 
 RULES = ModelProcess(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S, backoff_s=0.01)
 ASKED = asked_of(2, "lamp")

@@ -1,0 +1,27 @@
+"""What the governor costs each tick."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "loop")]
+from test_governor import Bench
+
+from edge.loop import governor
+
+
+def test_governor_step(benchmark, monkeypatch):
+    """A new image before each step; a tenth of the steps look back on a second."""
+    benchmark.extra_info["budget"] = "governor_step"
+    monkeypatch.setattr(governor, "_check_here", lambda name: None)
+    bench = Bench()
+
+    def see() -> tuple[tuple, dict]:
+        bench.see()
+        return (bench.now_ns,), {}
+
+    benchmark.pedantic(bench.governor.step, setup=see, rounds=600, warmup_rounds=60)
+    assert bench.governor.status()["state"] == "steady"
+    assert bench.reads > 0
+    bench.close()

@@ -1,0 +1,45 @@
+"""What a detector on a server costs here: the call, without what the server computes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from edge import config
+from edge.perception.card_types import DetectCard, Server
+from edge.perception.cards import load_card_of
+from edge.perception.onnx_detector import OnnxDetector
+from edge.perception.remote.detector import RemoteDetector
+from edge.types import Observation
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from kserve_server import KServe, serving
+
+CARD = "mini-house-256x320-int8-cpu"
+ANCHORS = 1680
+
+
+def nothing(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    n = feed["txt_feats"].shape[1]
+    boxes, scores = (np.zeros((1, ANCHORS, width), np.float32) for width in (4, n))
+    return {"boxes": boxes, "scores": scores}
+
+
+def test_detect_on_a_server(benchmark, against, monkeypatch):
+    """In processor time of the thread that asks, against the same network here, on one thread."""
+    benchmark.extra_info["budget"] = "detect_on_a_server"
+    rgb = np.random.default_rng(0).integers(0, 256, (256, 320, 3), np.uint8)
+    seen = Observation(0, 1, np.eye(4), rgb=rgb)
+    settings = config.DetectorOnnx(model=CARD, threads=1)
+    here = OnnxDetector(settings, ["bed"])
+    with serving(KServe(nothing)) as server:
+        told = Server(url=server.url, model="m", time_limit_s=60)
+        card = load_card_of(DetectCard, CARD).model_copy(update={"server": told, "file": None})
+        monkeypatch.setattr("edge.perception.onnx_detector.load_detector_card", lambda name: card)
+        there = RemoteDetector(settings, card, ("bed",))
+        benchmark.pedantic(there.detect, (seen,), rounds=100, warmup_rounds=10)
+        assert there.health().state == "ok"
+        there.close()
+    against(lambda: here.detect(seen))
