@@ -88,7 +88,7 @@ def _object(number: int, thing: Thing) -> SceneObject:
 
 
 def _contours(things: tuple[Thing, ...], T_map_camera: np.ndarray) -> dict[int, list[np.ndarray]]:
-    """A square in pixels around where each thing's middle is seen."""
+    """A square in pixels, 2 m wide, around where each thing's middle is seen."""
     found = {}
     for k, thing in enumerate(things, 1):
         ray = T_map_camera[:3, :3].T @ ((thing.x_m, thing.y_m, 0.75) - T_map_camera[:3, 3])
@@ -96,7 +96,7 @@ def _contours(things: tuple[Thing, ...], T_map_camera: np.ndarray) -> dict[int, 
             continue
         u = CAMERA.cx_px + CAMERA.fx_px * ray[0] / ray[2]
         v = CAMERA.cy_px + CAMERA.fy_px * ray[1] / ray[2]
-        half = CAMERA.fx_px * 0.5 / math.hypot(*ray)
+        half = CAMERA.fx_px / math.hypot(*ray)
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
         found[k] = [((u, v) + half * corners).astype(np.int32)]
     return found

@@ -116,13 +116,13 @@ def picture(scene: Scene) -> bytes | None:
 
 
 def _number(bgr: np.ndarray, number: int, outline: np.ndarray) -> None:
-    """Draws an object's number on a plate in the middle of its outline, inside the picture."""
+    """Draws an object's number on a plate above its outline, inside the picture."""
     font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1
     (w, h), _ = cv2.getTextSize(str(number), font, size, thick)
     height, width = bgr.shape[:2]
-    x, y = outline.mean(axis=0)
-    left = int(np.clip(x - w / 2, 2, max(width - w - 2, 2)))
-    bottom = int(np.clip(y + h / 2, h + 2, max(height - 3, h + 2)))
+    (x0, y0), (x1, _) = outline.min(axis=0), outline.max(axis=0)
+    left = int(np.clip((x0 + x1 - w) / 2, 2, max(width - w - 2, 2)))
+    bottom = int(np.clip(y0 - 5, h + 2, max(height - 3, h + 2)))
     cv2.rectangle(bgr, (left - 2, bottom - h - 2), (left + w + 2, bottom + 3), (0, 0, 0), -1)
     cv2.putText(bgr, str(number), (left, bottom), font, size, _colour(number), thick, cv2.LINE_AA)
 

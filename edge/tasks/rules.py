@@ -164,9 +164,12 @@ def _step(reader: Reader, scene: Scene, before: Sequence[Step]) -> Step:
             return Step("straight", distance_m=_metres(reader))
         case "to" | "at":
             return Step("to", (_thing(reader, scene, before),))
-    return Step("beside", (_thing(reader, scene, before),), relation.kind.removesuffix(" of"))
+    return Step(
+        "beside", (_thing(reader, scene, before),), _SIDE_OF.get(relation.kind, relation.kind)
+    )
 
 
+_SIDE_OF = {"left of": "left", "right of": "right"}
 _RELATIONS = (
     "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
     "straight",
@@ -198,9 +201,10 @@ def _two(reader: Reader, scene: Scene, before: Sequence[Step]) -> tuple[SceneObj
 
 def _metres(reader: Reader) -> float:
     reader.skip("for")
+    start = reader.peek()
     token = reader.take("number")
     if token is None or not reader.take("metres"):
-        reader.refuse("say how far, as 'straight for 5 metres'", token)
+        reader.refuse("say how far, as 'straight for 5 metres'", start)
     return float(token.text)
 
 
@@ -259,12 +263,18 @@ def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject
     """The things whose kind the longest possible end of some words names; the words that are left
     before it stay in `words`, as they describe."""
     for begin in range(len(words)):
-        name = " ".join(token.text for token in words[begin:])
-        kinds = [t for t in scene.objects.values() if names.is_kind_of(t.label, name)]
-        if kinds:
+        if kinds := _of_kind(scene, words[begin:]):
             del words[begin:]
             return kinds
-    reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[-1])
+    for end in range(len(words) - 1, 0, -1):
+        if any(_of_kind(scene, words[begin:end]) for begin in range(end)):
+            reader.refuse(f"no word that is known after {words[end - 1].text!r}", words[end])
+    reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[0])
+
+
+def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
+    name = " ".join(token.text for token in words)
+    return _kept(list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name))
 
 
 def _described(

@@ -63,7 +63,7 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
         "datetime": _EPOCH, "timezone": "utc", "sleep": "zero", "random_start": {"seed": 0},
     }  # fmt: skip
     deadline_s = time.monotonic() + 2.0 * limits.time_s
-    called = {name: _guarded(f, deadline_s) for name, f in functions.table().items()}
+    called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
     try:
         with (
             monty.Monty(max_processes=1, request_timeout=limits.time_s + _GRACE_S) as pool,
@@ -80,9 +80,9 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
     return Outcome(text, error)
 
 
-def _guarded(function: Callable[..., Any], deadline_s: float) -> Callable[..., Any]:
+def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Callable[..., Any]:
     """The function as a script calls it: in time, with arguments that it has."""
-    name, parameters = function.__name__, signature(function)
+    parameters = signature(function)
 
     def call(*args: Any, **kwargs: Any) -> Any:
         if time.monotonic() > deadline_s:
