@@ -10,8 +10,8 @@ import numpy as np
 
 from edge.tasks.scene import Scene
 from edge.trajectory.astar import Plan, Workspace, nearest_open, plan
-from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
-from edge.trajectory.smoothing import smooth
+from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
+from edge.trajectory.smoothing import line_is_free, smooth
 
 ESCAPE_M = 0.6
 """A robot that stands closer to something than it may drive begins at the nearest cell so near."""
@@ -27,11 +27,13 @@ class Ground:
 
     Attributes:
         costmap: closed cells have weight 0; costs grow towards obstacles.
+        unoccupied: closed where something is, and nowhere else.
         reachable: (h, w) bool, the cells of the scene's grids: open, and connected with the robot.
     """
 
     scene: Scene
     costmap: CostMap
+    unoccupied: CostMap
     reachable: np.ndarray
     _costmaps: dict[frozenset[int], CostMap] = field(default_factory=dict)
     _workspace: Workspace = field(default_factory=Workspace)
@@ -40,6 +42,10 @@ class Ground:
         """Whether the robot can be there, and get there."""
         cell = self.scene.occupancy.cell_of(x_m, y_m)
         return cell is not None and bool(self.reachable[cell])
+
+    def sees(self, a_m: tuple[float, float], b_m: tuple[float, float]) -> bool:
+        """Whether a straight line between two points meets nothing that is occupied."""
+        return line_is_free(self.unoccupied, a_m, b_m)
 
     def region_at(self, x_m: float, y_m: float) -> int:
         """The id of the drivable region at a point; 0 where there is none."""
@@ -111,7 +117,9 @@ def ground_of(scene: Scene, clearance_m: float) -> Ground:
     known = np.where((occupancy.cells < 0) & (regions.cells > 0), np.int8(0), occupancy.cells)
     grid = replace(occupancy, cells=known)
     costmap = from_occupancy(grid, clearance_m=clearance_m, unknown_cost=None)
-    return Ground(scene, costmap, _reachable(costmap, scene.pose.x_m, scene.pose.y_m))
+    unoccupied = from_weights(replace(grid, cells=(known < OCCUPIED).astype(np.uint8)))
+    reachable = _reachable(costmap, scene.pose.x_m, scene.pose.y_m)
+    return Ground(scene, costmap, unoccupied, reachable)
 
 
 def _reachable(costmap: CostMap, x_m: float, y_m: float) -> np.ndarray:

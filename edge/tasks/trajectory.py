@@ -83,7 +83,8 @@ def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
     """See that a trajectory may be refined and driven.
 
     Each point is finite, in the map, reachable and clear of what is occupied; the first follows
-    the robot's place, and each other the one before it, within `max_jump_m`. Where the robot
+    the robot's place, and each other the one before it, within `max_jump_m` and with nothing
+    occupied in between. Where the robot
     stands already, within `ESCAPE_M`, it may be closer to something than it may drive.
 
     Raises:
@@ -104,13 +105,18 @@ def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
         )
     way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
     steps_m = np.hypot(*np.diff(way, axis=0).T)
-    if (farthest := int(np.argmax(steps_m > limits.max_jump_m))) or steps_m[0] > limits.max_jump_m:
-        where = _place(coarse.segments, farthest)
-        behind = "the point before it" if farthest else "the robot"
-        raise TrajectoryError(
-            f"{where} is {steps_m[farthest]:.1f} m from {behind}, at most {limits.max_jump_m:g} m "
-            "are allowed; join them with a_star_plan or line"
-        )
+    for k, (step_m, a, b) in enumerate(zip(steps_m, way[:-1], way[1:], strict=True)):
+        before = "the point before it" if k else "the robot"
+        if step_m > limits.max_jump_m:
+            raise TrajectoryError(
+                f"{_place(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
+                f"{limits.max_jump_m:g} m are allowed; join them with a_star_plan or line"
+            )
+        if not ground.sees(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
+            raise TrajectoryError(
+                f"something is in between {_place(coarse.segments, k)} and {before}; join them "
+                "with a_star_plan"
+            )
     if (length_m := float(steps_m.sum())) > limits.max_length_m:
         raise TrajectoryError(
             f"the trajectory is {length_m:.0f} m long, at most {limits.max_length_m:g} m are "

@@ -20,7 +20,8 @@ from edge.tasks.script import run
 from edge.tasks.trajectory import Coarse
 from edge.text import one_line
 
-_BLOCK = re.compile(r"```(?:python|py)?[ \t]*\n(.*?)(?:\n```|\Z)", re.DOTALL | re.IGNORECASE)
+_BLOCK = re.compile(r"```[ \t]*(\w*)[ \t]*\n(.*?)(?:^[ \t]*```|\Z)", re.DOTALL | re.MULTILINE)
+_LANGUAGES = ("", "py", "python", "python3")
 _THOUGHTS = re.compile(r"\A\s*<think>.*?</think>", re.DOTALL)
 _REFUSED = re.compile(r"^\W*REFUSED\b\W*(.*)", re.MULTILINE)
 _KEPT_CHARS = 20_000  # of a wrong answer, in the conversation
@@ -159,12 +160,13 @@ def script_in(answer: str) -> str:
     'print(1)'
     """
     blocks = _BLOCK.findall(_THOUGHTS.sub("", answer))
-    return blocks[-1].strip() if blocks else ""
+    scripts = [code for language, code in blocks if language.lower() in _LANGUAGES]
+    return scripts[-1].strip() if scripts else ""
 
 
 def _repair(last: Round) -> list[dict[str, Any]]:
     """The messages that send an error back, and what was printed."""
-    printed = f"It printed:\n{last.printed}\n" if last.printed else ""
+    printed = f"It printed:\n{last.printed.strip()}\n" if last.printed else ""
     wanted = f"{printed}No trajectory yet: {last.error}. Write the whole corrected script."
     return [
         {"role": "assistant", "content": last.answer[:_KEPT_CHARS] or "..."},

@@ -78,7 +78,6 @@ REACH_THE_HOST = {
     "unpickle": "import pickle\npickle.loads(b'cos\\nsystem\\n(S\"touch @mark\"\\ntR.')",
     "break in": "breakpoint()",
     "ask who watches": "print(input('password: '))",
-    "read the caption's code": "exec(det_object('sign')[0]['caption'])",
 }
 TAKE_EVERYTHING = {
     "loop for ever": "while True: pass",
@@ -115,6 +114,8 @@ MOVE_THE_ROBOT = {
     "out of the map": "give_trajectory(line((0, 0), (-30, 0)))",
     "through the van": "give_trajectory(line((0, 0), (13, 0)))",
     "a leap over the van": "give_trajectory([(0, 0), (13, 0)])",
+    "round the van by leaps": "give_trajectory([(0, 0), (2, 0), (4, 0), (5.5, 0), (5.5, 1.5), "
+    "(7.4, 1.5), (8.4, -1.5)])",
     "a leap to begin with": "give_trajectory([(-10, 0), (-11, 0)])",
     "a leap between segments": "give_trajectory([[(0, 0)], [(-9, 0)]])",
     "up into the air": "give_trajectory([(0, 0, 0), (1, 0, 1e6)])",
