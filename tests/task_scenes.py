@@ -18,13 +18,15 @@ CAMERA = CameraModel.from_hfov(320, 200, 1.6)
 
 @dataclass(frozen=True)
 class Thing:
-    """A box on the ground: its label, its middle, its length and width, and what is said of it."""
+    """A box on the ground: its label, its middle, its length and width, what is said of it, and
+    whether the scene tells where one gets nearest to it."""
 
     label: str
     x_m: float
     y_m: float
     size_m: tuple[float, float] = (2.0, 1.0)
     caption: str = ""
+    nearest: bool = True
 
 
 STREET = (
@@ -80,10 +82,10 @@ def street(
 
 def _object(number: int, thing: Thing) -> SceneObject:
     length, width = thing.size_m
-    near = (thing.x_m - length / 2 - 1.0, thing.y_m)
+    near = {ROAD: (thing.x_m - length / 2 - 1.0, thing.y_m)} if thing.nearest else {}
     return SceneObject(
         number, thing.label, thing.caption, np.array([thing.x_m, thing.y_m, 0.75]),
-        np.array([length, width, 1.5]), 0.0, np.empty((0, 3), np.float32), {ROAD: near},
+        np.array([length, width, 1.5]), 0.0, np.empty((0, 3), np.float32), near,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2
 from edge.mission.language.words import Reader, Token
-from edge.tasks.functions import BESIDE_M, CallError, Functions, Point, beside
+from edge.tasks.functions import BESIDE_M, SIDES_RAD, CallError, Functions, Point, beside
 from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.trajectory import TrajectoryError
@@ -43,6 +43,8 @@ REACH_M = 5.0
 """Who is told to go to a thing must get so near to its outline."""
 SNAP_M = 1.0
 """How far a point of a way may be moved to where the robot can be."""
+OUTLINE_CELLS = 1.5
+"""How far the map may have a thing beyond its outline."""
 BEYOND_RAD = math.radians(45)
 """A thing is past when it is so far behind the side that the robot passes it on."""
 
@@ -74,7 +76,7 @@ class Step:
             case "past" | "around" if self.side:
                 return f"{self.kind} the {self.side} of {called}"
             case "beside":
-                return f"{self.side}{' of' if self.side in ('left', 'right') else ''} {called}"
+                return f"{self.side}{_OF.get(self.side, '')} {called}"
         return f"{self.kind} {called}".strip()
 
 
@@ -169,6 +171,8 @@ def _step(reader: Reader, scene: Scene, before: Sequence[Step]) -> Step:
     )
 
 
+_ALL_ROUND_RAD = tuple(math.radians(15) * k for k in range(24))
+_OF = {"left": " of", "right": " of"}
 _SIDE_OF = {"left of": "left", "right of": "right"}
 _RELATIONS = (
     "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
@@ -325,10 +329,12 @@ def _segment(
         case "to":
             points = [_nearest_to(step.things[0], functions)]
         case "beside":
-            wanted = functions.offset(step.things[0].id, step.side, BESIDE_M, at)
-            points = [_snapped(wanted, functions)]
+            points = [_beside(step.things[0], step.side, at, functions)]
         case "between":
-            points = [_snapped(_middle(*step.things), functions)]
+            middle = functions.ground.nearest(*_middle(*step.things), within_m=SNAP_M)
+            if middle is None:
+                raise CallError(f"{step} is no room for the robot")
+            points = [middle]
         case _:
             return [_round(step, following, at, functions)]
     return [_through(at, points, functions)]
@@ -365,9 +371,7 @@ def _beside_points(
         end = _centre(following.things[0])
     arc = functions.arc(thing.id, at, end, side, BESIDE_M)
     looking_rad = functions.heading(at, _centre(thing))
-    points = [_snapped(abeam, functions)]
-    if not _is_on(points[0], at, looking_rad, side):
-        raise CallError(f"the robot cannot be on the {side} of {_called(thing)}")
+    points = [_beside(thing, side, at, functions)]
     k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
     for point in arc[k + 1 :]:
         angle_rad = functions.heading(_centre(thing), point)
@@ -375,7 +379,7 @@ def _beside_points(
         if step.kind == "past" and behind_rad < math.pi / 2 - BEYOND_RAD - 1e-6:
             break
         snapped = functions.ground.nearest(*point, within_m=SNAP_M)
-        if snapped is not None:
+        if snapped is not None and _faces(thing, snapped, functions):
             points.append(snapped)
     return points
 
@@ -389,29 +393,48 @@ def _through(at: Point, points: Sequence[Point], functions: Functions) -> list[P
 
 
 def _nearest_to(thing: SceneObject, functions: Functions) -> Point:
-    """Where the robot gets nearest to a thing: on drivable ground, where that is near enough."""
-    centre = _centre(thing)
-    known = [at for at in thing.nearest_m.values() if functions.ground.is_free(*at)]
-    found = min(known, key=lambda at: math.dist(at, centre)) if known else None
-    if found is None:
-        found = functions.nearest_reachable(centre)
+    """Where the robot gets nearest to a thing: on drivable ground as the scene tells it, else round
+    its outline; where nothing is in between, if there is such a place."""
+    ground, centre = functions.ground, _centre(thing)
+    known = [at for at in thing.nearest_m.values() if ground.is_free(*at)]
+    if not known:
+        ring = (beside(thing, angle_rad, 0.0) for angle_rad in _ALL_ROUND_RAD)
+        known = [at for near in ring if (at := ground.nearest(*near, within_m=REACH_M))]
+    if not known:
+        raise CallError(f"the robot gets no nearer to {_called(thing)} than {REACH_M:g} m")
+    facing = [at for at in known if _faces(thing, at, functions)]
+    found = min(facing or known, key=lambda at: math.dist(at, centre))
     gap_m = math.dist(found, beside(thing, functions.heading(centre, found), 0.0))
     if gap_m > REACH_M:
         raise CallError(f"the robot gets no nearer to {_called(thing)} than {gap_m:.1f} m")
     return found
 
 
-def _snapped(wanted: Point, functions: Functions) -> Point:
-    found = functions.ground.nearest(*wanted, within_m=SNAP_M)
-    if found is None:
-        x, y = wanted
-        raise CallError(f"the robot cannot be within {SNAP_M:g} m of ({x:.1f}, {y:.1f})")
-    return found
+def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Functions) -> Point:
+    """Where the robot can be on a side of a thing, with nothing in between: at `BESIDE_M` from it,
+    or nearer."""
+    looking_rad = functions.heading(seen_from, _centre(thing))
+    for distance_m in (BESIDE_M, 0.6 * BESIDE_M, 0.3 * BESIDE_M):
+        wanted = functions.offset(thing.id, side, distance_m, seen_from)
+        found = functions.ground.nearest(*wanted, within_m=SNAP_M)
+        if found is not None and _faces(thing, found, functions):
+            away = SE2(*_centre(thing), looking_rad + SIDES_RAD[side])
+            if abs(away.bearing_to(*found)) < math.pi / 2:
+                return found
+    raise CallError(f"there is no room for the robot {side}{_OF.get(side, '')} {_called(thing)}")
 
 
-def _is_on(point: Point, seen_from: Point, looking_rad: float, side: str) -> bool:
-    left = SE2(*seen_from, looking_rad).bearing_to(*point) > 0
-    return left == (side == "left")
+def _faces(thing: SceneObject, at: Point, functions: Functions) -> bool:
+    """Whether nothing stands between a point and a thing's outline."""
+    margin_m = OUTLINE_CELLS * functions.ground.scene.occupancy.resolution_m
+    centre = np.array(_centre(thing))
+    c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
+    along, across = np.array([[c, s], [-s, c]]) @ (at - centre)
+    half_m = 0.5 * thing.size_m[:2] + margin_m
+    boxes = max(abs(along) / half_m[0], abs(across) / half_m[1])  # 1 on the outline
+    if boxes <= 1.0:
+        return True
+    return functions.ground.sees(at, tuple(centre + (at - centre) / boxes))
 
 
 def _middle(a: SceneObject, b: SceneObject) -> Point:

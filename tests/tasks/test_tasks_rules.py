@@ -170,9 +170,21 @@ def test_without_a_side_the_shorter_way_is_taken(y_m, sign):
 
 def test_a_side_that_is_closed_is_refused():
     scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=((3.0, 13.0, 1.0, 9.0),))
-    with pytest.raises(TrajectoryError, match=r"^'drive past the left of the van': the robot"):
+    with pytest.raises(TrajectoryError, match=r"no room for the robot left of van 1$"):
         driven("drive past the left of the van", scene)
     assert driven("drive past the right of the van", scene)[0] == "past the right of van 1"
+
+
+def test_the_other_side_of_a_wall_is_not_beside_a_thing():
+    """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
+    sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
+    table = Thing("table", 8.0, 1.4, (3.0, 1.0))
+    scene = street(sofa, table, walls=((4.0, 12.0, 3.0, 3.6),))
+    ground = ground_of(scene, LIMITS.clearance_m)
+    assert ground.nearest(8.0, 2.5)[1] > 3.6
+    assert driven("go to the sofa", scene)[1].points_m[:, 1].max() < 3.0
+    with pytest.raises(TrajectoryError, match="no room for the robot left of sofa 1"):
+        driven("drive past the left of the sofa", scene)
 
 
 def test_a_thing_that_cannot_be_got_near_to_is_refused():
