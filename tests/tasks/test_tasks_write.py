@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from chat_server import completion, saying, send, serving
+from chat_server import completion, recorded, saying, send, serving
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
@@ -100,6 +101,37 @@ def test_an_answer_becomes_a_trajectory():
     assert (written.prompt, written.understood) == (version(), "")
     assert written.coarse.regions == (1,)
     assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
+
+
+RECORDED = json.loads((Path(__file__).parents[1] / "data" / "task_answers.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("instruction", "rounds", "end"),
+    [
+        ("go to the red car on your right", 2, (3.5, -5.0)),
+        ("I want to leave the yard", 1, (14.8, 2.0)),
+        ("drive once round the van", 2, (5.0, 0.0)),
+    ],
+)
+def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
+    """The kinds of OpenNav IV-A: ambiguous, high-level, and a shape of the way; the first answers
+    to two of them have a fault that goes back."""
+    with serving(recorded(RECORDED)) as server:
+        written = write(instruction, SCENE, by_model(server))
+    assert len(written.rounds) == rounds
+    assert written.coarse.points_m[-1].tolist() == pytest.approx(end, abs=1e-6)
+    check(written.coarse, written.ground, TrajectoryLimits())
+
+
+def test_a_recorded_refusal_is_one():
+    with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
+        write("swim across the river", SCENE, by_model(server))
+
+
+def test_what_was_not_recorded_is_not_answered():
+    with serving(recorded(RECORDED)) as server, pytest.raises(ChatError, match="HTTP 404"):
+        write("fly", SCENE, by_model(server))
 
 
 def test_the_words_alone_are_sent_where_that_is_asked_for():
