@@ -68,6 +68,7 @@ TABLE = {
     tuple(phrase.split()): kind for kind, listed in PHRASES.items() for phrase in listed.split("|")
 }
 LONGEST = max(map(len, TABLE))
+MOST_DIGITS = 9
 
 _TOKEN = re.compile(
     r"""(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
@@ -101,6 +102,8 @@ def tokenise(text: str) -> list[Token]:
             tokens.append(Token("ordinal", str(ORDINALS.index(word) + 1), start, end))
         elif word in NUMBERS:
             tokens.append(Token("number", str(NUMBERS.index(word)), start, end))
+        elif kind in ("ordinal", "number") and len(word) > MOST_DIGITS:
+            tokens.append(Token("mark", word, start, end))
         elif kind == "ordinal":
             tokens.append(Token("ordinal", word[:-2], start, end))
         else:

@@ -173,7 +173,9 @@ def _step(reader: Reader, scene: Scene, before: Sequence[Step]) -> Step:
 
 _ALL_ROUND_RAD = tuple(math.radians(15) * k for k in range(24))
 _OF = {"left": " of", "right": " of"}
-_SIDE_OF = {"left of": "left", "right of": "right"}
+_SIDE_OF = {
+    "left of": "left", "its left": "left", "right of": "right", "its right": "right",
+}  # fmt: skip
 _RELATIONS = (
     "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
     "straight",
@@ -185,7 +187,7 @@ def _passing(reader: Reader, scene: Scene, before: Sequence[Step], kind: Kind) -
     side = reader.take("left of", "right of")
     thing = _thing(reader, scene, before)
     side = side or reader.take("its left", "its right")
-    return Step(kind, (thing,), "left" if side and "left" in side.kind else "right" if side else "")
+    return Step(kind, (thing,), _SIDE_OF[side.kind] if side else "")
 
 
 def _two(reader: Reader, scene: Scene, before: Sequence[Step]) -> tuple[SceneObject, ...]:
