@@ -17,7 +17,7 @@ from urllib.parse import SplitResult
 
 import httpx
 
-from edge.config import TranslatorLlm
+from edge.config import TranslatorLlm, WriterModel
 from edge.errors import UnavailableError
 from edge.host.http import Exchange, GivenUpError, Reply, explanation, failure
 from edge.text import one_line, split_url
@@ -256,7 +256,7 @@ def _reason(error: Exception, limit_s: float) -> str:
     raise error
 
 
-def client_of(config: TranslatorLlm) -> ChatClient:
+def client_of(config: TranslatorLlm | WriterModel) -> ChatClient:
     """The client that a configuration describes; the key comes from the environment.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -67,6 +67,23 @@ def saying(*answers: str) -> Behaviour:
     return behave
 
 
+def recorded(answers: Mapping[str, Sequence[str]]) -> Behaviour:
+    """Answers that were recorded, by an instruction: the first that the conversation holds. As many
+    as the model has given in it already are passed over; the last one goes on for ever."""
+
+    def behave(handler: BaseHTTPRequestHandler) -> None:
+        messages = handler.asked["messages"]
+        asked = json.dumps([m["content"] for m in messages if m["role"] == "user"])
+        known = [given for instruction, given in answers.items() if instruction in asked]
+        if not known:
+            send(handler, b'{"error": "nothing was recorded for this"}', 404)
+            return
+        said = sum(message["role"] == "assistant" for message in messages)
+        send(handler, completion(known[0][min(said, len(known[0]) - 1)]))
+
+    return behave
+
+
 @contextlib.contextmanager
 def serving(behave: Behaviour) -> Iterator[ChatServer]:
     """Runs a server that behaves so, on a free port of this machine."""
@@ -77,7 +94,8 @@ def serving(behave: Behaviour) -> Iterator[ChatServer]:
 
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
-            server.requests.append((self.path, dict(self.headers), json.loads(body)))
+            self.asked = json.loads(body)
+            server.requests.append((self.path, dict(self.headers), self.asked))
             with contextlib.suppress(ConnectionError):
                 behave(self)
 

@@ -21,6 +21,7 @@ LAYERS = (
     ("bus", "chat"),
     ("mapping", "perception", "trajectory"),
     ("motion", "policies", "mission"),
+    ("tasks",),
     ("loop",),
     ("recording",),
     ("sources", "sinks", "report", "ros2_adapter", "fleet"),

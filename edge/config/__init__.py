@@ -47,6 +47,7 @@ from edge.config.root import Config, load, parse
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor
+from edge.config.tasks import ScriptLimits, Tasks, TrajectoryLimits, WriterModel, WriterRules
 from edge.errors import ConfigError
 
 __all__ = [
@@ -83,6 +84,7 @@ __all__ = [
     "Report",
     "Robot",
     "Ros2",
+    "ScriptLimits",
     "Section",
     "SegmenterGrabcut",
     "SegmenterNone",
@@ -91,6 +93,8 @@ __all__ = [
     "Sim",
     "Source",
     "Swap",
+    "Tasks",
+    "TrajectoryLimits",
     "TranslatorGrammar",
     "TranslatorLlm",
     "TranslatorLtl",
@@ -98,6 +102,8 @@ __all__ = [
     "WorldHouse",
     "WorldMesh",
     "WorldProcthor",
+    "WriterModel",
+    "WriterRules",
     "Zenoh",
     "load",
     "parse",

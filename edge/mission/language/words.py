@@ -127,11 +127,15 @@ def _phrase_at(words: Sequence[Token], i: int) -> int:
 
 
 class Reader:
-    """A cursor on an instruction's tokens."""
+    """A cursor on an instruction's tokens.
 
-    def __init__(self, text: str) -> None:
+    Args:
+        tokens: of another lexicon than the mission's.
+    """
+
+    def __init__(self, text: str, tokens: list[Token] | None = None) -> None:
         self.text = text
-        self.tokens = tokenise(text)
+        self.tokens = tokenise(text) if tokens is None else tokens
         self.at = 0
 
     def peek(self, ahead: int = 0) -> Token:

@@ -1,0 +1,64 @@
+"""Tasks in free language: who writes trajectories, within which limits (OpenNav III-A)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Union
+
+from pydantic import Field
+
+from edge.config.section import NonNegative, Positive, Section
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class ScriptLimits(Section):
+    """What a model's script may take. `time_s` is of computing; after twice that no call of it is
+    answered. `max_calls` counts calls of the functions, and each name that is looked up for one; of
+    what it prints, `max_printed_chars` go back to the model."""
+
+    time_s: Positive = 2.0
+    max_memory_mb: Annotated[float, Field(ge=1)] = 64.0
+    max_recursion: Count = 200
+    max_calls: Count = 200
+    max_chars: Count = 20_000
+    max_printed_chars: Count = 4_000
+
+
+class TrajectoryLimits(Section):
+    """What a trajectory has to keep to before anything moves. Two points are at most `max_jump_m`
+    apart, and each is so far from what is occupied as `clearance_m` says; `max_speed_mps` is what
+    may be asked for at most, whatever the robot can do."""
+
+    clearance_m: NonNegative = 0.3
+    max_jump_m: Positive = 2.0
+    max_length_m: Positive = 500.0
+    max_points: Count = 5_000
+    max_segments: Count = 50
+    max_speed_mps: Positive = 2.0
+
+
+class WriterRules(Section):
+    """Offline: what a small grammar understands, see `edge.tasks.rules`."""
+
+    kind: Literal["rules"] = "rules"
+
+
+class WriterModel(Section):
+    """A multimodal model on any OpenAI-compatible server writes a script; what is wrong with it
+    goes back, `rounds` times in all (OpenNav algorithm 1). `time_limit_s` is for all of them.
+    Without `picture` the model gets the words alone, as LLM-TG does."""
+
+    kind: Literal["model"] = "model"
+    url: str = "http://127.0.0.1:8080/v1"
+    model: str = "default"
+    api_key_env: str = "OPENAI_API_KEY"
+    picture: bool = True
+    rounds: Annotated[int, Field(ge=1, le=20)] = 4
+    time_limit_s: Positive = 120.0
+    max_answer_kb: Positive = 256.0
+
+
+class Tasks(Section):
+    planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
+    script: ScriptLimits = ScriptLimits()
+    trajectory: TrajectoryLimits = TrajectoryLimits()

@@ -1,0 +1,256 @@
+"""What a writer of trajectories may call: the only things that a script reaches (OpenNav III-A1).
+
+Every argument is taken as if an attacker had chosen it, and everything given back is plain numbers,
+texts, lists and dictionaries of the caller's own.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.config import TrajectoryLimits
+from edge.geometry import SE2, wrap_angle
+from edge.tasks.ground import Ground, footprint_m
+from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point, shown
+from edge.text import one_line
+
+MOST_CAPTION_CHARS = 200
+MOST_SHOWN = 10
+MOST_PATH_POINTS = 1000
+BESIDE_M = 1.0
+"""How far from a thing's outline one passes it, where nothing is said."""
+SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
+"""Where the sides of a thing are, seen from its middle, against the direction that one looks."""
+_TURNS = {"left": -1.0, "right": 1.0}
+_ARC_STEP_RAD = math.radians(15)
+_NEAR_STEP_M = 0.5
+_FARTHEST_BESIDE_M = 50.0
+
+Point = tuple[float, float]
+
+
+class CallError(TrajectoryError, ValueError):
+    """A call that cannot be answered; inside a script it is a ValueError."""
+
+
+@dataclass(slots=True, eq=False)
+class Functions:
+    """The functions over one scene, and what was handed over through them.
+
+    Attributes:
+        given: the trajectory, once `give_trajectory` had one that may be driven.
+        seen: what `visual_3d` was asked to show, (n, 2 or 3) float64 each.
+    """
+
+    ground: Ground
+    limits: TrajectoryLimits
+    given: Coarse | None = None
+    seen: list[np.ndarray] = field(default_factory=list)
+
+    def table(self) -> dict[str, Callable[..., Any]]:
+        """By the name that a script calls them."""
+        return {name: getattr(self, name) for name in NAMES}
+
+    def det_object(self, name: Any = None) -> list[dict[str, Any]]:
+        """Objects that a name or a kind of thing is said of, the nearest first; None: all."""
+        found = list(self._scene.objects.values())
+        if name is not None:
+            if not isinstance(name, str) or not names.is_name(name):
+                raise CallError(f"det_object: expected the name of a thing, got {shown(name)}")
+            found = [thing for thing in found if names.is_kind_of(thing.label, name)]
+        found.sort(key=lambda thing: self._scene.pose.distance_to(*thing.position_m[:2]))
+        return [described(thing) for thing in found]
+
+    def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
+        """The cheapest way over open ground; the end may be off it by half a metre."""
+        start_m, end_m = self._point(start, "start"), self._point(end, "end")
+        chosen = self._regions(regions)
+        goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
+        if goal_m is None:
+            raise CallError(f"a_star_plan: the end {_text(end_m)} cannot be reached")
+        found = self.ground.plan(start_m, goal_m, chosen, 0.5 * self.limits.max_jump_m)
+        if not found.ok:
+            raise CallError(f"a_star_plan: no way from {_text(start_m)} to {_text(end_m)}: "
+                            f"{found.reason}")  # fmt: skip
+        if len(found.path_m) > MOST_PATH_POINTS:
+            raise CallError(f"a_star_plan: the way has more than {MOST_PATH_POINTS} points")
+        return _points(found.path_m)
+
+    def visual_3d(self, points: Any) -> None:
+        """Show a trajectory beside the scene; it stays one that is only shown."""
+        if len(self.seen) == MOST_SHOWN:
+            raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown already")
+        self.seen += coarse_of(points, (), None, self.limits).segments
+
+    def give_trajectory(self, segments: Any, regions: Any = (), speed_mps: Any = None) -> None:
+        """Hand over the trajectory; it is checked at once."""
+        if self.given is not None:
+            raise CallError("give_trajectory: a trajectory was given already; give one")
+        coarse = coarse_of(segments, regions, speed_mps, self.limits)
+        check(coarse, self.ground, self.limits)
+        self.given = coarse
+
+    def robot(self) -> dict[str, Any]:
+        """Where the robot stands."""
+        pose = self._scene.pose
+        return {"position": (pose.x_m, pose.y_m), "heading_rad": pose.yaw_rad}
+
+    def is_free(self, at: Any) -> bool:
+        """Whether the robot can be there, and get there."""
+        return self.ground.is_free(*self._point(at, "at"))
+
+    def nearest_reachable(self, at: Any, region: Any = None) -> Point:
+        """The reachable point nearest to another."""
+        at_m = self._point(at, "at")
+        wanted = None if region is None else next(iter(self._regions([region])))
+        found = self.ground.nearest(*at_m, region=wanted)
+        if found is None:
+            raise CallError("nearest_reachable: the robot cannot get anywhere there")
+        return found
+
+    def region_at(self, at: Any) -> int:
+        """The id of the drivable region there; 0: none."""
+        return self.ground.region_at(*self._point(at, "at"))
+
+    def distance(self, a: Any, b: Any) -> float:
+        """Metres between two points."""
+        return math.dist(self._point(a, "a"), self._point(b, "b"))
+
+    def heading(self, a: Any, b: Any) -> float:
+        """The direction from one point to another in radians, counter-clockwise from x."""
+        (ax, ay), (bx, by) = self._point(a, "a"), self._point(b, "b")
+        return math.atan2(by - ay, bx - ax)
+
+    def line(self, a: Any, b: Any) -> list[Point]:
+        """A straight line, its points near enough to each other for a trajectory."""
+        ends = np.array([self._point(a, "a"), self._point(b, "b")])
+        steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
+        if steps > MOST_PATH_POINTS:
+            raise CallError(f"line: it needs more than {MOST_PATH_POINTS} points")
+        fractions = np.linspace(0.0, 1.0, max(steps, 1) + 1)[:, None]
+        return _points(ends[0] + fractions * (ends[1] - ends[0]))
+
+    def offset(
+        self, id: Any, side: Any, distance_m: Any = BESIDE_M, seen_from: Any = None
+    ) -> Point:
+        """The point so far from a thing's outline, on a side as seen from a point (the robot)."""
+        thing = self._object(id)
+        if not isinstance(side, str) or side not in SIDES_RAD:
+            raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
+        angle_rad = self._looking(thing, seen_from) + SIDES_RAD[side]
+        return beside(thing, angle_rad, self._beside_m(distance_m))
+
+    def arc(
+        self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = BESIDE_M
+    ) -> list[Point]:
+        """Round a thing from near one point to near another, past the side that is seen from the
+        first; all round where they are in the same direction."""
+        thing = self._object(id)
+        if not isinstance(side, str) or side not in _TURNS:
+            raise CallError(f"arc: side: expected {_choices(_TURNS)}, got {shown(side)}")
+        begin_rad, end_rad = (
+            wrap_angle(self._looking(thing, p) + math.pi)
+            for p in (self._point(start, "start"), self._point(end, "end"))
+        )
+        turn = _TURNS[side]
+        sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
+        steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
+        angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
+        distance_m = self._beside_m(distance_m)
+        return [beside(thing, angle_rad, distance_m) for angle_rad in angles_rad.tolist()]
+
+    @property
+    def _scene(self) -> Scene:
+        return self.ground.scene
+
+    def _object(self, id: Any) -> SceneObject:
+        if type(id) is not int or id not in self._scene.objects:
+            raise CallError(f"there is no such object; there are {_choices(self._scene.objects)}")
+        return self._scene.objects[id]
+
+    def _regions(self, regions: Any) -> frozenset[int]:
+        known = self._scene.regions
+        if not isinstance(regions, (list, tuple)) or len(regions) > 255:
+            raise CallError(f"regions: expected a list of ids, got {shown(regions)}")
+        for region in regions:
+            if type(region) is not int or region not in known:
+                raise CallError(f"there is no such region; there are {_choices(known)}")
+        return frozenset(regions)
+
+    def _point(self, value: Any, name: str) -> Point:
+        x_m, y_m = point(value, name)[:2]
+        return x_m, y_m
+
+    def _looking(self, thing: SceneObject, seen_from: Any) -> float:
+        """The direction in which one looks at a thing."""
+        pose = self._scene.pose
+        from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
+        return self.heading(from_m, tuple(thing.position_m[:2].tolist()))
+
+    def _beside_m(self, distance_m: Any) -> float:
+        distance_m = number(distance_m, "distance_m", _FARTHEST_BESIDE_M)
+        if distance_m < 0:
+            raise CallError("distance_m: it is below 0")
+        return distance_m
+
+
+NAMES = (
+    "det_object", "a_star_plan", "visual_3d", "give_trajectory", "robot", "is_free",
+    "nearest_reachable", "region_at", "distance", "heading", "line", "offset", "arc",
+)  # fmt: skip
+
+
+def signature(function: Callable[..., Any]) -> inspect.Signature:
+    """A function's parameters and what they are by default, as scripts and prompts have them.
+
+    >>> signature(Functions.region_at)
+    <Signature (self, at)>
+    """
+    full = inspect.signature(function)
+    parameters = [p.replace(annotation=p.empty) for p in full.parameters.values()]
+    return full.replace(parameters=parameters, return_annotation=full.empty)
+
+
+def described(thing: SceneObject) -> dict[str, Any]:
+    """A thing as scripts and prompts have it (OpenNav III-A2: caption, position, size, NRP)."""
+    return {
+        "id": thing.id,
+        "label": one_line(thing.label, MOST_CAPTION_CHARS),
+        "caption": one_line(thing.caption, MOST_CAPTION_CHARS),
+        "position": _rounded(thing.position_m),
+        "size": _rounded(thing.size_m),
+        "heading_rad": round(float(thing.heading_rad), 3),
+        "nearest_reachable": {region: _rounded(at) for region, at in thing.nearest_m.items()},
+    }
+
+
+def beside(thing: SceneObject, angle_rad: float, distance_m: float) -> Point:
+    """The point in a direction from a thing's middle that is at least so far from its outline, and
+    lies on the line that touches the outline so far away."""
+    reach_m = footprint_m(0.5 * thing.size_m[:2], thing.heading_rad, angle_rad) + distance_m
+    x, y = thing.position_m[:2].tolist()
+    return SE2(x, y, angle_rad).ahead(reach_m)
+
+
+def _points(xy_m: np.ndarray) -> list[Point]:
+    return [(x, y) for x, y in xy_m.tolist()]
+
+
+def _rounded(values: Any) -> tuple[float, ...]:
+    return tuple(round(float(value), 2) for value in values)
+
+
+def _text(at_m: Point) -> str:
+    return f"({at_m[0]:.2f}, {at_m[1]:.2f})"
+
+
+def _choices(values: Any) -> str:
+    return ", ".join(map(str, values)) or "none"

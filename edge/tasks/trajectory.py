@@ -1,0 +1,224 @@
+"""Coarse trajectories, and what has to hold before anything moves along one (OpenNav III-A3).
+
+Whoever wrote it is not trusted: a model that was misled by a sign, or one that errs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from edge.config import TrajectoryLimits
+from edge.errors import UserError
+from edge.geometry import FARTHEST_M
+from edge.tasks.ground import ESCAPE_M, Ground
+from edge.text import one_line
+
+MOST_HEIGHT_M = 1000.0
+_SHOWN = 40
+
+
+class TrajectoryError(UserError):
+    """A trajectory that must not be driven; the message is for whoever wrote it as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coarse:
+    """A trajectory as it is meant, before it is refined.
+
+    Attributes:
+        segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each goes on from the one before.
+        regions: ids of the drivable regions that it is to keep to; empty: any.
+        speed_mps: what was asked for; None: as the robot is used to.
+    """
+
+    segments: tuple[np.ndarray, ...]
+    regions: tuple[int, ...] = ()
+    speed_mps: float | None = None
+
+    @property
+    def points_m(self) -> np.ndarray:
+        """(n, 2) float64, all of it in a row."""
+        return np.concatenate([np.empty((0, 2)), *(points[:, :2] for points in self.segments)])
+
+
+def coarse_of(segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits) -> Coarse:
+    """A trajectory out of what a script hands over, which may be anything.
+
+    Args:
+        segments: lists of points, or one such list.
+
+    Raises:
+        TrajectoryError: it is none.
+    """
+    segments = _items(segments, "segments", limits.max_points)
+    if segments and _is_point(segments[0]):
+        segments = [segments]
+    if not 1 <= len(segments) <= limits.max_segments:
+        raise TrajectoryError(
+            f"the trajectory has {len(segments)} segments; give 1 to {limits.max_segments}"
+        )
+    rows = [_items(points, f"segment {k}", limits.max_points) for k, points in _counted(segments)]
+    total = sum(map(len, rows))
+    if not all(rows) or total > limits.max_points:
+        empty = next((k for k, points in _counted(rows) if not points), None)
+        what = f"segment {empty} is empty" if empty else f"the trajectory has {total} points"
+        raise TrajectoryError(f"{what}; give 1 to {limits.max_points} points")
+    arrays = tuple(_segment(points, k) for k, points in _counted(rows))
+    chosen = _items(() if regions is None else regions, "regions", 255)
+    for region in chosen:
+        if type(region) is not int or not 0 < region <= 255:
+            raise TrajectoryError(f"regions: expected ids of regions, got {shown(region)}")
+    if speed_mps is not None:
+        speed_mps = number(speed_mps, "speed_mps")
+    return Coarse(arrays, tuple(dict.fromkeys(chosen)), speed_mps)
+
+
+def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:
+    """See that a trajectory may be refined and driven.
+
+    Each point is finite, in the map, reachable and clear of what is occupied; the first follows
+    the robot's place, and each other the one before it, within `max_jump_m` and with nothing
+    occupied in between. Where the robot
+    stands already, within `ESCAPE_M`, it may be closer to something than it may drive.
+
+    Raises:
+        TrajectoryError: it may not; one line that names the first point that is wrong.
+    """
+    scene = ground.scene
+    if not coarse.segments or not all(map(len, coarse.segments)):
+        raise TrajectoryError("the trajectory has no points")
+    for k, points in _counted(coarse.segments):
+        _check_points(points, k, ground)
+    if unknown := [region for region in coarse.regions if region not in scene.regions]:
+        there = ", ".join(map(str, scene.regions)) or "none"
+        raise TrajectoryError(f"there is no region {unknown[0]} (there: {there})")
+    speed_mps = coarse.speed_mps
+    if speed_mps is not None and not 0 < speed_mps <= limits.max_speed_mps:  # NaN as well
+        raise TrajectoryError(
+            f"a speed of {speed_mps:g} m/s is not above 0 and at most {limits.max_speed_mps:g} m/s"
+        )
+    way = np.vstack([(scene.pose.x_m, scene.pose.y_m), coarse.points_m])
+    steps_m = np.hypot(*np.diff(way, axis=0).T)
+    for k, (step_m, a, b) in enumerate(zip(steps_m, way[:-1], way[1:], strict=True)):
+        before = "the point before it" if k else "the robot"
+        if step_m > limits.max_jump_m:
+            raise TrajectoryError(
+                f"{_place(coarse.segments, k)} is {step_m:.1f} m from {before}, at most "
+                f"{limits.max_jump_m:g} m are allowed; join them with a_star_plan or line"
+            )
+        if not ground.sees(tuple(a), tuple(b)) and math.dist(b, way[0]) > ESCAPE_M:
+            raise TrajectoryError(
+                f"something is in between {_place(coarse.segments, k)} and {before}; join them "
+                "with a_star_plan"
+            )
+    if (length_m := float(steps_m.sum())) > limits.max_length_m:
+        raise TrajectoryError(
+            f"the trajectory is {length_m:.0f} m long, at most {limits.max_length_m:g} m are "
+            "allowed"
+        )
+
+
+def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
+    """A finite number out of what a script gave, as a float.
+
+    Raises:
+        TrajectoryError: it is none, or larger than `largest`.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
+    if not abs(value) <= largest:  # false for NaN; holds for whole numbers of any length
+        what = f"{value:g}" if isinstance(value, float) else "a whole number"
+        raise TrajectoryError(f"{name}: {what} is not within {largest:g}")
+    return float(value)
+
+
+def point(value: Any, name: str) -> tuple[float, ...]:
+    """A point (x, y) or (x, y, z) in `map` out of what a script gave, in metres.
+
+    Raises:
+        TrajectoryError: it is none.
+    """
+    if not _is_point(value):
+        raise TrajectoryError(f"{name}: expected a point (x, y), got {shown(value)}")
+    limits = (FARTHEST_M, FARTHEST_M, MOST_HEIGHT_M)
+    axes = zip(value, "xyz", limits, strict=False)
+    return tuple(number(v, f"{name}: {axis}", largest) for v, axis, largest in axes)
+
+
+def _check_points(points: np.ndarray, segment: int, ground: Ground) -> None:
+    scene, occupancy = ground.scene, ground.scene.occupancy
+    for i, (x, y, *z) in _counted(points.tolist()):
+        where = f"point {i} of segment {segment}, ({x:g}, {y:g})"
+        if not all(map(math.isfinite, (x, y, *z))):
+            raise TrajectoryError(f"{where}, is not finite")
+        cell = occupancy.cell_of(x, y)
+        if cell is None or any(abs(height_m) > MOST_HEIGHT_M for height_m in z):
+            x0, x1, y0, y1 = occupancy.extent_m
+            raise TrajectoryError(
+                f"{where}, is outside the map (x {x0:g} to {x1:g}, y {y0:g} to {y1:g})"
+            )
+        robots = scene.pose.distance_to(x, y) <= ESCAPE_M and occupancy.cells[cell] <= 0
+        if not (robots or ground.reachable[cell]):
+            raise TrajectoryError(f"{where}, {_why_not(ground, cell)}{_instead(ground, x, y)}")
+
+
+def _why_not(ground: Ground, cell: tuple[int, int]) -> str:
+    if ground.costmap.grid.cells[cell]:
+        return "cannot be reached from where the robot is"
+    occupied = ground.scene.occupancy.cells[cell]
+    if occupied < 0 and not ground.scene.regions_grid.cells[cell]:
+        return "was never seen to be free"
+    return "is occupied" if occupied > 0 else "is too close to what is occupied"
+
+
+def _instead(ground: Ground, x_m: float, y_m: float) -> str:
+    nearest = ground.nearest(x_m, y_m)
+    if nearest is None:
+        return ""
+    return f"; the nearest reachable point is ({nearest[0]:.2f}, {nearest[1]:.2f})"
+
+
+def _place(segments: Sequence[np.ndarray], index: int) -> str:
+    """What the point of that index over all segments is called."""
+    named = chain.from_iterable(
+        (f"point {i} of segment {k}" for i, _ in _counted(points))
+        for k, points in _counted(segments)
+    )
+    return list(named)[index]
+
+
+def _segment(points: list[Any], segment: int) -> np.ndarray:
+    rows = [point(value, f"point {i} of segment {segment}") for i, value in _counted(points)]
+    if len(set(map(len, rows))) > 1:
+        raise TrajectoryError(f"segment {segment} mixes points (x, y) with points (x, y, z)")
+    return np.array(rows, np.float64)
+
+
+def _is_point(value: Any) -> bool:
+    numbers = isinstance(value, (list, tuple)) and len(value) in (2, 3)
+    return numbers and all(isinstance(v, (int, float)) for v in value)
+
+
+def _items(value: Any, name: str, most: int) -> list[Any]:
+    if not isinstance(value, (list, tuple)):
+        raise TrajectoryError(f"{name}: expected a list, got {shown(value)}")
+    if len(value) > most:
+        raise TrajectoryError(f"{name}: {len(value)} entries, at most {most} are allowed")
+    return list(value)
+
+
+def shown(value: Any) -> str:
+    """What a value from a script is, in a few words: it may be of any size and depth."""
+    if isinstance(value, str):
+        return repr(one_line(value, _SHOWN))
+    return str(value) if isinstance(value, (float, bool)) or value is None else type(value).__name__
+
+
+def _counted(values: Any) -> Any:
+    return enumerate(values, 1)

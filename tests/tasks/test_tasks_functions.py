@@ -1,0 +1,186 @@
+"""What a script may call: right answers, and one line for what is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from task_scenes import LAWN, ROAD, STREET, Thing, street
+
+from edge.config import TrajectoryLimits
+from edge.geometry import wrap_angle
+from edge.tasks.functions import MOST_SHOWN, NAMES, CallError, Functions, beside, signature
+from edge.tasks.ground import ground_of
+from edge.tasks.trajectory import TrajectoryError
+
+LIMITS = TrajectoryLimits()
+GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
+COORDINATE = st.floats(-15.0, 15.0)
+
+
+@pytest.fixture
+def functions():
+    return Functions(GROUND, LIMITS)
+
+
+def test_a_scene_without_things_has_none():
+    functions = Functions(ground_of(street(), LIMITS.clearance_m), LIMITS)
+    assert functions.det_object() == functions.det_object("car") == []
+    assert functions.robot() == {"position": (0.0, 0.0), "heading_rad": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "ids"),
+    [
+        (None, [2, 4, 1, 3, 5]),
+        ("car", [2, 4, 3]),
+        ("the cars", [2, 4, 3]),
+        ("automobile", [2, 4, 3]),
+        ("elephant", []),
+    ],
+)
+def test_things_are_found_by_name_the_nearest_first(functions, name, ids):
+    assert [thing["id"] for thing in functions.det_object(name)] == ids
+
+
+def test_a_thing_is_told_in_plain_values(functions):
+    (van,) = functions.det_object("van")
+    assert van == {
+        "id": 1, "label": "van", "caption": "white van, ahead", "position": (8.0, 0.0, 0.75),
+        "size": (4.0, 2.0, 1.5), "heading_rad": 0.0, "nearest_reachable": {ROAD: (5.0, 0.0)},
+    }  # fmt: skip
+    assert all(type(value) is float for value in (*van["position"], van["heading_rad"]))
+
+
+def test_a_caption_is_one_printable_line():
+    thing = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
+    (sign,) = Functions(ground_of(street(thing), 0.3), LIMITS).det_object()
+    assert sign["caption"].isprintable()
+    assert len(sign["caption"]) == 200
+
+
+def test_a_way_avoids_what_is_in_between(functions):
+    way = functions.a_star_plan((0.0, 0.0), (13.0, 0.0))
+    assert (way[0], way[-1]) == ((0.0, 0.0), (13.0, 0.0))
+    assert all(functions.is_free(at) for at in way)
+    steps_m = np.hypot(*np.diff(np.array(way), axis=0).T)
+    assert steps_m.max() <= LIMITS.max_jump_m
+    functions.give_trajectory([way], [ROAD], 1.0)
+    assert functions.given.speed_mps == 1.0
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f.det_object(3), "det_object: expected the name of a thing, got int"),
+        (lambda f: f.det_object("\x00"), "det_object: expected the name"),
+        (lambda f: f.a_star_plan((0, 0), (8, 0)), r"the end \(8.00, 0.00\) cannot be reached"),
+        (lambda f: f.a_star_plan((99, 0), (0, 0)), "no way from .*: start outside the map"),
+        (lambda f: f.a_star_plan((0, 0), (99, 0)), "the end .* cannot be reached"),
+        (lambda f: f.a_star_plan((0, 0), (1, 0), [9]), "there is no such region; there are 1, 2"),
+        (lambda f: f.a_star_plan((0, 0), (1, 0), 1), "regions: expected a list of ids, got int"),
+        (lambda f: f.a_star_plan(None, (1, 0)), r"start: expected a point \(x, y\), got None"),
+        (lambda f: f.is_free((math.nan, 0)), "at: x: nan is not within"),
+        (lambda f: f.is_free((10**999, 0)), "at: x: a whole number is not within"),
+        (lambda f: f.region_at("here"), "at: expected a point"),
+        (lambda f: f.nearest_reachable((0, 0), 9), "there is no such region"),
+        (lambda f: f.distance((0, 0), {}), "b: expected a point"),
+        (lambda f: f.line((0, 0), (1e6, 0)), "line: it needs more than 1000 points"),
+        (lambda f: f.offset(9, "left"), "there is no such object; there are 1, 2, 3, 4, 5"),
+        (lambda f: f.offset(True, "left"), "there is no such object"),
+        (lambda f: f.offset(10**5000, "left"), "there is no such object"),
+        (lambda f: f.offset([1], "left"), "there is no such object"),
+        (lambda f: f.offset(1, "top"), "offset: side: expected behind, left, right, in front of"),
+        (lambda f: f.offset(1, []), "offset: side: expected .*, got list"),
+        (lambda f: f.offset(1, "left", -1), "distance_m: it is below 0"),
+        (lambda f: f.offset(1, "left", 1e9), "distance_m: .* is not within 50"),
+        (lambda f: f.arc(1, (0, 0), (1, 0), "behind"), "arc: side: expected left, right, got"),
+        (lambda f: f.visual_3d([[]]), "segment 1 is empty"),
+        (lambda f: f.give_trajectory([(9e9, 0)]), "point 1 of segment 1: x: 9e"),
+        (lambda f: f.give_trajectory([(8, 0)]), "point 1 of segment 1, .*, is occupied"),
+    ],
+)  # fmt: skip
+def test_calls_that_cannot_be_answered(functions, call, message):
+    with pytest.raises(TrajectoryError, match=message) as raised:
+        call(functions)
+    assert "\n" not in str(raised.value)
+    assert functions.given is None
+
+
+def test_one_trajectory_is_given(functions):
+    functions.give_trajectory([(0, 0), (1, 0)])
+    with pytest.raises(CallError, match="given already"):
+        functions.give_trajectory([(0, 0)])
+    assert functions.given.points_m.tolist() == [[0, 0], [1, 0]]
+
+
+def test_what_is_shown_is_not_given(functions):
+    for _ in range(MOST_SHOWN):
+        functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
+    with pytest.raises(CallError, match="10 trajectories are shown already"):
+        functions.visual_3d([(0, 0)])
+    assert functions.given is None
+    assert len(functions.seen) == MOST_SHOWN
+
+
+@pytest.mark.parametrize(
+    ("side", "at"),
+    [("left", (8, 2)), ("right", (8, -2)), ("in front of", (5, 0)), ("behind", (11, 0))],
+)
+def test_sides_are_those_that_the_robot_sees(functions, side, at):
+    """A van of 4 m by 2 m, 8 m ahead."""
+    assert functions.offset(1, side) == pytest.approx(at)
+
+
+def test_sides_turn_with_who_looks(functions):
+    assert functions.offset(1, "left", 1.0, (20.0, 0.0)) == pytest.approx((8, -2))
+    assert functions.offset(1, "left", 0.0, (8.0, -9.0)) == pytest.approx((6, 0))
+
+
+@given(COORDINATE, COORDINATE, COORDINATE, COORDINATE, st.sampled_from(["left", "right"]))
+def test_an_arc_passes_the_side_and_keeps_its_distance(x, y, ex, ey, side):
+    functions = Functions(GROUND, LIMITS)
+    start, end, centre = (x, y), (ex, ey), (8.0, 0.0)
+    assume(min(math.dist(start, centre), math.dist(end, centre)) > 0.1)
+    arc = np.array(functions.arc(1, start, end, side, 1.0))
+    gap = np.maximum(np.abs(arc - centre) - (2.0, 1.0), 0.0)
+    assert np.hypot(*gap.T).min() >= 1.0 - 1e-9
+    angles = np.unwrap([functions.heading(centre, tuple(at)) for at in arc.tolist()])
+    assert wrap_angle(angles[0] - functions.heading(centre, start)) == pytest.approx(0, abs=1e-6)
+    off = wrap_angle(angles[-1] - functions.heading(centre, end))
+    assert abs(off) == pytest.approx(0, abs=1e-6)
+    turned = np.diff(angles) if side == "right" else -np.diff(angles)
+    assert (turned > 0).all()
+    assert turned.sum() <= 2 * math.pi + 1e-9
+
+
+def test_regions_are_looked_up(functions):
+    assert functions.region_at((0, 0)) == ROAD
+    assert functions.region_at((0, 15)) == LAWN
+    assert functions.region_at((99, 0)) == 0
+    assert functions.region_at(functions.nearest_reachable((0, 0), LAWN)) == LAWN
+
+
+def test_geometry(functions):
+    assert functions.distance((0, 0), (3, 4)) == 5.0
+    assert functions.heading((0, 0), (0, 2)) == pytest.approx(math.pi / 2)
+    assert functions.line((0, 0), (3, 0)) == [(0, 0), (1, 0), (2, 0), (3, 0)]
+    assert functions.line((1, 1), (1, 1)) == [(1, 1), (1, 1)]
+
+
+def test_a_box_is_passed_at_its_corner():
+    van = GROUND.scene.objects[1]
+    reach_m = math.dist(beside(van, math.pi / 4, 0.5), (8.0, 0.0))
+    assert reach_m == pytest.approx((2 + 1) * math.sqrt(0.5) + 0.5)
+
+
+def test_every_function_has_a_name_and_a_line():
+    own = [n for n, v in vars(Functions).items() if callable(v) and not n.startswith("_")]
+    assert sorted(own) == sorted([*NAMES, "table"])
+    for name in NAMES:
+        function = getattr(Functions, name)
+        assert function.__doc__
+        assert str(signature(function)).startswith("(self")

@@ -1,0 +1,97 @@
+"""Where a robot can get to in a scene."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, street
+
+from edge.geometry import SE2
+from edge.tasks.ground import ESCAPE_M, footprint_m, ground_of
+
+CLEAR_M = 0.3
+HOUSE = ((3.0, 8.0, -3.0, -2.6), (3.0, 8.0, 2.6, 3.0), (3.0, 3.4, -3.0, 3.0), (7.6, 8.0, -3.0, 3.0))
+
+
+def test_an_empty_scene_is_all_reachable():
+    ground = ground_of(street(), CLEAR_M)
+    assert ground.reachable.all()
+    assert ground.nearest(1.0, 2.0) == (1.0, 2.0)
+    assert not ground.is_free(50.0, 0.0)
+    assert not ground.is_free(math.nan, 0.0)
+    assert ground.region_at(50.0, 0.0) == 0
+
+
+def test_clearance_is_kept_from_what_is_occupied():
+    scene = street(*STREET)
+    ground = ground_of(scene, CLEAR_M)
+    occupied = scene.occupancy.centres_m(*np.nonzero(scene.occupancy.cells > 0))
+    free = scene.occupancy.centres_m(*np.nonzero(ground.reachable))
+    gaps = np.array([np.hypot(*(occupied - at).T).min() for at in free[::97]])
+    assert gaps.min() >= CLEAR_M - 0.05 * RESOLUTION_M  # the distance transform's own error
+    assert not ground.is_free(8.0, 0.0)
+
+
+def test_a_closed_house_is_free_and_not_reachable():
+    ground = ground_of(street(walls=HOUSE), CLEAR_M)
+    assert not ground.is_free(5.5, 0.0)
+    assert ground.is_free(1.0, 0.0)
+    x, y = ground.nearest(5.5, 0.0)
+    assert ground.is_free(x, y)
+    assert ground.nearest(5.5, 0.0, within_m=1.0) is None
+    assert not ground.plan((0.0, 0.0), (5.5, 0.0)).ok
+
+
+def test_who_stands_in_the_house_gets_about_in_it_only():
+    ground = ground_of(street(walls=HOUSE, pose=SE2(5.5, 0.0, 0.0)), CLEAR_M)
+    assert ground.is_free(5.0, 1.0)
+    assert not ground.is_free(0.0, 0.0)
+
+
+@pytest.mark.parametrize(("gap_m", "reachable"), [(ESCAPE_M - 0.2, True), (ESCAPE_M + 0.5, False)])
+def test_a_robot_too_close_to_something_begins_beside_it(gap_m, reachable):
+    """Closed ground all around, out to `gap_m`."""
+    wall = (-gap_m, gap_m, -gap_m, gap_m)
+    assert ground_of(street(walls=(wall,)), 0.0).reachable.any() == reachable
+
+
+def test_unknown_ground_is_open_only_within_a_region():
+    scene = street()
+    scene.occupancy.cells[:, 120:] = -1
+    scene.regions_grid.cells[100:, 120:] = 0
+    ground = ground_of(scene, CLEAR_M)
+    assert ground.is_free(10.0, -5.0)
+    assert not ground.is_free(10.0, 5.0)
+
+
+def test_the_nearest_point_of_a_region_lies_in_it():
+    ground = ground_of(street(), CLEAR_M)
+    x, y = ground.nearest(0.0, 0.0, region=LAWN)
+    assert ground.region_at(x, y) == LAWN
+    assert math.hypot(x, y) == pytest.approx(10.0, abs=RESOLUTION_M)
+    assert ground.nearest(0.0, 0.0, region=77) is None
+
+
+def test_a_way_keeps_to_the_regions_that_are_chosen():
+    """A wall across the road: round it over the lawn, unless the road has a gap further off."""
+    ground = ground_of(street(walls=((5.0, 5.4, -8.0, 12.0),)), CLEAR_M)
+    by_any, by_road = (
+        ground.plan((0.0, 9.0), (10.0, 9.0), regions)
+        for regions in (frozenset(), frozenset({ROAD}))
+    )
+    assert by_any.path_m[:, 1].max() > 12.0
+    assert by_road.path_m[:, 1].min() < -8.0
+    assert ground.plan((0.0, 9.0), (10.0, 9.0)).path_m.tolist() == by_any.path_m.tolist()
+
+
+@given(st.tuples(*[st.floats(0.1, 5.0)] * 2), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
+def test_a_footprint_reaches_as_far_as_its_furthest_corner(half_m, heading_rad, angle_rad):
+    corners = np.array([(sx * half_m[0], sy * half_m[1]) for sx in (-1, 1) for sy in (-1, 1)])
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    turned = corners @ np.array([[c, s], [-s, c]])
+    reach_m = (turned @ (math.cos(angle_rad), math.sin(angle_rad))).max()
+    assert footprint_m(np.array(half_m), heading_rad, angle_rad) == pytest.approx(reach_m)

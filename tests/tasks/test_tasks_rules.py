@@ -1,0 +1,276 @@
+"""Planner `rules`: what it understands, where it leads, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from task_scenes import STREET, Thing, street
+
+from edge.config import TrajectoryLimits
+from edge.geometry import SE2, wrap_angle
+from edge.mission.language.words import TranslationError
+from edge.tasks.functions import Functions
+from edge.tasks.ground import ground_of
+from edge.tasks.phrases import PHRASES, tokenise
+from edge.tasks.rules import REACH_M, carry_out, read
+from edge.tasks.trajectory import TrajectoryError
+
+LIMITS = TrajectoryLimits()
+SCENE = street(*STREET)
+GROUND = ground_of(SCENE, LIMITS.clearance_m)
+
+
+def driven(instruction, scene=SCENE):
+    """What was understood, and the trajectory."""
+    ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
+    functions = Functions(ground, LIMITS)
+    return carry_out(instruction, functions), functions.given
+
+
+@pytest.mark.parametrize("instruction", ["", " ", "...", ", ,", "please", "then"])
+def test_nothing_is_no_instruction(instruction):
+    with pytest.raises(TranslationError, match=r"^instruction, character "):
+        read(instruction, SCENE)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "understood"),
+    [
+        ("Go to the van.", "to van 1"),
+        ("please drive over to the white van", "to van 1"),
+        ("head toward the gate", "to gate 5"),
+        ("go near the iron gate and stop", "to gate 5"),
+        ("drive past the left of the van, then stop at the gate",
+         "past the left of van 1; to gate 5"),
+        ("Go past the van on its right, then wait by the gate!",
+         "past the right of van 1; to gate 5"),
+        ("pass the van and stop beside the gate", "past van 1; to gate 5"),
+        ("first go around the left of the van, and then stop at the gate",
+         "around the left of van 1; to gate 5"),
+        ("go round the van to its left side", "around the left of van 1"),
+        ("go to the second car on the left", "to car 3"),
+        ("go to the 2nd car on your left", "to car 3"),
+        ("go to the nearest car on the left", "to car 2"),
+        ("go to the left blue car", "to car 3"),
+        ("go to the red car on your right", "to car 4"),
+        ("go to the right car", "to car 4"),
+        ("go to the farthest car", "to car 3"),
+        ("go to the leftmost car", "to car 2"),
+        ("go to the rightmost car", "to car 4"),
+        ("go to the third automobile", "to car 3"),
+        ("go to the first car on the left, then to the blue car", "to car 2; to car 3"),
+        ("go to object 3", "to car 3"),
+        ("go to the van ahead and stop behind it", "to van 1; behind van 1"),
+        ("go to the left of the van", "left of van 1"),
+        ("stop in front of the gate", "in front of gate 5"),
+        ("go between the van and the gate", "between van 1 and gate 5"),
+        ("go between the two red cars", "between car 2 and car 4"),
+        ("go between the cars on the left, then stop at the gate",
+         "between car 2 and car 3; to gate 5"),
+        ("go straight for 3 metres and then to the blue car", "straight on for 3 m; to car 3"),
+        ("Drive forward two meters.", "straight on for 2 m"),
+        ("drive 3", None),
+        ("go straight ahead 2.5m", "straight on for 2.5 m"),
+    ],
+)  # fmt: skip
+def test_instructions_that_are_understood(instruction, understood):
+    if understood is None:
+        with pytest.raises(TranslationError):
+            read(instruction, SCENE)
+        return
+    said, coarse = driven(instruction)
+    assert said == understood
+    assert len(coarse.segments) == len(understood.split("; "))
+    assert coarse.regions == (1,)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "part", "hint"),
+    [
+        ("make me a sandwich", "make me a sandwich", "expected what to do"),
+        ("turn left", "turn left", "expected what to do"),
+        ("go", "", "expected where"),
+        ("go the van", "the van", "expected where"),
+        ("go to", "", "expected the name of a thing"),
+        ("go to the", "", "expected the name of a thing"),
+        ("go to the big elephant", "big elephant", "nothing of that name is here; there are van, "),
+        ("go to the purple van", "purple van", "that is not said of any here: van 1"),
+        ("go to the van slowly", "slowly", "no word that is known after 'van'"),
+        ("go slowly to the van", "slowly to the van", "expected where"),
+        ("go to the car", "the car", "it may be any of 3: car 2 (red car), car 3"),
+        ("go to the red car", "the red car", "it may be any of 2"),
+        ("go to the blue car on the right", "on the right", "no such thing is there"),
+        ("go to the car behind you", "behind you", "no such thing is there"),
+        ("go to the gate near the blue car", "near the blue car", "no such thing is there"),
+        ("go to the van on the left", "on the left", "no such thing is there"),
+        ("go to the 0th car", "0th car", "there is none"),
+        ("go to the fourth car", "fourth car", "there is none; there are car 2"),
+        ("go to object 9", "object 9", "no object has that number"),
+        ("go to object van", "object van", "no object has that number"),
+        ("go to it", "it", "it is not clear what this stands for"),
+        ("go between the cars", "the cars", "there are 3 of them"),
+        ("go between the van", "the van", "there are 1 of them"),
+        ("go between the van and the van", "the van and the van", "the same thing twice"),
+        ("go between the two cars", "the two cars", "there are 3 of them"),
+        ("drive by the van", "by the van", "it can be read in two ways; say 'past' or 'to'"),
+        ("go straight to the van", "straight to the van", "a way that is straight to a thing"),
+        ("go straight", "", "say how far"),
+        ("go straight 5 minutes", "5 minutes", "say how far"),
+        (f"go straight {'9' * 6000} metres", "999", "this character has no place"),
+        (f"go to object {'9' * 6000}", "object 999", "no object has that number"),
+        (f"go to the {'9' * 6000}th car", "the 999", "expected the name of a thing"),
+        ("stop", "stop", "say where to go first"),
+        ("stop past the van", "past the van", "a robot cannot stop there"),
+        ("stop at the van, then go to the gate", "stop at the van", "nothing can come after it"),
+        ("go to the van, stop, go to the gate", "stop", "nothing can come after it"),
+        ("go to the van then", "then", "nothing comes after it"),
+        ("go to the van and the gate", "the gate", "expected what to do"),
+        ("never go to the van", "never go to the van", "expected what to do"),
+        ("do not go to the van", "do not go to the van", "expected what to do"),
+        ("go to the van without touching it", "without touching it", "no word that is known"),
+        ("go to the van ( now", "(", "this character has no place"),
+        ("go to the van; rm -rf /", "rm -rf /", "expected what to do"),
+        ("go to the car left of the van", "the car", "it may be any of 3"),
+        ("go to the gate left of the van", "left of the van", "a step ends with"),
+    ],
+)  # fmt: skip
+def test_instructions_that_are_refused_pointing_at_the_part(instruction, part, hint):
+    with pytest.raises(TranslationError) as raised:
+        driven(instruction)
+    assert hint in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert instruction[raised.value.position - 1 :].startswith(part)
+    assert raised.value.part.startswith(part)
+
+
+def passes(points, centre=(8.0, 0.0)):
+    """On which side of a thing's middle the way crosses its line abeam, seen along x: y there."""
+    ys = [y for x, y in points if abs(x - centre[0]) < 1.0]
+    return {math.copysign(1.0, y - centre[1]) for y in ys}
+
+
+@pytest.mark.parametrize("words", ["past", "around"])
+@pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
+def test_a_thing_is_passed_on_the_side_that_is_said(words, side, sign):
+    said, coarse = driven(f"go {words} the {side} of the van, then stop at the gate")
+    assert passes(coarse.points_m.tolist()) == {sign}
+    assert side in said
+    assert coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
+
+
+@pytest.mark.parametrize(("y_m", "sign"), [(-2.0, 1.0), (2.0, -1.0)])
+def test_without_a_side_the_shorter_way_is_taken(y_m, sign):
+    """A house stands beside the van, and leaves one side of it open."""
+    house = (4.0, 12.0, *sorted((y_m, 9 * y_m)))
+    scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=(house,))
+    _, coarse = driven("drive past the van", scene)
+    assert passes(coarse.points_m.tolist()) == {sign}
+
+
+def test_a_side_that_is_closed_is_refused():
+    scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=((3.0, 13.0, 1.0, 9.0),))
+    with pytest.raises(TrajectoryError, match=r"no room for the robot left of van 1$"):
+        driven("drive past the left of the van", scene)
+    assert driven("drive past the right of the van", scene)[0] == "past the right of van 1"
+
+
+def test_the_other_side_of_a_wall_is_not_beside_a_thing():
+    """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
+    sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
+    table = Thing("table", 8.0, 1.4, (3.0, 1.0))
+    scene = street(sofa, table, walls=((4.0, 12.0, 3.0, 3.6),))
+    ground = ground_of(scene, LIMITS.clearance_m)
+    assert ground.nearest(8.0, 2.5)[1] > 3.6
+    assert driven("go to the sofa", scene)[1].points_m[:, 1].max() < 3.0
+    with pytest.raises(TrajectoryError, match="no room for the robot left of sofa 1"):
+        driven("drive past the left of the sofa", scene)
+
+
+def test_a_thing_that_cannot_be_got_near_to_is_refused():
+    walls = ((12.0, 12.4, -20.0, 20.0),)
+    scene = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=walls)
+    with pytest.raises(TrajectoryError, match=r"^'go to the gate': the robot gets no nearer to"):
+        driven("go to the gate", scene)
+    assert REACH_M < 18.0 - 12.0
+
+
+def test_a_way_straight_on_that_is_blocked_is_refused():
+    with pytest.raises(TrajectoryError, match=r"the way straight on is blocked after 6\.0 m"):
+        driven("go straight for 9 metres")
+
+
+def test_sides_are_those_that_the_robot_sees_as_it_comes():
+    """From behind the van its left is the other one; which car is meant is told from the start."""
+    _, coarse = driven("go behind the van, then go past the left of the van")
+    assert coarse.segments[1][:, 1].min() < -1.0
+    turned = street(*STREET, pose=SE2(0.0, 0.0, math.pi))
+    assert read("go to the nearest car on the left", turned)[0].things[0].id == 4
+    assert read("go to the van behind you", turned)[0].things[0].id == 1
+
+
+def test_around_goes_on_to_what_comes_next():
+    """Half round the van for what lies behind it, and all but round it for what lies beside."""
+    _, to_gate = driven("go around the left of the van, then stop at the gate")
+    scene = street(STREET[0], Thing("bin", 8.0, -6.0, (1.0, 1.0)))
+    _, to_bin = driven("go around the left of the van, then stop at the bin", scene)
+    assert passes(to_gate.segments[0].tolist()) == {1.0}
+    assert passes(to_bin.segments[0].tolist()) == {1.0, -1.0}
+
+
+def test_a_caption_is_no_instruction():
+    """It describes a thing; nothing in it is carried out, and it leads nowhere."""
+    sign = Thing("sign", 5.0, -4.0, (0.2, 0.2), "go to the gate, then stop; object 5")
+    said, coarse = driven("go to the van", street(*STREET, sign))
+    assert said == "to van 1"
+    assert coarse.points_m.tolist() == driven("go to the van")[1].points_m.tolist()
+
+
+@pytest.mark.parametrize("kind", PHRASES)
+def test_each_phrase_is_one_token(kind):
+    for phrase in PHRASES[kind].split("|"):
+        assert [token.kind for token in tokenise(phrase)] == [kind, "end"]
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_read_or_refused(text):
+    try:
+        assert read(text, SCENE)
+    except TranslationError as error:
+        message = str(error)
+    else:
+        return
+    assert "\n" not in message
+
+
+PHRASE = [phrase for listed in PHRASES.values() for phrase in listed.split("|")]
+WORDS = st.sampled_from([*PHRASE, "van", "red", "car", "gate", ","])
+
+
+@given(st.lists(WORDS, min_size=2, max_size=9).map(" ".join))
+def test_what_is_carried_out_is_checked(text):
+    functions = Functions(GROUND, LIMITS)
+    try:
+        carry_out(text, functions)
+    except (TranslationError, TrajectoryError):
+        assert functions.given is None
+        return
+    way = functions.given.points_m
+    assert np.hypot(*np.diff(way, axis=0).T).max(initial=0.0) <= LIMITS.max_jump_m
+    assert all(GROUND.is_free(x, y) for x, y in way.tolist())
+
+
+@given(st.floats(-15, 15), st.floats(-15, 15), st.floats(-math.pi, math.pi))
+def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
+    pose = SE2(x_m, y_m, yaw_rad)
+    scene = street(*STREET, pose=pose)
+    for words, sign in (("left", 1.0), ("right", -1.0)):
+        try:
+            (step,) = read(f"go to the nearest car on the {words}", scene)
+        except TranslationError:
+            continue
+        bearing_rad = wrap_angle(pose.bearing_to(*step.things[0].position_m[:2]))
+        assert math.copysign(1.0, bearing_rad) == sign

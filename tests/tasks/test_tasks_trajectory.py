@@ -1,0 +1,197 @@
+"""What has to hold before anything moves."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from task_scenes import STREET, street
+
+from edge.config import TrajectoryLimits
+from edge.geometry import SE2
+from edge.tasks.ground import ground_of
+from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point
+
+LIMITS = TrajectoryLimits()
+GROUND = ground_of(street(*STREET), LIMITS.clearance_m)
+
+
+def line(*ends, step_m=1.0):
+    """Points along a polyline."""
+    way = []
+    for a, b in pairwise(ends):
+        steps = max(math.ceil(math.dist(a, b) / step_m), 1)
+        way += [tuple(np.add(a, np.subtract(b, a) * k / steps)) for k in range(steps)]
+    return [*way, ends[-1]]
+
+
+@pytest.mark.parametrize(
+    ("segments", "shape"),
+    [
+        ([(0, 0)], [(1, 2)]),
+        ([[0, 0], [1, 0]], [(2, 2)]),
+        ([[(0, 0), (1, 0)], [(1, 0)]], [(2, 2), (1, 2)]),
+        ([[(0, 0, 1), (1, 0, 2)]], [(2, 3)]),
+    ],
+)
+def test_what_is_taken_for_a_trajectory(segments, shape):
+    coarse = coarse_of(segments, [1, 1, 2], None, LIMITS)
+    assert [points.shape for points in coarse.segments] == shape
+    assert all(points.dtype == np.float64 for points in coarse.segments)
+    assert coarse.regions == (1, 2)
+    check(coarse, GROUND, LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("segments", "message"),
+    [
+        ([], "the trajectory has 0 segments; give 1 to 50"),
+        ([[]], "segment 1 is empty"),
+        ([[(0, 0)], []], "segment 2 is empty"),
+        (None, "segments: expected a list, got None"),
+        ("0,0", "segments: expected a list, got '0,0'"),
+        ({"x": 1}, "segments: expected a list, got dict"),
+        ([None], "segment 1: expected a list, got None"),
+        ([[(0,)]], r"point 1 of segment 1: expected a point \(x, y\), got tuple"),
+        ([[(0, 0), (0, 0, 0, 0)]], "point 2 of segment 1: expected a point"),
+        ([[("0", "0")]], "point 1 of segment 1: expected a point"),
+        ([[(0, True)]], "point 1 of segment 1: y: expected a number, got True"),
+        ([[(0, math.nan)]], "point 1 of segment 1: y: nan is not within 1e"),
+        ([[(-math.inf, 0)]], "point 1 of segment 1: x: -inf is not within 1e"),
+        ([[(1e9, 0)]], "point 1 of segment 1: x: 1e"),
+        ([[(10**400, 0)]], "point 1 of segment 1: x: a whole number is not within 1e"),
+        ([[(0, 0, 1e4)]], "point 1 of segment 1: z: 10000 is not within 1000"),
+        ([[(0, 0), (0, 0, 0)]], "segment 1 mixes points"),
+        ([[(0, 0)]] * 51, "the trajectory has 51 segments"),
+        ([[(0, 0)] * 4000] * 2, "the trajectory has 8000 points"),
+        ([[(0, 0)] * 5001], "segment 1: 5001 entries, at most 5000"),
+        ("x" * 10_000, "segments: expected a list, got 'x{39}…'"),
+    ],
+)
+def test_what_is_none(segments, message):
+    with pytest.raises(TrajectoryError, match=f"^{message}") as raised:
+        coarse_of(segments, (), None, LIMITS)
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 200
+
+
+@pytest.mark.parametrize("regions", [7, "1", [0], [256], [10**5000], [1.0], [True], [None], [[1]]])
+def test_regions_that_are_none(regions):
+    with pytest.raises(TrajectoryError, match=r"^regions: expected "):
+        coarse_of([(0, 0)], regions, None, LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("segments", "message"),
+    [
+        ((), "the trajectory has no points"),
+        ((np.empty((0, 2)),), "the trajectory has no points"),
+        ([(0.5, math.nan)], r"point 1 of segment 1, \(0.5, nan\), is not finite"),
+        ([(0, 0, math.inf)], "point 1 of segment 1, .*, is not finite"),
+        ([(0, 0, -1e4)], "point 1 of segment 1, .*, is outside the map"),
+        ([(0, 0), (25, 0)], r"point 2 of segment 1, \(25, 0\), is outside the map \(x -20 to 20"),
+        (line((0, 0), (8, 0)), r"point 7 of segment 1, \(6, 0\), is occupied; the nearest"),
+        ([(5.9, 0)], "point 1 of segment 1, .*, is too close to what is occupied"),
+        ([(0, 0), (3, 0)], "point 2 of segment 1 is 3.0 m from the point before it, at most 2 m"),
+        ([(3, 0)], "point 1 of segment 1 is 3.0 m from the robot, at most 2 m are allowed"),
+    ],
+)
+def test_what_may_not_be_driven(segments, message):
+    whole = segments if isinstance(segments, tuple) else (np.array(segments, float),)
+    with pytest.raises(TrajectoryError, match=f"^{message}"):
+        check(Coarse(whole), GROUND, LIMITS)
+
+
+def test_a_jump_between_segments_is_one():
+    segments = (np.array([(0.0, 0.0), (1.0, 0.0)]), np.array([(1.0, 4.0)]))
+    with pytest.raises(
+        TrajectoryError, match=r"^point 1 of segment 2 is 4\.0 m from the point bef"
+    ):
+        check(Coarse(segments), GROUND, LIMITS)
+
+
+def test_a_leap_through_a_thin_wall_is_seen():
+    """Both ends are reachable: the wall can be walked round."""
+    ground = ground_of(street(walls=((1.0, 1.2, -3.0, 3.0),)), 0.3)
+    way = [*line((0.0, 0.0), (0.4, 0.0)), (1.8, 0.0)]
+    with pytest.raises(TrajectoryError, match=r"in between point 3 of segment 1 and the point bef"):
+        check(Coarse((np.array(way),)), ground, LIMITS)
+    check(Coarse((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
+
+
+def test_unseen_and_cut_off_ground_are_told_apart():
+    scene = street(walls=((10.0, 10.4, -20.0, 20.0),))
+    scene.occupancy.cells[:, :20] = -1
+    scene.regions_grid.cells[:, :20] = 0
+    ground = ground_of(scene, 0.3)
+    for x_m, message in ((-18.0, "was never seen to be free"), (15.0, "cannot be reached from")):
+        with pytest.raises(TrajectoryError, match=message):
+            check(Coarse((np.array([(x_m, 0.0)]),)), ground, LIMITS)
+
+
+def test_a_robot_may_begin_where_it_stands():
+    """Nearer to a wall than it may drive."""
+    ground = ground_of(street(walls=((0.4, 0.8, -5.0, 5.0),)), 0.6)
+    check(Coarse((np.array(line((0.0, 0.0), (-3.0, 0.0))),)), ground, LIMITS)
+    with pytest.raises(TrajectoryError, match="is occupied"):
+        check(Coarse((np.array([(0.5, 0.0)]),)), ground, LIMITS)
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, -1.0, 2.1, 1e9, math.nan, math.inf])
+def test_speeds_that_are_too_high_or_none(speed_mps):
+    with pytest.raises(TrajectoryError, match="is not above 0 and at most 2 m/s"):
+        check(Coarse((np.zeros((1, 2)),), (), speed_mps), GROUND, LIMITS)
+
+
+def test_the_length_and_the_regions_are_bounded():
+    there_and_back = np.array(line(*[(0.0, 0.0), (-10.0, 0.0)] * 30))
+    with pytest.raises(TrajectoryError, match="the trajectory is 590 m long, at most 500 m"):
+        check(Coarse((there_and_back,)), GROUND, LIMITS)
+    with pytest.raises(TrajectoryError, match=r"there is no region 3 \(there: 1, 2\)"):
+        check(Coarse((np.zeros((1, 2)),), (1, 3)), GROUND, LIMITS)
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.tuples(inner, inner) | st.dictionaries(
+        st.text(max_size=2), inner, max_size=2
+    ),
+    max_leaves=20,
+)  # fmt: skip
+
+
+@given(JUNK, JUNK, JUNK)
+def test_junk_is_refused_or_safe(segments, regions, speed_mps):
+    """What passes is within every limit, whoever made it."""
+    try:
+        coarse = coarse_of(segments, regions, speed_mps, LIMITS)
+        check(coarse, GROUND, LIMITS)
+    except TrajectoryError:
+        return
+    way = np.vstack([(0.0, 0.0), coarse.points_m])
+    assert np.isfinite(way).all()
+    assert np.hypot(*np.diff(way, axis=0).T).max() <= LIMITS.max_jump_m
+    assert set(coarse.regions) <= {1, 2}
+
+
+@given(st.lists(st.tuples(st.floats(-19, 19), st.floats(-19, 19)), min_size=1, max_size=8))
+def test_what_passes_is_reachable(points):
+    points = [(0.0, 0.0), *points]
+    loose = TrajectoryLimits(max_jump_m=100.0)
+    try:
+        check(Coarse((np.array(points),)), GROUND, loose)
+    except TrajectoryError as error:
+        blocked = str(error).startswith("something is in between point ")
+        assert blocked or not all(GROUND.is_free(x, y) for x, y in points)
+    else:
+        assert all(GROUND.is_free(x, y) or SE2(0, 0, 0).distance_to(x, y) <= 0.6 for x, y in points)
+
+
+def test_numbers_and_points_are_plain():
+    assert (number(3, "n"), type(number(3, "n"))) == (3.0, float)
+    assert point([1, 2.5], "p") == (1.0, 2.5)
+    assert point((1, 2, 3), "p") == (1.0, 2.0, 3.0)

@@ -1,0 +1,278 @@
+"""Algorithm 1 of OpenNav against recorded answers, and against servers that misbehave."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from chat_server import completion, recorded, saying, send, serving
+from task_scenes import STREET, street
+
+from edge.chat import ChatError
+from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
+from edge.errors import UserError
+from edge.mission.language.words import TranslationError
+from edge.tasks import write as writing
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, version
+from edge.tasks.trajectory import check
+from edge.tasks.write import NO_CODE, NO_TRAJECTORY, WriteError, script_in, write
+
+SCENE = street(*STREET, picture=True)
+INSTRUCTION = "go past the left of the van, then stop at the gate"
+
+PLAN = "The van is object 1, straight ahead. I pass it on its left.\n"
+GOOD = """
+van, gate = det_object("van")[0], det_object("gate")[0]
+side = nearest_reachable(offset(van["id"], "left"))
+first = a_star_plan(robot()["position"], side)
+give_trajectory([first, a_star_plan(side, gate["nearest_reachable"][1])], [1])
+"""
+BLOCK = f"{PLAN}```python{GOOD}```\nThat is all."
+LOOK = "Let me see what there is.\n```python\nprint([t['id'] for t in det_object('gate')])\n```"
+THROUGH = "```python\ngive_trajectory(line((0, 0), (14.8, 2)))\n```"
+BROKEN = "```python\nimport shapely\n```"
+
+
+def by_model(server, **config):
+    return Tasks(planner=WriterModel(url=server.url, **config), script=ScriptLimits(time_s=1.0))
+
+
+@pytest.mark.parametrize("instruction", ["", "  \n"])
+@pytest.mark.parametrize("planner", ["rules", "model"])
+def test_an_empty_instruction_asks_nobody(instruction, planner):
+    with serving(saying(BLOCK)) as server:
+        config = by_model(server) if planner == "model" else Tasks()
+        with pytest.raises(WriteError, match="the instruction is empty"):
+            write(instruction, SCENE, config)
+        assert server.requests == []
+
+
+def test_an_instruction_that_is_too_long_is_not_sent():
+    with serving(saying(BLOCK)) as server:
+        with pytest.raises(WriteError, match="the instruction has 2001 characters, at most 2000"):
+            write("x" * (MOST_INSTRUCTION_CHARS + 1), SCENE, by_model(server))
+        assert server.requests == []
+
+
+@pytest.mark.parametrize(
+    ("answer", "script"),
+    [
+        ("", ""),
+        ("no code", ""),
+        ("```\nprint(1)\n```", "print(1)"),
+        ("```python\nprint(1)\n```", "print(1)"),
+        ("```py \nprint(1)", "print(1)"),
+        ("``` Python\nprint(1)\n```", "print(1)"),
+        ("```json\n{}\n```\nprint(1)\n```python\nif 1:\n  print(2)\n```\n", "if 1:\n  print(2)"),
+        ("```PYTHON\nprint(1)\n```", "print(1)"),
+        ("```python\n1\n```\nor rather\n```python\n2\n```", "2"),
+        ("<think>```python\n1\n```</think>no", ""),
+        ("```json\n{}\n```", ""),
+        ("```python\n```", ""),
+    ],
+)
+def test_the_last_block_is_the_script(answer, script):
+    assert script_in(answer) == script
+
+
+def test_the_rules_need_no_server():
+    written = write(INSTRUCTION, SCENE, Tasks())
+    assert written.understood == "past the left of van 1; to gate 5"
+    assert (written.rounds, written.prompt) == ((), "")
+    check(written.coarse, written.ground, TrajectoryLimits())
+    with pytest.raises(TranslationError, match="'elephant'"):
+        write("go to the elephant", SCENE, Tasks())
+
+
+def test_an_answer_becomes_a_trajectory():
+    told = []
+    with serving(saying(BLOCK)) as server:
+        written = write(INSTRUCTION, SCENE, by_model(server), told.append)
+        ((_, _, request),) = server.requests
+    assert request["temperature"] == 0
+    assert [message["role"] for message in request["messages"]] == ["system", "user"]
+    assert [part["type"] for part in request["messages"][1]["content"]] == ["text", "image_url"]
+    (only,) = written.rounds
+    assert (only.answer, only.code, only.error) == (BLOCK, GOOD.strip(), "")
+    assert told == [only]
+    assert (written.prompt, written.understood) == (version(), "")
+    assert written.coarse.regions == (1,)
+    assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
+
+
+RECORDED = json.loads((Path(__file__).parents[1] / "data" / "task_answers.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("instruction", "rounds", "end"),
+    [
+        ("go to the red car on your right", 2, (3.5, -5.0)),
+        ("I want to leave the yard", 1, (14.8, 2.0)),
+        ("drive once round the van", 2, (5.0, 0.0)),
+    ],
+)
+def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
+    """The kinds of OpenNav IV-A: ambiguous, high-level, and a shape of the way; the first answers
+    to two of them have a fault that goes back."""
+    with serving(recorded(RECORDED)) as server:
+        written = write(instruction, SCENE, by_model(server))
+    assert len(written.rounds) == rounds
+    assert written.coarse.points_m[-1].tolist() == pytest.approx(end, abs=1e-6)
+    check(written.coarse, written.ground, TrajectoryLimits())
+
+
+def test_a_recorded_refusal_is_one():
+    with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
+        write("swim across the river", SCENE, by_model(server))
+
+
+def test_what_was_not_recorded_is_not_answered():
+    with serving(recorded(RECORDED)) as server, pytest.raises(ChatError, match="HTTP 404"):
+        write("fly", SCENE, by_model(server))
+
+
+def test_the_words_alone_are_sent_where_that_is_asked_for():
+    with serving(saying(BLOCK)) as server:
+        write(INSTRUCTION, SCENE, by_model(server, picture=False))
+        ((_, _, request),) = server.requests
+    assert isinstance(request["messages"][1]["content"], str)
+
+
+@pytest.mark.parametrize(
+    ("first", "goes_back"),
+    [
+        ("I would go there.", NO_CODE),
+        (BROKEN, "line 1: ModuleNotFoundError: No module named 'shapely'"),
+        (THROUGH, "line 1: ValueError: point 7 of segment 1, "),
+        (LOOK, f"It printed:\n[5]\nNo trajectory yet: {NO_TRAJECTORY}"),
+        ("```python\nwhile True: pass\n```", "TimeoutError: feed time limit exceeded"),
+    ],
+    ids=["no code", "an error", "refused", "a look first", "endless"],
+)
+def test_what_is_wrong_goes_back_to_the_model(first, goes_back):
+    with serving(saying(first, BLOCK)) as server:
+        written = write(INSTRUCTION, SCENE, by_model(server))
+        assert len(server.requests) == 2
+    *before, wrong, wanted = server.requests[1][2]["messages"]
+    assert before == server.requests[0][2]["messages"]
+    assert wrong == {"role": "assistant", "content": first}
+    assert goes_back in wanted["content"]
+    assert wanted["content"].endswith("Write the whole corrected script.")
+    assert [bool(answer.error) for answer in written.rounds] == [True, False]
+
+
+def test_an_answer_that_was_cut_off_is_not_run():
+    answers = [completion(BLOCK, "length"), completion(BLOCK)]
+    with serving(lambda handler: send(handler, answers.pop(0))) as server:
+        written = write(INSTRUCTION, SCENE, by_model(server))
+    assert [answer.error for answer in written.rounds] == [
+        "the answer was cut off; write a shorter one", "",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_after_so_many_rounds_it_gives_up(rounds):
+    with serving(saying(THROUGH)) as server:
+        with pytest.raises(WriteError) as raised:
+            write(INSTRUCTION, SCENE, by_model(server, rounds=rounds))
+        assert len(server.requests) == rounds
+    assert len(raised.value.rounds) == rounds
+    assert f"{server.url}: no trajectory in {rounds} answers, the last time: " in str(raised.value)
+    assert "is occupied" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_model_may_refuse():
+    answer = "There is no river.\nREFUSED: no river\x1b[2J is here."
+    with serving(saying(answer)) as server:
+        with pytest.raises(WriteError, match=r"the model refused: no river \[2J is here\.$"):
+            write("go to the river", SCENE, by_model(server))
+        assert len(server.requests) == 1
+
+
+def test_a_robot_that_stands_in_nothing_known_asks_nobody():
+    scene = street()
+    scene.occupancy.cells[:] = 100
+    with serving(saying(BLOCK)) as server:
+        with pytest.raises(WriteError, match="nothing around the robot is known to be free"):
+            write(INSTRUCTION, scene, by_model(server))
+        assert server.requests == []
+
+
+def stalls(handler):
+    handler.stopping.wait()
+
+
+def sends_100_mb(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", str(100 << 20))
+    handler.end_headers()
+    for _ in range(100):
+        handler.wfile.write(b" " * (1 << 20))
+
+
+def fails(handler):
+    send(handler, b'{"error": {"message": "out of\\nmemory\\u001b[2J"}}', 500)
+
+
+@pytest.mark.parametrize(
+    ("behave", "message"),
+    [
+        (stalls, "no whole answer within 0.3 s; raise time_limit_s or use a faster model"),
+        (sends_100_mb, "the answer has more than 256 KB; check what runs there"),
+        (fails, "answered HTTP 500: out of memory [2J"),
+        (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
+        (lambda h: send(h, b'{"choices": []}'), "the answer has no choices[0].message.content"),
+        (lambda h: send(h, b"[" * 100_000), "the answer is not JSON"),
+        (lambda h: send(h, json.dumps({"choices": [{"message": {"content": 7}}]}).encode()),
+         "the answer has no choices[0].message.content"),
+        (lambda h: send(h, completion("")), "the answer is empty"),
+        (lambda h: send(h, b"", 302, Location="http://evil.invalid/"), "answered HTTP 302, see"),
+    ],
+    ids=[
+        "stalls", "100 MB", "fails", "no JSON", "no choice", "a nest", "a number", "empty",
+        "redirects",
+    ],
+)  # fmt: skip
+def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
+    limit_s = 0.3 if behave is stalls else 60.0
+    with serving(behave) as server:
+        with pytest.raises(ChatError) as raised:
+            write(INSTRUCTION, SCENE, by_model(server, time_limit_s=limit_s))
+        assert len(server.requests) == 1
+    assert str(raised.value).startswith(f"{server.url}: ")
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_server_that_is_not_there_is_told():
+    with pytest.raises(ChatError, match=r"^http://127\.0\.0\.1:1/v1: "):
+        write(INSTRUCTION, SCENE, Tasks(planner=WriterModel(url="http://127.0.0.1:1/v1")))
+
+
+def test_all_rounds_share_one_time_limit(monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(writing, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    def behave(handler):
+        now_s[0] += 70.0
+        send(handler, completion(THROUGH))
+
+    with serving(behave) as server:
+        with pytest.raises(ChatError, match="no whole answer within 120 s; raise time_limit_s"):
+            write(INSTRUCTION, SCENE, by_model(server))
+        assert len(server.requests) == 2
+
+
+def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
+    monkeypatch.setenv("TASKS_KEY", "sk-secret-47")
+    with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
+        with pytest.raises(UserError) as raised:
+            write(INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", rounds=2))
+        for _, headers, body in server.requests:
+            assert headers["Authorization"] == "Bearer sk-secret-47"
+            assert "sk-secret" not in json.dumps(body)
+    assert "sk-secret" not in str(raised.value) + caplog.text
