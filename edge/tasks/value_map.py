@@ -89,6 +89,8 @@ def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
 
     Occupied cells, and those whose middle is nearer than `clearance_m` to the rim of one.
     """
+    if grid.cells.size == 0:
+        return np.zeros(grid.cells.shape, bool)
     occupied = cv2.compare(grid.cells, OCCUPIED, cv2.CMP_GE)
     reach = math.ceil(clearance_m / grid.resolution_m)
     gap_m = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * grid.resolution_m
