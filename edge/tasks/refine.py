@@ -76,14 +76,15 @@ def refine(
 
     Args:
         segments: each (n, 2 or 3) float64 in `map`; the height is 0 where there is none.
-        drivable: ids of the regions chosen.
+        drivable: ids of the regions chosen; empty: any.
         speed_mps: of the robot at this instant.
 
     Raises:
         RefineError: points that are none, an end that nothing leads to, a robot shut in.
     """
     legs = cut(segments, (scene.pose.x_m, scene.pose.y_m), body.tube_m)
-    return refine_legs(scene, legs, frozenset(drivable), body, limits, speed_mps)
+    chosen = frozenset(drivable) or frozenset(scene.regions)
+    return refine_legs(scene, legs, chosen, body, limits, speed_mps)
 
 
 def refine_again(
