@@ -46,7 +46,7 @@ from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
-from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor
+from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor, WorldStreet
 from edge.errors import ConfigError
 
 __all__ = [
@@ -98,6 +98,7 @@ __all__ = [
     "WorldHouse",
     "WorldMesh",
     "WorldProcthor",
+    "WorldStreet",
     "Zenoh",
     "load",
     "parse",

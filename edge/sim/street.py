@@ -1,6 +1,6 @@
 """A street for every seed: road, sidewalks, houses, cars, trees, poles, bins, benches.
 
-    world = street_world(street(7), robot_height_m=0.8, depth_range_m=(0.1, 30.0))
+    drawn = street(7)
 
 It is drawn along its own road; `map` is where the robot stands at the start, as everywhere.
 """
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge.config import Config, WorldStreet
 from edge.geometry import SE2
 from edge.sim import kernels, shading
 from edge.sim.base import WorldObject
@@ -173,10 +174,9 @@ def solids(
     return floor, stood
 
 
-def street_world(
-    drawn: Street, robot_height_m: float, depth_range_m: tuple[float, float]
-) -> BoxWorld:
-    """The street as a world that the simulated robot can drive in."""
+def load_street(section: WorldStreet, config: Config) -> BoxWorld:
+    """The street of a seed, for the configured robot and camera."""
+    drawn = street(section.seed)
     floor, stood = solids(drawn)
     furniture = []
     for k, (thing, parts) in enumerate(stood, start=1):
@@ -185,8 +185,15 @@ def street_world(
         name = f"{thing.colour} {thing.label} {k}".strip()
         item = WorldObject(k, name, thing.label, thing.label, center, thing.size_m, at.yaw_rad)
         furniture.append((item, parts))
-    origin = SE2(0.0, 0.0, 0.0)
-    return BoxWorld(drawn.name, floor, furniture, origin, robot_height_m, depth_range_m)
+    camera = config.sensors.camera
+    return BoxWorld(
+        drawn.name,
+        floor,
+        furniture,
+        SE2(0.0, 0.0, 0.0),
+        config.robot.height_m,
+        (camera.depth_min_m, camera.depth_max_m),
+    )
 
 
 class _Things:
