@@ -98,8 +98,18 @@ def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_
     Returns:
         In (0, 1]; 1 for the same.
     """
-    path, reference = (resample(_points(p), SPACING_M) for p in (path_m, reference_m))
+    path, reference = (evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
     return math.exp(-_warp(reference, path) / (len(reference) * within_m))
+
+
+def evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
+    """(k, 2): points as far apart along a path (n, 2) as divides it evenly, at most `spacing_m`;
+    a corner between two of them is left out."""
+    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
+    if along_m[-1] == 0.0:
+        return path_m[:1]
+    at_m = np.linspace(0.0, along_m[-1], math.ceil(along_m[-1] / spacing_m) + 1)
+    return np.column_stack([np.interp(at_m, along_m, axis) for axis in path_m.T])
 
 
 def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> int:

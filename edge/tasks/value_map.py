@@ -46,9 +46,10 @@ def value_map(
 
     In the paper a cost is all that keeps A* out of what is occupied, and Table II counts 2
     collisions in 30: here no path enters it at any price. Where the paper is silent: cells nearer
-    than `clearance_m` to an occupied one are closed as well; ground that nobody saw is other
-    ground; the tube lowers the cost of chosen regions only, else a coarse line that is straight
-    would lead over the lawn which the choice of regions leaves out.
+    than `clearance_m` to an occupied one are closed as well; what nobody saw is other ground, but
+    for what a region reaches over, as between the rings of a LiDAR; the tube lowers the cost of
+    chosen regions only, else a coarse line that is straight would lead over the lawn which the
+    choice of regions leaves out.
 
     Args:
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
@@ -74,8 +75,6 @@ def value_map(
     table = np.full(256, HIGH, np.uint8)
     table[list(drivable)] = DRIVABLE
     weights = cv2.LUT(regions.cells, table)
-    unseen = cv2.compare(cells, 0, cv2.CMP_LT)
-    weights[unseen.view(bool)] = HIGH
     if len(coarse_m):
         tube = _tube(occupancy, coarse_m, body.tube_m)
         tube &= cv2.compare(weights, DRIVABLE, cv2.CMP_EQ)

@@ -36,7 +36,7 @@ def twin(occupancy: Grid, regions: Grid, drivable, coarse_m: np.ndarray, body: B
     closed = np.argwhere(cells >= 50)
     for r, c in np.ndindex(cells.shape):
         x_m, y_m = occupancy.centres_m(np.array(r), np.array(c))
-        if cells[r, c] >= 0 and regions.cells[r, c] in drivable:
+        if regions.cells[r, c] in drivable:
             away = [to_line_m((x_m, y_m), *leg) for leg in pairwise(coarse_m)]
             rim = min(away, default=math.inf) - body.tube_m
             out[r, c] = TUBE if rim < 0 else DRIVABLE
@@ -89,8 +89,9 @@ def test_costs_of_free_ground(change, cell, expected):
         (100, (3, 22), CLOSED),
         (100, (2, 22), DRIVABLE),
         (100, (5, 23), DRIVABLE),
-        (-1, (5, 20), HIGH),
-        (-1, (5, 21), DRIVABLE),
+        # Between the rings of a LiDAR, and where no region is.
+        (-1, (5, 20), DRIVABLE),
+        (-1, (20, 20), HIGH),
     ],
 )
 def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
