@@ -5,19 +5,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from edge.geometry import SE2
 from edge.motion.pursuit import MotionLimits
 from edge.tasks.legs import Leg, RefineError, cut
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
-from edge.tasks.value_map import HIGH, Body, value_map
+from edge.tasks.value_map import HIGH, Body, closed_cells, value_map
 from edge.trajectory import astar, smoothing
-from edge.trajectory.costmap import CostMap
+from edge.trajectory.costmap import CostMap, from_weights
 from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1
@@ -122,7 +121,7 @@ def refine_legs(
     pose = scene.pose
     coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
     costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, body)
-    begin = _begin(costmap, pose, body)
+    begin = _begin(costmap, scene, body)
     costmap.weight[~_reachable(costmap, begin)] = 0
     notes: list[str] = []
     if (gone := math.dist(begin, (pose.x_m, pose.y_m))) > 0.0:
@@ -157,16 +156,20 @@ def refine_legs(
     )
 
 
-def _begin(costmap: CostMap, pose: SE2, body: Body) -> tuple[float, float]:
-    """Where the search begins: at the robot, or at the nearest open cell beside it."""
-    here = pose.x_m, pose.y_m
+def _begin(costmap: CostMap, scene: Scene, body: Body) -> tuple[float, float]:
+    """Where the search begins: at the robot, or at the nearest open cell beside it, if nothing
+    stands in between."""
+    here = scene.pose.x_m, scene.pose.y_m
     cell = costmap.cell_of(*here)
     if cell is None:
         raise RefineError(f"the robot at {_place(here)} is outside the map: wait for a newer map")
     if costmap.weight[cell]:
         return here
     nearest = astar.nearest_open(costmap, cell, here, ESCAPE_M)
-    if nearest is None:
+    solid = closed_cells(scene.occupancy, 0.0)
+    bare = from_weights(replace(scene.occupancy, cells=np.where(solid, 0, 1).astype(np.uint8)))
+    bare.weight[cell] = 1  # where the robot is, nothing else can be
+    if nearest is None or not smoothing.line_is_free(bare, here, _centre(costmap, nearest)):
         raise RefineError(
             f"the robot at {_place(here)} is shut in: nothing within {ESCAPE_M} m of it is "
             f"{body.clearance_m:g} m away from everything: drive it clear, or set less clearance"

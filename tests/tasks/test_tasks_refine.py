@@ -135,6 +135,12 @@ def test_a_robot_too_near_is_led_out_first():
         (scene(), [np.array([[70.0, 0.0]])], r"no way to \(70.0, 0.0\)"),
         (scene(pose=SE2(50.0, 0.0, 0.0)), TO_THE_EAST, r"the robot at \(50.0, 0.0\) is outside"),
         (scene((-9.0, -2.0, -5.0, 2.0)), TO_THE_EAST, r"the robot at \(-7.0, 0.0\) is shut in"),
+        # Open ground is near, behind a wall of one cell: the other side has no room.
+        (
+            scene((-9, 0, 9, 0.1), (-9, -9, 9, -0.3), pose=SE2(-7.0, -0.01, 0.0)),
+            TO_THE_EAST,
+            "is shut in",
+        ),
     ],
 )
 def test_no_way_is_refused_in_one_line(where, segments, words):
