@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import statistics
+import time
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
+import scipy.sparse
+from scipy.sparse.csgraph import dijkstra
 
 from edge.config import parse
 from edge.geometry import SE2, Grid
 from edge.motion.controller import Controller
+from edge.tasks.value_map import Body, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import from_occupancy, from_weights
 
@@ -45,6 +53,78 @@ def test_astar_weighted_maze(benchmark, side):
     assert plan.ok
     benchmark.extra_info.update(budget=f"astar_weighted_{side}", expansions=plan.expansions)
     benchmark.pedantic(astar.plan, (costmap, *ends, workspace), rounds=30, warmup_rounds=3)
+
+
+def graph(weights: np.ndarray) -> scipy.sparse.csr_matrix:
+    """The search's own graph: 8-connected, entering a cell costs its weight times the step, and no
+    corner of a closed cell is cut."""
+    numbers = np.arange(weights.size).reshape(weights.shape)
+    is_open = np.pad(weights != 0, 1)
+    h, w = weights.shape
+    froms, tos, costs = [], [], []
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        rows, columns = slice(0, h - dy), slice(max(-dx, 0), w - max(dx, 0))
+        a = numbers[rows, columns]
+        b = a + dy * w + dx
+        r, c = np.divmod(a, w)
+        passes = is_open[r + 1, c + 1] & is_open[r + dy + 1, c + dx + 1]
+        passes &= is_open[r + dy + 1, c + 1] & is_open[r + 1, c + dx + 1]
+        a, b, step = a[passes], b[passes], math.hypot(dx, dy)
+        froms += [a, b]
+        tos += [b, a]
+        costs += [step * weights.ravel()[b], step * weights.ravel()[a]]
+    arrays = (np.concatenate(costs), (np.concatenate(froms), np.concatenate(tos)))
+    return scipy.sparse.csr_matrix(arrays, shape=(weights.size, weights.size))
+
+
+@pytest.mark.parametrize("other", ["scipy", "pyastar2d"])
+def test_astar_against(benchmark, other):
+    """Weights 1 to 10 on 1000 x 1000 cells, our search and another's by turns.
+
+    scipy's Dijkstra has the same graph and finds the least cost; pyastar2d has the same weights,
+    and takes a diagonal step to be as long as a straight one.
+    """
+    weights = maze(1000)
+    costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0), unit=1)
+    workspace = astar.Workspace()
+    ends = (0.5, 0.5), (999.5, 999.5)
+    plan = astar.plan(costmap, *ends, workspace)
+    if other == "scipy":
+        edges = graph(weights)
+        least = dijkstra(edges, indices=0)[-1]
+        assert least * (1 - 1e-9) <= plan.cost_m <= least * 1.001
+        work = partial(dijkstra, edges, indices=0)
+    else:
+        pyastar2d = pytest.importorskip("pyastar2d", reason="pyastar2d has no wheel here")
+        floats = np.where(weights == 0, np.inf, weights).astype(np.float32)
+        work = partial(pyastar2d.astar_path, floats, (0, 0), (999, 999), allow_diagonal=True)
+        assert len(work()) > 1000
+    took_s = []
+
+    def by_turns() -> None:
+        began_s = time.thread_time()
+        work()
+        took_s.append(time.thread_time() - began_s)
+
+    benchmark.extra_info["budget"] = f"astar_weighted_1000_{other}"
+    arguments = (costmap, *ends, workspace)
+    benchmark.pedantic(astar.plan, arguments, setup=by_turns, rounds=9)
+    benchmark.extra_info["reference_ms"] = 1e3 * statistics.median(took_s)
+
+
+def test_value_map(benchmark, against):
+    """A tenth of the paper's 10 Hz is 10 ms; against OpenCV's distance to the nearest obstacle."""
+    cells = house(1000)
+    regions = np.zeros(cells.shape, np.uint8)
+    regions[200:700], regions[700:750] = 1, 2
+    place = ((0.0, 0.0), 0.1)
+    t = np.linspace(0.0, 1.0, 200)
+    coarse_m = np.column_stack([5.0 + 90.0 * t, 45.0 + 8.0 * np.sin(9.0 * t)])
+    free = (cells != 100).astype(np.uint8)
+    against(lambda: cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    benchmark.extra_info["budget"] = "value_map_1000"
+    arguments = (Grid(cells, *place), Grid(regions, *place), {1, 2}, coarse_m, Body())
+    benchmark.pedantic(value_map, arguments, rounds=30, warmup_rounds=3)
 
 
 def test_astar_house(benchmark):

@@ -46,7 +46,7 @@ from edge.config.robot import Camera, Lidar, Motion, Robot, Sensors
 from edge.config.root import Config, load, parse
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
-from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor
+from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor, WorldStreet
 from edge.config.tasks import ScriptLimits, Tasks, TrajectoryLimits, WriterModel, WriterRules
 from edge.errors import ConfigError
 
@@ -102,6 +102,7 @@ __all__ = [
     "WorldHouse",
     "WorldMesh",
     "WorldProcthor",
+    "WorldStreet",
     "WriterModel",
     "WriterRules",
     "Zenoh",

@@ -43,11 +43,19 @@ class WorldGenerated(Section):
     seed: Annotated[int, Field(ge=0)] = 0
 
 
+class WorldStreet(Section):
+    """A street with houses, cars, trees, poles, bins and benches, another one for every seed."""
+
+    kind: Literal["street"] = "street"
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
 class Sim(Section):
     """`start` (x and y in metres, yaw in radians) takes the place of the world's own."""
 
     world: Annotated[
-        Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated], Field(discriminator="kind")
+        Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated, WorldStreet],
+        Field(discriminator="kind"),
     ] = WorldHouse()
     start: tuple[float, float, float] | None = None
     seed: int = 0

@@ -12,12 +12,14 @@ from edge.sim.generator.house import load_generated
 from edge.sim.house import load_house
 from edge.sim.mesh import load_mesh
 from edge.sim.procthor import load_procthor
+from edge.sim.street import load_street
 
 LOADERS: dict[str, Callable[[Any, Config], World]] = {
     "generated": load_generated,
     "house": load_house,
     "mesh": load_mesh,
     "procthor": load_procthor,
+    "street": load_street,
 }
 
 

@@ -58,14 +58,20 @@ def _read_transform(reader: Reader) -> Transform:
     return Transform(stamp_ns, parent.lstrip("/"), child.lstrip("/"), T)
 
 
-def encode_path(stamp_ns: int, frame_id: str, poses: np.ndarray) -> bytes:
-    """nav_msgs/Path of (n, 3) poses: x and y in metres, yaw in radians, all of one stamp."""
+def encode_path(
+    stamp_ns: int, frame_id: str, poses: np.ndarray, z_m: np.ndarray | float = 0.0
+) -> bytes:
+    """nav_msgs/Path of (n, 3) poses: x and y in metres, yaw in radians, all of one stamp.
+
+    Args:
+        z_m: their height, one for all or (n,).
+    """
     n = len(poses)
     writer = Writer().header(stamp_ns, frame_id).write(U32, 4, n)
     if n == 0:
         return writer.bytes()
     values = np.zeros((n, 7))
-    values[:, :2] = poses[:, :2]
+    values[:, :2], values[:, 2] = poses[:, :2], z_m
     values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
     first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     # A pose ends at a multiple of eight, so all that follow are laid out alike.

@@ -45,7 +45,9 @@ def test_transforms(names):
 @pytest.mark.parametrize("n", [0, 1, 2, 5])
 def test_a_path(frame_id, n):
     poses = np.arange(3.0 * n).reshape(n, 3) / 10
-    path = from_ros(transforms.encode_path(10**9 + 5, frame_id, poses), "nav_msgs/msg/Path")
+    z_m = np.arange(n) / 4
+    payload = transforms.encode_path(10**9 + 5, frame_id, poses, z_m)
+    path = from_ros(payload, "nav_msgs/msg/Path")
     assert (path.header.frame_id, path.header.stamp.nanosec) == (frame_id, 5)
     got = [
         (p.header.frame_id, p.pose.position.x, p.pose.position.y,
@@ -53,6 +55,7 @@ def test_a_path(frame_id, n):
         for p in path.poses
     ]  # fmt: skip
     assert got == [(frame_id, x, y, pytest.approx(yaw)) for x, y, yaw in poses]
+    assert [p.pose.position.z for p in path.poses] == z_m.tolist()
 
 
 def test_markers():

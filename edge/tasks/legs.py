@@ -1,0 +1,100 @@
+"""A coarse trajectory, cut into legs that A* is run for one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.errors import UserError
+from edge.tasks.speeds import headings_rad
+
+TURN_RAD = math.radians(45.0)
+"""A* cuts no bend short by more than this: of a circle as wide as three tubes it leaves an octagon
+whose sides lie in the tube."""
+_COS_TURN = math.cos(TURN_RAD) + 1e-6
+
+
+class RefineError(UserError):
+    """No trajectory can be driven; the message says where it ends and what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leg:
+    """A part of the coarse trajectory for which A* is run once.
+
+    Attributes:
+        points_m: (n, 3) float64 in `map`, n >= 1, without the point where the leg before it ended.
+        ends_segment: its end has to be reached; else it only keeps A* from cutting a bend short.
+    """
+
+    points_m: np.ndarray
+    ends_segment: bool
+
+
+def cut(
+    segments: Sequence[np.ndarray], start_xy_m: tuple[float, float], tube_m: float
+) -> tuple[Leg, ...]:
+    """The coarse trajectory in legs: each segment, cut where it has turned by `TURN_RAD`.
+
+    Args:
+        tube_m: what lies nearer to a straight line than half of it is not a turn.
+
+    Raises:
+        RefineError: no segment, a segment without points, points that are no numbers.
+    """
+    legs: list[Leg] = []
+    last = np.array([*start_xy_m, 0.0])
+    for number, segment in enumerate(segments, start=1):
+        points = np.asarray(segment, np.float64)
+        if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
+            raise RefineError(
+                f"segment {number} of the trajectory: expected points (n, 2 or 3), got "
+                f"{points.shape}: ask for the trajectory again"
+            )
+        if not np.isfinite(points).all():
+            raise RefineError(
+                f"segment {number} of the trajectory holds NaN or inf: ask for the trajectory again"
+            )
+        points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        bends = _bends(np.concatenate([last[None], points]), 0.5 * tube_m)
+        for part in np.split(points, bends):
+            legs.append(Leg(part, ends_segment=False))
+        legs[-1] = Leg(legs[-1].points_m, ends_segment=True)
+        last = points[-1]
+    if not legs:
+        raise RefineError("the trajectory has no segment: ask for the trajectory again")
+    return tuple(legs)
+
+
+def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
+    """Indices at which a polyline has turned by `TURN_RAD` since the last, each at least 1."""
+    rough = _simplified(points_m[:, :2], tolerance_m)
+    headings = headings_rad(points_m[rough, :2])[:-1]
+    found, first = list[int](), headings[0] if len(headings) else 0.0
+    for k in range(1, len(headings)):
+        if math.cos(headings[k] - first) <= _COS_TURN:
+            found.append(rough[k])
+            first = headings[k]
+    return found
+
+
+def _simplified(points_m: np.ndarray, tolerance_m: float) -> list[int]:
+    """Indices of the points that a polyline needs (Douglas & Peucker 1973).
+
+    OpenCV's takes one that ends where it began for a point.
+    """
+    kept, spans = {0, len(points_m) - 1}, [(0, len(points_m) - 1)]
+    while spans:
+        first, last = spans.pop()
+        along = points_m[last] - points_m[first]
+        between = points_m[first + 1 : last] - points_m[first]
+        share = np.clip(between @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+        away = np.hypot(*(between - share[:, None] * along).T)
+        if len(away) and away.max() > tolerance_m:
+            farthest = first + 1 + int(np.argmax(away))
+            kept.add(farthest)
+            spans += [(first, farthest), (farthest, last)]
+    return sorted(kept)

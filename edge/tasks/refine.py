@@ -1,0 +1,305 @@
+"""From a coarse trajectory to one that can be driven (OpenNav III-A4): A* over the value map, a
+spline, headings, speeds and times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from edge.motion.pursuit import MotionLimits
+from edge.tasks.legs import Leg, RefineError, cut
+from edge.tasks.scene import Scene
+from edge.tasks.speeds import headings_rad, speeds_mps, times_s
+from edge.tasks.value_map import HIGH, Body, closed_cells, value_map
+from edge.trajectory import astar, smoothing
+from edge.trajectory.costmap import CostMap, from_weights
+from edge.trajectory.spline import b_spline
+
+SPACING_M = 0.1
+"""Points of a refined trajectory are at most as far apart."""
+ESCAPE_M = 0.6
+"""A robot that stands in closed cells is led out of them over this distance."""
+CONTROL_M = (2.0, 1.0, 0.5, 0.25)
+"""Distances of a spline's control points, the smoothest first."""
+DEARER = 1.05
+"""A spline may cost this times what the path does that it smooths; over ground that was not chosen
+it may lead no farther."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A trajectory to drive, and how it was come by.
+
+    Attributes:
+        poses: (n, 4) float64: x, y, z [m] and heading [rad] in `map`, n >= 1.
+        speeds_mps: (n,) float64; 0 at the last.
+        times_s: (n,) float64, from 0 where the robot faces along the path.
+        leg: (n,) int64, index into `legs`.
+        legs: what was refined, and `drivable`: the regions chosen for it.
+        cost_m: of the path in metres of the tube's ground (`value_map`).
+        control_m: distance of the spline's control points; 0: the path is A*'s own, since every
+            spline of `CONTROL_M` entered a closed cell or was too dear (`DEARER`).
+        off_region_m: how much of it leads over ground that was not chosen, or not seen.
+        notes: what became otherwise than it was asked for, a line each.
+    """
+
+    poses: np.ndarray
+    speeds_mps: np.ndarray
+    times_s: np.ndarray
+    leg: np.ndarray
+    legs: tuple[Leg, ...]
+    drivable: frozenset[int]
+    cost_m: float
+    control_m: float
+    off_region_m: float
+    notes: tuple[str, ...]
+
+
+def refine(
+    scene: Scene,
+    segments: Sequence[np.ndarray],
+    drivable: Collection[int],
+    body: Body,
+    limits: MotionLimits,
+    speed_mps: float = 0.0,
+) -> Refined:
+    """A* over the value map through the ends of the coarse segments, then a spline.
+
+    A* runs once from the end of each segment to the end of the next; where a segment bends it is
+    cut there too (`legs.cut`), so that a way around something is not cut short. The spline is the
+    smoothest of `CONTROL_M` that enters no closed cell.
+
+    Args:
+        segments: each (n, 2 or 3) float64 in `map`; the height is 0 where there is none.
+        drivable: ids of the regions chosen; empty: any.
+        speed_mps: of the robot at this instant.
+
+    Raises:
+        RefineError: points that are none, an end that nothing leads to, a robot shut in.
+    """
+    legs = cut(segments, (scene.pose.x_m, scene.pose.y_m), body.tube_m)
+    chosen = frozenset(drivable) or frozenset(scene.regions)
+    return refine_legs(scene, legs, chosen, body, limits, speed_mps)
+
+
+def refine_again(
+    scene: Scene,
+    before: Refined,
+    index: int,
+    body: Body,
+    limits: MotionLimits,
+    speed_mps: float = 0.0,
+) -> Refined:
+    """What is left of a trajectory, from where the robot stands, on the map of this instant.
+
+    Args:
+        index: of the pose in `before` that the robot has come to (`follow.goal_ahead`).
+
+    Raises:
+        RefineError: as `refine`.
+    """
+    first, *rest = before.legs[before.leg[index] :]
+    away = np.hypot(*(first.points_m[:, :2] - (scene.pose.x_m, scene.pose.y_m)).T)
+    ahead = first.points_m[int(np.argmin(away)) :]
+    legs = (Leg(ahead, first.ends_segment), *rest)
+    return refine_legs(scene, legs, before.drivable, body, limits, speed_mps)
+
+
+def refine_legs(
+    scene: Scene,
+    legs: Sequence[Leg],
+    drivable: frozenset[int],
+    body: Body,
+    limits: MotionLimits,
+    speed_mps: float,
+) -> Refined:
+    """`refine`, of a trajectory that is cut already."""
+    pose = scene.pose
+    coarse = np.concatenate([[(pose.x_m, pose.y_m)], *(leg.points_m[:, :2] for leg in legs)])
+    costmap = value_map(scene.occupancy, scene.regions_grid, drivable, coarse, body)
+    begin = _begin(costmap, scene, body)
+    costmap.weight[~_reachable(costmap, begin)] = 0
+    notes: list[str] = []
+    if (gone := math.dist(begin, (pose.x_m, pose.y_m))) > 0.0:
+        notes.append(f"the robot stands too near to something: led {gone:.1f} m away from it first")
+    kept, ends = _ends(costmap, legs, body.tube_m, notes)
+    paths = _search(costmap, begin, ends)
+    points, leg, control_m = _smooth(costmap, paths)
+    if not control_m:
+        notes.append(
+            "not smoothed: every spline came too near to something, or left the ground chosen"
+        )
+    cost_m = smoothing.polyline_cost_m(costmap, points)
+    off_m = _length_at_m(costmap, points, HIGH)
+    if off_m > 0.0:
+        notes.append(f"{off_m:.1f} m of it lead over ground that was not chosen")
+    if gone > 0.0:
+        points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
+    heights_m = _heights_m(points, leg, kept)
+    headings = headings_rad(points) if len(points) > 1 else np.array([pose.yaw_rad])
+    speeds = speeds_mps(points, limits, speed_mps)
+    return Refined(
+        poses=np.column_stack([points, heights_m, headings]),
+        speeds_mps=speeds,
+        times_s=times_s(points, speeds, limits.accel_mps2),
+        leg=leg,
+        legs=kept,
+        drivable=drivable,
+        cost_m=cost_m,
+        control_m=control_m,
+        off_region_m=off_m,
+        notes=tuple(notes),
+    )
+
+
+def _begin(costmap: CostMap, scene: Scene, body: Body) -> tuple[float, float]:
+    """Where the search begins: at the robot, or at the nearest open cell beside it, if nothing
+    stands in between."""
+    here = scene.pose.x_m, scene.pose.y_m
+    cell = costmap.cell_of(*here)
+    if cell is None:
+        raise RefineError(f"the robot at {_place(here)} is outside the map: wait for a newer map")
+    if costmap.weight[cell]:
+        return here
+    nearest = astar.nearest_open(costmap, cell, here, ESCAPE_M)
+    solid = closed_cells(scene.occupancy, 0.0)
+    bare = from_weights(replace(scene.occupancy, cells=np.where(solid, 0, 1).astype(np.uint8)))
+    bare.weight[cell] = 1  # where the robot is, nothing else can be
+    if nearest is None or not smoothing.line_is_free(bare, here, _centre(costmap, nearest)):
+        raise RefineError(
+            f"the robot at {_place(here)} is shut in: nothing within {ESCAPE_M} m of it is "
+            f"{body.clearance_m:g} m away from everything: drive it clear, or set less clearance"
+        )
+    return _centre(costmap, nearest)
+
+
+def _reachable(costmap: CostMap, begin: tuple[float, float]) -> np.ndarray:
+    """Bool, as `costmap.weight`: cells with a way to `begin` (no corner cut: 4-connected)."""
+    is_open = (costmap.weight != 0).view(np.uint8)
+    _, part = cv2.connectedComponents(is_open, connectivity=4)
+    return part == part[costmap.cell_of(*begin)]
+
+
+def _ends(
+    costmap: CostMap, legs: Sequence[Leg], tube_m: float, notes: list[str]
+) -> tuple[tuple[Leg, ...], list[tuple[float, float]]]:
+    """Where each leg ends: as asked, or at the nearest open cell within the tube.
+
+    A leg whose end is shut and has not to be reached becomes part of the next.
+    """
+    kept: list[Leg] = []
+    ends: list[tuple[float, float]] = []
+    before = np.empty((0, 3))
+    for leg in legs:
+        points = np.concatenate([before, leg.points_m])
+        asked = (float(points[-1, 0]), float(points[-1, 1]))
+        end = _nearest_open(costmap, asked, tube_m)
+        if end is None and not leg.ends_segment:
+            before = points
+            continue
+        if end is None:
+            raise RefineError(
+                f"no way to {_place(asked)}: nothing within {tube_m:g} m of it can be reached: "
+                "name another place, or wait until the way is free"
+            )
+        if end != asked and leg.ends_segment:
+            moved = math.dist(end, asked)
+            notes.append(f"{_place(asked)} is too near to something: stops {moved:.1f} m beside it")
+        kept.append(Leg(points, leg.ends_segment))
+        ends.append(end)
+        before = np.empty((0, 3))
+    return tuple(kept), ends
+
+
+def _nearest_open(
+    costmap: CostMap, xy_m: tuple[float, float], within_m: float
+) -> tuple[float, float] | None:
+    """The point itself where its cell is open, else the nearest open cell's middle; None where
+    there is none, and outside the map.
+    """
+    cell = costmap.cell_of(*xy_m)
+    if cell is None or costmap.weight[cell]:
+        return None if cell is None else xy_m
+    nearest = astar.nearest_open(costmap, cell, xy_m, within_m)
+    return None if nearest is None else _centre(costmap, nearest)
+
+
+def _search(
+    costmap: CostMap, begin: tuple[float, float], ends: Sequence[tuple[float, float]]
+) -> list[np.ndarray]:
+    """A path (n, 2) for each leg."""
+    paths, workspace = [], astar.Workspace()
+    for start, end in zip([begin, *ends[:-1]], ends, strict=True):
+        plan = astar.plan(costmap, start, end, workspace)
+        if not plan.ok:
+            raise RefineError(
+                f"no way from {_place(start)} to {_place(end)}: {plan.reason}: name a nearer place"
+            )
+        paths.append(plan.path_m)
+    return paths
+
+
+def _smooth(costmap: CostMap, paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+    """(points (n, 2), the leg of each, distance of the control points or 0)."""
+    plain, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
+    most_m = DEARER * smoothing.polyline_cost_m(costmap, plain)
+    most_off_m = _length_at_m(costmap, plain, HIGH)
+    for control_m in CONTROL_M:
+        control, of_control = _joined(
+            [smoothing.smooth(costmap, path, control_m) for path in paths]
+        )
+        curve, at = b_spline(control, SPACING_M)
+        if len(curve) < 2 or (
+            smoothing.polyline_cost_m(costmap, curve) <= most_m
+            and _length_at_m(costmap, curve, HIGH) <= most_off_m
+        ):
+            # A leg begins behind the point where the one before it ends.
+            return curve, of_control[np.minimum(at + 1, len(control) - 1)], control_m
+    return plain, leg, 0.0
+
+
+def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """One polyline without points twice in a row, and for each point the index of its path."""
+    points = np.concatenate(paths)
+    leg = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
+    moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
+    return points[moved], leg[moved]
+
+
+def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:
+    """How much of a polyline lies in cells of a weight."""
+    cells = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
+    legs = np.hypot(*np.diff(points_m, axis=0).T)
+    return float(legs[costmap.weight[cells[:, 1], cells[:, 0]] == weight].sum())
+
+
+def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np.ndarray:
+    """(n,): heights of the coarse trajectory, by the share of each leg that is behind."""
+    heights = np.zeros(len(points_m))
+    before = legs[0].points_m[:1]
+    for k, coarse in enumerate(legs):
+        mine = leg == k
+        way = np.concatenate([before, coarse.points_m])
+        if mine.any():
+            heights[mine] = np.interp(_shares(points_m[mine]), _shares(way[:, :2]), way[:, 2])
+        before = way[-1:]
+    return heights
+
+
+def _shares(points_m: np.ndarray) -> np.ndarray:
+    """(n,) from 0 to 1: which part of a polyline's length lies before each point."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
+    return along / max(along[-1], 1e-9)
+
+
+def _centre(costmap: CostMap, cell: tuple[int, int]) -> tuple[float, float]:
+    x_m, y_m = costmap.metres_of(np.array([cell[1] + 0.5, cell[0] + 0.5]))
+    return float(x_m), float(y_m)
+
+
+def _place(xy_m: tuple[float, float]) -> str:
+    return f"({xy_m[0]:.1f}, {xy_m[1]:.1f})"

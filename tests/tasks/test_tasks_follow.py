@@ -1,0 +1,106 @@
+"""Driving a refined trajectory: the moving goal, what blocks it, the message."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from ros_messages import from_ros
+from small_scenes import BODY, LIMITS, fill, scene
+
+from edge.geometry import SE2
+from edge.tasks.follow import blocked_ahead_m, goal_ahead, path_message
+from edge.tasks.refine import Refined, refine
+
+
+def line() -> Refined:
+    """From (-7, 0) to (7, 0)."""
+    return refine(scene(), [np.array([[7.0, 0.0]])], {1}, BODY, LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("robot", "look_ahead_m", "since_m", "goal_x_m"),
+    [
+        (SE2(-7.0, 0.0, 0.0), 1.5, -7.0, -5.5),
+        # Aside of the path, and before its begin.
+        (SE2(-5.0, 0.7, 2.0), 1.5, -7.0, -3.5),
+        (SE2(-9.0, 0.0, 0.0), 1.5, -7.0, -5.5),
+        # Its last pose, however far one looks.
+        (SE2(6.5, 0.0, 0.0), 1.5, 5.0, 7.0),
+        (SE2(7.0, 0.0, 0.0), 1.5, 7.0, 7.0),
+        # The robot is not looked for behind where it was, nor farther ahead than it can have come.
+        (SE2(-5.0, 0.0, 0.0), 1.0, -2.0, -1.0),
+        (SE2(6.0, 0.0, 0.0), 1.0, -7.0, -3.0),
+    ],
+)
+def test_the_goal_is_ahead_of_the_robot(robot, look_ahead_m, since_m, goal_x_m):
+    trajectory = line()
+    since = int(np.argmin(np.abs(trajectory.poses[:, 0] - since_m)))
+    goal, index = goal_ahead(trajectory, robot, look_ahead_m, since)
+    assert goal.x_m == pytest.approx(goal_x_m, abs=0.15)
+    assert (goal.y_m, goal.yaw_rad) == (pytest.approx(0.0), pytest.approx(0.0))
+    assert index >= since
+
+
+def test_a_goal_that_is_driven_to_comes_to_the_end():
+    trajectory = line()
+    robot, index = SE2(-7.0, 0.0, 0.0), 0
+    for _ in range(40):
+        goal, index = goal_ahead(trajectory, robot, 0.5, index)
+        robot = goal
+    assert (robot.x_m, robot.y_m) == (7.0, 0.0)
+
+
+def test_a_single_pose_is_its_own_goal():
+    trajectory = refine(scene(pose=SE2(7.0, 0.0, 1.0)), [np.array([[7.0, 0.0]])], {1}, BODY, LIMITS)
+    assert goal_ahead(trajectory, SE2(7.0, 0.0, 1.0), 1.0) == (SE2(7.0, 0.0, 1.0), 0)
+
+
+@pytest.mark.parametrize(
+    ("box", "value", "from_x_m", "expected_m"),
+    [
+        ((0, 0, 0, 0), 0, -7.0, None),
+        ((2.0, -0.5, 3.0, 0.5), 100, -7.0, 8.6),
+        ((2.0, -0.5, 3.0, 0.5), 100, 0.0, 1.6),
+        # Beside the path, near enough and not; behind the robot; not seen.
+        ((2.0, 0.2, 3.0, 0.5), 100, -7.0, 8.7),
+        ((2.0, 0.5, 3.0, 0.8), 100, -7.0, None),
+        ((2.0, -0.5, 3.0, 0.5), 100, 4.0, None),
+        ((2.0, -0.5, 3.0, 0.5), -1, -7.0, None),
+    ],
+)
+def test_what_blocks_it(box, value, from_x_m, expected_m):
+    trajectory, occupancy = line(), scene().occupancy
+    fill(occupancy, box, value)
+    index = int(np.argmin(np.abs(trajectory.poses[:, 0] - from_x_m)))
+    got = blocked_ahead_m(trajectory, occupancy, BODY.clearance_m, index)
+    assert got == (None if expected_m is None else pytest.approx(expected_m, abs=0.15))
+
+
+def test_the_way_out_of_what_is_too_near_blocks_nothing():
+    occupancy = scene((-7.5, 0.3, -6.9, 1.0)).occupancy
+    assert blocked_ahead_m(line(), occupancy, BODY.clearance_m) is None
+    fill(occupancy, (3.0, -1.0, 4.0, 1.0), 100)
+    assert blocked_ahead_m(line(), occupancy, BODY.clearance_m) == pytest.approx(9.6, abs=0.15)
+
+
+def test_outside_the_map_nothing_is_known():
+    occupancy = scene((-10.0, -10.0, 10.0, 10.0)).occupancy
+    trajectory = line()
+    trajectory.poses[:, 0] -= 40.0
+    assert blocked_ahead_m(trajectory, occupancy, 0.4) is None
+
+
+def test_it_is_a_path():
+    trajectory = refine(scene(), [np.array([[0.0, 0.0, 0.5], [0.0, 7.0, 0.5]])], {1}, BODY, LIMITS)
+    path = from_ros(path_message(trajectory, 10**9 + 5), "nav_msgs/msg/Path")
+    assert (path.header.frame_id, path.header.stamp.nanosec) == ("map", 5)
+    got = np.array(
+        [
+            (p.pose.position.x, p.pose.position.y, p.pose.position.z,
+             2 * math.atan2(p.pose.orientation.z, p.pose.orientation.w))
+            for p in path.poses
+        ]
+    )  # fmt: skip
+    np.testing.assert_allclose(got, trajectory.poses, atol=1e-9)

@@ -1,0 +1,195 @@
+"""Refinement: free of collision, near to what was said, smooth; refused where there is no way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_scenes import BODY, LIMITS, Box, fill, scene
+
+from edge.geometry import SE2
+from edge.tasks.legs import RefineError
+from edge.tasks.refine import CONTROL_M, SPACING_M, Refined, refine, refine_again
+from edge.tasks.scene import Scene
+from edge.tasks.value_map import Body, closed_cells
+
+HOUSE: Box = (-1.0, -1.0, 1.0, 1.0)
+WALL: Box = (-0.2, -10.0, 0.2, 10.0)
+TO_THE_EAST = [np.array([[7.0, 0.0]])]
+SOUTH_ABOUT = [np.array([[-3.0, -4.0], [3.0, -4.0], [7.0, 0.0]])]
+
+
+def refined(where: Scene, segments=TO_THE_EAST, drivable=(1,), body=BODY, **more) -> Refined:
+    return refine(where, segments, drivable, body, LIMITS, **more)
+
+
+def is_free(where: Scene, trajectory: Refined, clearance_m: float = BODY.clearance_m) -> bool:
+    cells = np.floor(where.occupancy.of_metres(trajectory.poses[:, :2])).astype(int)
+    return not closed_cells(where.occupancy, clearance_m)[cells[:, 1], cells[:, 0]].any()
+
+
+def test_the_robot_that_is_there_stays():
+    where = scene(pose=SE2(7.0, 0.0, 1.0))
+    got = refined(where)
+    assert got.poses.tolist() == [[7.0, 0.0, 0.0, 1.0]]
+    assert got.times_s.tolist() == got.speeds_mps.tolist() == [0.0]
+
+
+def test_a_free_line_is_a_line():
+    got = refined(scene())
+    assert got.poses[0].tolist() == [-7.0, 0.0, 0.0, 0.0]
+    assert got.poses[-1, :2].tolist() == [7.0, 0.0]
+    assert np.abs(got.poses[:, 1]).max() < 1e-9
+    assert (got.cost_m, got.off_region_m) == (pytest.approx(14.0), 0.0)
+    assert got.control_m == CONTROL_M[0]
+    assert got.notes == ()
+    # 0.8 m/s2 to 1 m/s and back: 1.25 s and 0.625 m each.
+    assert got.times_s[-1] == pytest.approx(12.75 + 2.5, rel=1e-3)
+
+
+def test_a_coarse_line_through_a_house_goes_around_it():
+    where = scene(HOUSE)
+    got = refined(where)
+    assert is_free(where, got)
+    # As far round as it has to, and no farther.
+    assert 1.3 < np.abs(got.poses[:, 1]).max() < 1.7
+
+
+def test_what_was_said_decides_between_two_ways():
+    where = scene(HOUSE)
+    got = refined(where, SOUTH_ABOUT)
+    assert is_free(where, got)
+    middle = got.poses[np.argmin(np.abs(got.poses[:, 0]))]
+    assert middle[1] == pytest.approx(-4.0, abs=BODY.tube_m)
+
+
+def test_a_circle_is_driven_around():
+    """Not cut short to its end, which is where it begins."""
+    angle = np.linspace(math.pi, -math.pi, 40)
+    circle = 3.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    where = scene(HOUSE)
+    got = refined(where, [circle, np.array([[-7.0, 3.0]])])
+    bearing = np.unwrap(np.arctan2(got.poses[:, 1], got.poses[:, 0]))
+    assert is_free(where, got)
+    assert bearing.min() < math.pi - 2 * math.pi + 0.2
+    assert got.legs[got.leg[-1]].ends_segment
+
+
+def test_it_keeps_to_the_regions_chosen():
+    """A corridor in the north; the straight line lies on the lawn."""
+    where = scene(road=(-9.0, -1.0, -6.0, 4.0))
+    for box in ((-9.0, 3.0, 9.0, 5.0), (6.0, -1.0, 9.0, 4.0)):
+        fill(where.regions_grid, box, 1)
+    got = refined(where)
+    assert got.off_region_m == 0.0
+    assert got.poses[:, 1].max() > 3.0
+    assert refined(where, drivable=()).off_region_m == 0.0
+    off = refined(where, drivable=(2,))
+    assert off.off_region_m == pytest.approx(14.0, abs=0.1)
+    assert "14.0 m of it lead over ground that was not chosen" in off.notes
+
+
+def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
+    where = scene(road=(-9.0, -9.0, -2.0, 9.0))
+    fill(where.regions_grid, (2.0, -9.0, 9.0, 9.0), 1)
+    assert refined(where).off_region_m == pytest.approx(4.0, abs=0.3)
+
+
+def test_heights_are_those_of_the_coarse_trajectory():
+    got = refined(scene(), [np.array([[-7.0, 0.0, 1.0], [0.0, 0.0, 1.0], [7.0, 0.0, 2.0]])])
+    at = [np.argmin(np.abs(got.poses[:, 0] - x_m)) for x_m in (-7.0, 0.0, 3.5, 7.0)]
+    np.testing.assert_allclose(got.poses[at, 2], [1.0, 1.0, 1.5, 2.0], atol=0.02)
+
+
+def test_an_end_that_is_too_near_is_moved_and_said():
+    got = refined(scene((6.8, -1.0, 9.0, 1.0)))
+    assert math.dist(got.poses[-1, :2], (7.0, 0.0)) == pytest.approx(0.65, abs=0.15)
+    assert got.notes[0].startswith("(7.0, 0.0) is too near to something: stops 0.")
+
+
+def test_a_bend_that_is_shut_is_passed_by():
+    """Its corner lies within the house, too far in to be moved: the ends are what counts."""
+    where = scene((-3.0, -3.0, 3.0, 3.0))
+    got = refined(where, [np.array([[0.0, 0.0], [0.0, 7.0]])])
+    assert is_free(where, got)
+    assert got.poses[-1, :2].tolist() == [0.0, 7.0]
+
+
+def test_a_robot_too_near_is_led_out_first():
+    where = scene((-7.5, 0.3, -6.5, 1.0))
+    got = refined(where)
+    assert got.poses[0, :2].tolist() == [-7.0, 0.0]
+    assert got.notes[0].startswith("the robot stands too near to something: led 0.")
+    assert is_free(where, replace(got, poses=got.poses[1:]))
+
+
+@pytest.mark.parametrize(
+    ("where", "segments", "words"),
+    [
+        (scene(WALL), TO_THE_EAST, r"no way to \(7.0, 0.0\): nothing within 1 m of it"),
+        (scene((5.0, -2.0, 9.0, 2.0)), TO_THE_EAST, "no way to"),
+        (scene(), [np.array([[70.0, 0.0]])], r"no way to \(70.0, 0.0\)"),
+        (scene(pose=SE2(50.0, 0.0, 0.0)), TO_THE_EAST, r"the robot at \(50.0, 0.0\) is outside"),
+        (scene((-9.0, -2.0, -5.0, 2.0)), TO_THE_EAST, r"the robot at \(-7.0, 0.0\) is shut in"),
+        # Open ground is near, behind a wall of one cell: the other side has no room.
+        (
+            scene((-9, 0, 9, 0.1), (-9, -9, 9, -0.3), pose=SE2(-7.0, -0.01, 0.0)),
+            TO_THE_EAST,
+            "is shut in",
+        ),
+    ],
+)
+def test_no_way_is_refused_in_one_line(where, segments, words):
+    with pytest.raises(RefineError, match=words) as refusal:
+        refined(where, segments)
+    assert "\n" not in str(refusal.value)
+
+
+def test_it_is_planned_again_when_something_stands_on_it():
+    where = scene()
+    first = refined(where, [np.array([[0.0, 0.0]]), np.array([[7.0, 0.0]])])
+    robot = int(np.argmin(np.abs(first.poses[:, 0] + 3.0)))
+    later = scene((2.0, -1.0, 4.0, 1.0), pose=SE2(*first.poses[robot, [0, 1, 3]]))
+    assert not is_free(later, first)
+    again = refine_again(later, first, robot, BODY, LIMITS, speed_mps=first.speeds_mps[robot])
+    assert is_free(later, again)
+    np.testing.assert_array_equal(again.poses[0, :2], first.poses[robot, :2])
+    np.testing.assert_array_equal(again.poses[-1, :2], first.poses[-1, :2])
+    assert again.speeds_mps[0] == first.speeds_mps[robot]
+    # Past the first segment's end there is but the second.
+    beyond = int(np.argmin(np.abs(first.poses[:, 0] - 1.0)))
+    last = refine_again(replace(later, pose=SE2(1.0, 0.0, 0.0)), first, beyond, BODY, LIMITS)
+    assert len(last.legs) == 1
+    with pytest.raises(RefineError, match="no way to"):
+        refine_again(scene((1.0, -10.0, 2.0, 10.0)), first, robot, BODY, LIMITS)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.sampled_from([0.0, 0.2, 0.4]))
+def test_nothing_refined_collides(seed, count, clearance_m):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-8.0, 7.0, (count, 2))
+    boxes = np.concatenate([corners, corners + rng.uniform(0.3, 3.0, (count, 2))], axis=1)
+    where = scene(*map(tuple, boxes.tolist()), pose=SE2(-9.0, -9.0, 0.0))
+    segments = [rng.uniform(-9.0, 9.0, (rng.integers(1, 6), 2)) for _ in range(3)]
+    try:
+        got = refined(where, segments, body=Body(clearance_m, 1.0))
+    except RefineError:
+        return
+    assert is_free(where, got, clearance_m)
+    legs = np.diff(got.poses[:, :2], axis=0)
+    assert np.hypot(*legs.T).max() <= SPACING_M + 1e-9
+    np.testing.assert_allclose(
+        np.column_stack([np.cos(got.poses[:-1, 3]), np.sin(got.poses[:-1, 3])]),
+        legs / np.hypot(*legs.T)[:, None],
+        atol=1e-9,
+    )
+    assert (np.diff(got.times_s) > 0.0).all()
+    assert (np.diff(got.leg) >= 0).all()
+    for segment in segments:
+        away = np.hypot(*(got.poses[:, :2] - segment[-1]).T)
+        assert away.min() <= 1.0 + 2.0 * got.control_m

@@ -1,0 +1,56 @@
+"""B-splines: where they begin and end, what they keep near to, and scipy's own curve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import BSpline
+
+from edge.trajectory.spline import b_spline
+
+CONTROLS = st.lists(st.tuples(*[st.floats(-50, 50)] * 2), min_size=2, max_size=12).map(np.array)
+
+
+@pytest.mark.parametrize("control", [np.empty((0, 2)), np.array([[1.0, 2.0]])])
+def test_less_than_two_points_are_the_curve(control):
+    curve, at = b_spline(control, 0.1)
+    assert curve.tolist() == control.tolist()
+    assert len(at) == len(control)
+
+
+def test_a_line_stays_one():
+    curve, at = b_spline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), 0.1)
+    assert (curve[:, 1] == 0.0).all()
+    assert (np.diff(curve[:, 0]) > 0.0).all()
+    assert (at[0], at[-1]) == (0, 2)
+
+
+def test_a_corner_is_rounded_by_a_sixth():
+    """At its knot the curve is 1/6, 4/6, 1/6 of three control points."""
+    control = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0]])
+    curve, at = b_spline(control, 0.05)
+    knot = curve[np.argmax(at == 2)]
+    np.testing.assert_allclose(knot, [(1 + 8 + 2) / 6, 1 / 6])
+
+
+@given(CONTROLS, st.floats(0.05, 5.0))
+def test_ends_hull_and_spacing(control, spacing_m):
+    curve, at = b_spline(control, spacing_m)
+    np.testing.assert_allclose(curve[[0, -1]], control[[0, -1]], atol=1e-9)
+    assert (curve >= control.min(axis=0) - 1e-9).all()
+    assert (curve <= control.max(axis=0) + 1e-9).all()
+    assert np.hypot(*np.diff(curve, axis=0).T).max() <= spacing_m * (1 + 1e-9)
+    assert (np.diff(at) >= 0).all()
+
+
+@given(CONTROLS)
+def test_it_is_scipys_curve(control):
+    padded = np.concatenate([control[:1]] * 2 + [control] + [control[-1:]] * 2)
+    n = len(padded)
+    curve, at = b_spline(control, 1.0)
+    pieces = (len(curve) - 1) // (n - 3)
+    u = 3 + np.arange(len(curve)) / pieces
+    np.testing.assert_allclose(curve, BSpline(np.arange(n + 4), padded, 3)(u), atol=1e-9)
+    assert len(at) == len(curve)
