@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import logging
-import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +17,15 @@ from exporters.choice.collect import Views
 from exporters.choice.features import Features
 from exporters.choice.net import ChoiceNet
 from exporters.files import ExportError
+from exporters.learning import Learner
 from exporters.mini import checkpoint as checkpoints
 
 log = logging.getLogger(__name__)
 
 DROP = 0.25
 """Chance of a mark to be left out, so that there are more ways to ask about a view."""
+CLIP = 5.0
+"""Norm that gradients have at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,58 +154,16 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
     run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
     torch.manual_seed(plan.seed)
     net = ChoiceNet(kinds)
-    averaged = copy.deepcopy(net).eval().requires_grad_(False)
-    matrices = [p for p in net.parameters() if p.ndim > 1]
-    rest = [p for p in net.parameters() if p.ndim <= 1]
-    groups = [{"params": matrices, "weight_decay": plan.decay}, {"params": rest, "weight_decay": 0}]
-    optimizer = torch.optim.AdamW(groups, lr=plan.rate)
-    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
-    first, trained_s, started = 0, 0.0, time.monotonic()
-    state = {"model": net, "averaged": averaged, "optimizer": optimizer, "rates": rates}
-    if kept := checkpoints.resume(checkpoint, run):
-        for name, part in state.items():
-            part.load_state_dict(kept[name])
-        first, trained_s = kept["step"], kept["seconds"]
+    learner = Learner(net, plan, plan.steps, checkpoint, run)
     sums = torch.zeros(3)
-    for step, batch in enumerate(data.disturbed(plan, first), first + 1):
+    for step, batch in enumerate(data.disturbed(plan, learner.done), learner.done + 1):
         torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
         parts = losses(net, batch)
-        optimizer.zero_grad(set_to_none=True)
-        sum(parts).backward()
-        nn.utils.clip_grad_norm_(net.parameters(), 5.0)
-        optimizer.step()
-        rates.step()
-        _average(averaged, net, plan.average, step)
+        learner.step(sum(parts), CLIP)
         sums += torch.stack(parts).detach()
         if step % plan.keep_every == 0 or step == plan.steps:
-            shown = sums / plan.keep_every
-            log.info(
-                "step %d/%d: direction %.3f marks %.3f scene %.3f",
-                step,
-                plan.steps,
-                *shown.tolist(),
-            )
+            shown = (step, plan.steps, *(sums / plan.keep_every).tolist())
+            log.info("step %d/%d: direction %.3f marks %.3f scene %.3f", *shown)
             sums.zero_()
-            seconds = trained_s + time.monotonic() - started
-            checkpoints.save(checkpoint, state, run, step, seconds)
-    return averaged
-
-
-def _rate(step: int, plan: Plan) -> float:
-    """Linear up at first, then half a cosine down to one percent."""
-    if step < plan.warm_up:
-        return (step + 1) / plan.warm_up
-    share = (step - plan.warm_up) / max(1, plan.steps - plan.warm_up)
-    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
-
-
-@torch.no_grad()
-def _average(averaged: nn.Module, net: nn.Module, keep: float, step: int) -> None:
-    """Exponential mean of weights and of norm statistics, faster at first."""
-    keep = min(keep, (1.0 + step) / (20.0 + step))
-    pairs = zip(averaged.state_dict().values(), net.state_dict().values(), strict=True)
-    for mean, value in pairs:
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, 1.0 - keep)
-        else:
-            mean.copy_(value)
+            learner.keep()
+    return learner.averaged
