@@ -14,7 +14,7 @@ from edge.mapping.results import Frontiers
 from edge.perception.card_types import MarksCard
 from edge.perception.cards import load_card_of
 from edge.perception.choice.mark_scorer import open_mark_scorer
-from edge.perception.choice.question import Mark, View
+from edge.perception.choice.question import Mark, View, Ways
 from edge.perception.instances import InstanceTracker
 from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
@@ -65,7 +65,8 @@ def test_choose_mini_house(benchmark, against):
     card = load_card_of(MarksCard, "mini-house-choice")
     scorer = open_mark_scorer(card, config.ChoiceOnnx(card=card.name, threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
-    view = View(seen, "bed", marks)
+    ways = Ways(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
+    view = View(seen, "bed", marks, ways=ways)
     choice = benchmark(lambda: scorer.answer(scorer.look(view)))
     assert choice.ids == (0, 1, 2, 3)
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)

@@ -32,7 +32,7 @@ CLIP = 5.0
 class Plan:
     """How long and how fast to learn; a step takes `views` views with `targets` targets each."""
 
-    steps: int = 3000
+    steps: int = 1800
     views: int = 24
     targets: int = 8
     rate: float = 1.5e-3
@@ -52,6 +52,7 @@ class Batch(NamedTuple):
     target: Tensor
     text: Tensor
     marks: Tensor
+    others: Tensor
     direction: Tensor
     among: Tensor
     scene: Tensor
@@ -80,7 +81,7 @@ class Data:
             sides: (v,) 1 for the mirrored ones.
         """
         sides = np.broadcast_to(sides, rows.shape)
-        return self._batch(rows, targets, sides, self._marks[rows, :, 4] > 0.0)
+        return self._batch(rows, targets, sides, self._marks[rows, :, -1] > 0.0)
 
     def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
         """A batch for each step from `first` on: random views and targets, mirrored by half, some
@@ -90,7 +91,7 @@ class Data:
             rows = rng.choice(self.rows, plan.views)
             chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
             targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
-            there = self._marks[rows, :, 4] > 0.0
+            there = self._marks[rows, :, -1] > 0.0
             kept = there & (rng.random(there.shape) >= DROP)
             there = np.where(kept.any(axis=1, keepdims=True), kept, there)
             yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), there)
@@ -107,6 +108,7 @@ class Data:
         marks = self._marks[rows] * there[..., None]
         marks[..., 0] = np.where(sides[:, None] & there, 1.0 - marks[..., 0], marks[..., 0])
         marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
+        others = _with_hidden(views.others[rows], self._marks[rows], ~there)
         left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
         hidden_m = np.where(there[:, None], np.inf, left_m).min(axis=-1)
         else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
@@ -117,14 +119,27 @@ class Data:
         return Batch(
             near, far, evidence, evidence.flatten(2)[each, targets],
             torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
-            torch.from_numpy(right), torch.from_numpy(among), torch.from_numpy(scene),
+            torch.from_numpy(others), torch.from_numpy(right), torch.from_numpy(among),
+            torch.from_numpy(scene),
         )  # fmt: skip
+
+
+def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(v, OTHERS_FIELDS) float32: marks that are left out count as frontiers without one."""
+    hidden = hidden & (marks[..., -1] > 0.0)
+    count, least_m, most_m2 = others.T
+    least_m = np.where(count > 0.0, least_m, np.inf)
+    least_m = np.minimum(least_m, np.where(hidden, marks[..., 4], np.inf).min(axis=1))
+    most_m2 = np.maximum(most_m2, np.where(hidden, marks[..., 5], 0.0).max(axis=1))
+    count = count + hidden.sum(axis=1)
+    least_m = np.where(count > 0.0, least_m, 0.0)
+    return np.stack([count, least_m, most_m2], axis=1).astype(np.float32)
 
 
 def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
     """Logits; see `ChoiceNet.forward`."""
     seen = net.read(batch.near, batch.far, batch.evidence)
-    return net(seen, batch.target, batch.text, batch.marks)
+    return net(seen, batch.target, batch.text, batch.marks, batch.others)
 
 
 def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:

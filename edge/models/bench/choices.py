@@ -26,7 +26,7 @@ from edge.models.bench.frames import Frames
 from edge.models.bench.variants import PROVIDERS, providers_here
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import all_cards, how_to_get
-from edge.perception.choice.question import Mark, Sighting, View
+from edge.perception.choice.question import Mark, Sighting, View, Ways
 from edge.text import aligned
 from edge.types import Observation
 
@@ -117,7 +117,9 @@ def views_of(pictures: Frames) -> list[View]:
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(Sighting(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
         target = _TARGETS[k % len(_TARGETS)]
-        views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen))
+        straight_m = np.array([mark.distance_m for mark in marks], np.float32)
+        ways = Ways(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
+        views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen, ways=ways))
     return views
 
 

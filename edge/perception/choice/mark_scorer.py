@@ -16,10 +16,13 @@ from edge.config import ChoiceOnnx
 from edge.perception.backends.runtime import failing_as, open_session
 from edge.perception.card_types import MARK_FIELDS, MarksCard, TextCard
 from edge.perception.cards import load_card_of, verify_model
-from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, choice_of
+from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, Ways, choice_of
 from edge.perception.encoders import open_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.text import TextEncoder
+
+FAR_M = 20.0
+"""A way so long, or none, is the same to the network."""
 
 
 class Looked(NamedTuple):
@@ -27,12 +30,14 @@ class Looked(NamedTuple):
 
     Attributes:
         images: (1, 3, h, w) float32.
-        marks: (1, MAX_MARKS, MARK_FIELDS) float32; see `MarksCard`.
+        marks: (1, MAX_MARKS, MARK_FIELDS) and `others`: (1, OTHERS_FIELDS) float32; see
+            `MarksCard`.
     """
 
     view: View
     images: np.ndarray
     marks: np.ndarray
+    others: np.ndarray
 
 
 class MarkScorer:
@@ -69,16 +74,18 @@ class MarkScorer:
         """Prepare what the network gets; the observation is not needed afterwards.
 
         Raises:
-            ModelError: the observation has no image.
+            ModelError: the observation has no image, or no map tells of the ways.
         """
         rgb = view.observation.rgb
-        if rgb is None:
-            raise ModelError(f"observation {view.observation.seq}: no image to show {self.name}")
+        if rgb is None or view.ways is None:
+            lacks = "image to show" if rgb is None else "map with ways to tell"
+            raise ModelError(f"observation {view.observation.seq}: no {lacks} {self.name}")
         how, hw = self._card.preprocess, (self._card.input.height, self._card.input.width)
         image, scale, top, left = letterboxed(rgb, hw, how.letterbox_pad)
         planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
         planes *= np.float32(how.scale)
-        return Looked(view, planes, as_input(view.marks[:MAX_MARKS], scale, top, left, hw))
+        marks = as_input(view.marks[:MAX_MARKS], view.ways, scale, top, left, hw)
+        return Looked(view, planes, marks, view.ways.others[None])
 
     def answer(self, looked: Looked) -> Choice | None:
         """Both answers at once.
@@ -95,6 +102,7 @@ class MarkScorer:
             return None
         feed = {
             "images": looked.images, "txt_feats": self._row(view.target), "marks": looked.marks,
+            "others": looked.others,
         }  # fmt: skip
         with failing_as(f"model {self.name}: it fails"):
             directions, scene = self._session.run(["directions", "scene"], feed)
@@ -135,14 +143,15 @@ def letterboxed(
 
 
 def as_input(
-    marks: Sequence[Mark], scale: float, top: int, left: int, hw: tuple[int, int]
+    marks: Sequence[Mark], ways: Ways, scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
     """Marks as the network takes them, (1, MAX_MARKS, MARK_FIELDS) float32; see `MarksCard`."""
     out = np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
-    for row, mark in zip(out[0], marks, strict=False):
+    path_m = np.minimum(ways.path_m, FAR_M)
+    for row, mark, *worth in zip(out[0], marks, path_m, ways.gain_m2, strict=False):
         u = ((mark.u_px + 0.5) * scale + left) / hw[1]
         v = ((mark.v_px + 0.5) * scale + top) / hw[0]
-        row[:] = u, v, mark.bearing_rad, mark.distance_m, 1.0
+        row[:] = u, v, mark.bearing_rad, mark.distance_m, *worth, 1.0
     return out
 
 
