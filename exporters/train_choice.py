@@ -16,8 +16,8 @@ from pathlib import Path
 
 from exporters.files import ExportError, tells_errors
 
-SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:60", "1000:1020", 2
-STEPS = 3000
+SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:130", "1000:1020", 2
+STEPS = 1800
 
 
 def seeds(option: str, text: str) -> list[int]:

@@ -17,7 +17,7 @@ from edge.loop.scorers import Scorers
 from edge.mapping import grid
 from edge.mapping.results import Frontiers
 from edge.perception.choice.factory import ViewScorer, open_choice
-from edge.perception.choice.question import Mark, View
+from edge.perception.choice.question import Mark, View, Ways
 from edge.perception.instances import InstanceTracker
 from edge.perception.onnx_detector import OnnxDetector
 from edge.types import Observation
@@ -67,7 +67,8 @@ def test_choose_mini_house(benchmark, against):
     seen = Observation(0, 1, np.eye(4), rgb=rgb)
     scorer = open_choice(config.ChoiceOnnx(card="mini-house-choice", threads=1))
     marks = tuple(Mark(i, 60.0 * i, 150.0, 0.5 - 0.3 * i, 2.0) for i in range(4))
-    view = View(seen, "bed", marks)
+    ways = Ways(np.full(4, 2.5, np.float32), np.ones(4, np.float32), np.zeros(3, np.float32))
+    view = View(seen, "bed", marks, ways=ways)
     choice = benchmark(lambda: scorer.answer(scorer.look(view)))
     assert choice.ids == (0, 1, 2, 3)
     of_trunk = config.DetectorOnnx(model="mini-house-256x320-int8-cpu", threads=1)

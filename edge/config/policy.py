@@ -72,20 +72,24 @@ class PolicySearch(_Selection):
 
 
 class PolicyVlfm(_Selection):
-    """The frontier near which the whole-view scores are best (VLFM); needs a similarity scorer."""
+    """The frontier near which the whole-view scores are best (VLFM); needs a similarity scorer.
+    `nearness`: see `PolicyDirectional`."""
 
     kind: Literal["vlfm"] = "vlfm"
     switch_margin: NonNegative = 0.05
     radius_m: Positive = 0.5
+    nearness: Positive = 1e-3
 
 
 class PolicyDirectional(_Selection):
     """The frontier near which the directional scores are best (ViTL eq. 9); needs a choice
-    scorer."""
+    scorer. `nearness` over a metre more than the path is added to a value: with as little as the
+    default it only decides where values are the same, as in the paper."""
 
     kind: Literal["directional"] = "directional"
     switch_margin: NonNegative = 0.05
     radius_m: Positive = 0.5
+    nearness: Positive = 1e-3
 
 
 class PolicyAdaptive(_Selection):

@@ -20,7 +20,7 @@ from edge.loop.cooccurrence import PriorChoice, RelatedScores
 from edge.mapping.values import Sight, ValueMap
 from edge.perception.choice.factory import ViewScorer, make_choice
 from edge.perception.choice.picture import visible_marks
-from edge.perception.choice.question import Choice, Mark, Sighting, View
+from edge.perception.choice.question import Choice, Mark, Sighting, View, Ways
 from edge.perception.instances import InstanceTracker
 from edge.perception.sightings import Sightings
 from edge.perception.similarity import (
@@ -207,7 +207,9 @@ class Scorers:
                     lift = np.ones(len(marks), np.float32)
                     prior.lift(about, xy_m.astype(np.float32), len(marks), lift)
                 seen = sightings(tracker, around, observation)
-                choice.submit(_Directions(View(observation, about, marks, seen, lift), xy_m, sight))
+                ways = ways_to(c, open_, marks)
+                view = View(observation, about, marks, seen, lift, ways)
+                choice.submit(_Directions(view, xy_m, sight))
 
     def saw(self, detections: Detections, values: ValueMap) -> None:
         """Take the running detector's scores, where they are the similarity that is wanted."""
@@ -306,6 +308,22 @@ def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
     return np.stack(
         [pose.x_m + away_m * np.cos(bearing), pose.y_m + away_m * np.sin(bearing)], axis=1
     )
+
+
+def ways_to(candidates: Candidates, open_: np.ndarray, marks: Sequence[Mark]) -> Ways:
+    """What the map says of the ways to marks, and of those to the other frontiers.
+
+    Args:
+        open_: (k,) indices of the frontiers that may be gone to, the marks' among them.
+    """
+    path_m, gain_m2 = candidates.path_m[open_], candidates.gain_m2[open_]
+    ids = np.array([mark.id for mark in marks], np.int64)
+    is_mark = candidates.id[open_] == ids[:, None]  # (marks, k)
+    at, others = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
+    rest = np.zeros(3, np.float32)
+    if others.any():
+        rest[:] = np.count_nonzero(others), path_m[others].min(), gain_m2[others].max()
+    return Ways(path_m[at], gain_m2[at], rest)
 
 
 def sightings(

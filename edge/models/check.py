@@ -15,6 +15,7 @@ from edge.models.pull import cards_of
 from edge.perception.backends.runtime import DTYPES, open_session
 from edge.perception.card_types import (
     MARK_FIELDS,
+    OTHERS_FIELDS,
     ChoiceCard,
     DetectCard,
     FileCard,
@@ -141,7 +142,8 @@ def _check_marks(path: Path | str, session: Any, card: MarksCard) -> str:
     images = random.random((1, 3, card.input.height, card.input.width), dtype=np.float32)
     marks = random.random((1, MAX_MARKS, MARK_FIELDS), dtype=np.float32)
     marks[..., -1] = 1.0
-    feed = {"images": images, "txt_feats": text, "marks": marks}
+    others = random.random((1, OTHERS_FIELDS), dtype=np.float32)
+    feed = {"images": images, "txt_feats": text, "marks": marks, "others": others}
     directions, scene = _infer(path, session, feed)
     _hold_shape(path, "directions", directions, (1, MAX_MARKS + 1))
     _hold_shape(path, "scene", scene, (1, 1))

@@ -365,17 +365,19 @@ class SegmentCard(BaseCard):
         return MaskEncoderCard(**encoder, input=self.input), MaskDecoderCard(**decoder)
 
 
-MARK_FIELDS = 5
+MARK_FIELDS, OTHERS_FIELDS = 7, 3
 
 
 class MarksCard(_FileCard):
     """A network that chooses among marked frontiers (ViTL eq. 4 and 5).
 
-    `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target and `marks` (1, MAX_MARKS,
-    MARK_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the marks and of "elsewhere", and
-    `scene` (1, 1), the logit of the second question; all float32. A mark is its column and row as
-    shares of the letterboxed image, its bearing [rad, to the left], its distance [m], and 1; all 0
-    where there is none.
+    `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target, `marks` (1, MAX_MARKS,
+    MARK_FIELDS) and `others` (1, OTHERS_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the
+    marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32.
+    A mark is its column and row as shares of the letterboxed image, its bearing [rad, to the left],
+    its distance [m], the driving distance [m, at most 20], the unknown area that it is expected to
+    show [m²], and 1; all 0 where there is none. `others` is `Ways.others` of
+    `edge.perception.choice.question`.
 
     Attributes:
         text_encoder: card of the encoder for targets.

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from edge.host.files import open_regular
 from edge.perception.card_types import (
     MARK_FIELDS,
+    OTHERS_FIELDS,
     DetectCard,
     FileCard,
     MarksCard,
@@ -218,9 +219,10 @@ def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
     if isinstance(card, MarksCard):
         text = Value("txt_feats", FLOAT, (1, card.text_dim))
         marks = Value("marks", FLOAT, (1, MAX_MARKS, MARK_FIELDS))
+        others = Value("others", FLOAT, (1, OTHERS_FIELDS))
         directions = Value("directions", FLOAT, (1, MAX_MARKS + 1))
         return (
-            [Value("images", FLOAT, image), text, marks],
+            [Value("images", FLOAT, image), text, marks, others],
             [directions, Value("scene", FLOAT, (1, 1))],
         )
     return [Value("pixels", FLOAT, image)], [Value("embeddings", FLOAT, (_ANY, card.dim))]

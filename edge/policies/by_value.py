@@ -11,19 +11,17 @@ import numpy as np
 from edge.config import PolicyDirectional, PolicyVlfm
 from edge.policies.base import FRONTIER, Candidates, Context, Why
 
-NEARNESS = 1e-3
-"""What nearness may add to a value: it decides where values are the same."""
-
 
 class ByValue:
     """Scores a frontier by the highest value within `radius_m` of it.
 
-    A frontier near which nothing was said has value 0. Among equals the nearest by path is best,
-    so that the robot explores as a nearest-frontier searcher while nothing was said at all.
+    A frontier near which nothing was said has value 0. `config.nearness` over a metre more than the
+    path is added: the smaller it is, the more it only makes the nearest of equals the best, so that
+    the robot explores as a nearest-frontier searcher while nothing was said at all.
     """
 
     def __init__(self, config: PolicyVlfm | PolicyDirectional) -> None:
-        self._radius_m = config.radius_m
+        self._radius_m, self._nearness = config.radius_m, config.nearness
         self._score = np.zeros(0, np.float32)
 
     def score(self, context: Context) -> np.ndarray:
@@ -34,7 +32,7 @@ class ByValue:
             self._score = np.zeros(len(candidates.kind), np.float32)
         score = self._score
         values_near(context, n, self._radius_m, score)
-        score[:n] = np.nan_to_num(score[:n]) + NEARNESS / (1.0 + candidates.path_m[:n])
+        score[:n] = np.nan_to_num(score[:n]) + self._nearness / (1.0 + candidates.path_m[:n])
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
         return score
 

@@ -62,6 +62,9 @@ class Views:
         marks: (n, MAX_MARKS, 4) float32: u and v [px], bearing [rad], distance [m]; 0 beyond
             `count`.
         path_m: (n, MAX_MARKS) float32, driving distance to the mark on the robot's own map.
+        gain_m2: (n, MAX_MARKS) float32, unknown area that a mark is expected to show.
+        others: (n, 3) float32, of the frontiers without a mark: how many, the least of `path_m`
+            (0 where there are none), and the most of `gain_m2`.
         left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest such
             thing; inf where there is none.
         else_m: (n, t) float32, the least `left_m` of all frontiers without a mark.
@@ -77,6 +80,8 @@ class Views:
     count: np.ndarray
     marks: np.ndarray
     path_m: np.ndarray
+    gain_m2: np.ndarray
+    others: np.ndarray
     left_m: np.ndarray
     else_m: np.ndarray
     else_path_m: np.ndarray
@@ -118,14 +123,14 @@ class _Collector:
         if observation is None or loop is None:
             return
         now = self._in_view(loop.rig.ids, loop.rig.depth_m)
-        candidates = result.candidates()
-        open_ = (candidates.kind == FRONTIER) & ~candidates.blocked
-        open_ &= np.isfinite(candidates.path_m)
-        xy_m, ids = candidates.xy_m[open_], candidates.id[open_]
+        c = loop.service.map.pool.candidates
+        open_ = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
+        open_ = np.flatnonzero(open_[: c.n])
+        xy_m, ids = c.xy_m[open_], c.id[open_]
         marks = visible_marks(observation, xy_m, ids)
         if marks:
             at = np.array([int(np.flatnonzero(ids == mark.id)[0]) for mark in marks])
-            self._keep(marks, at, xy_m, candidates.path_m[open_], now)
+            self._keep(marks, at, xy_m, c.path_m[open_], c.gain_m2[open_], now)
         self._seen |= now
 
     def close(self) -> None:
@@ -139,7 +144,13 @@ class _Collector:
         return now
 
     def _keep(
-        self, marks: tuple, at: np.ndarray, xy_m: np.ndarray, path_m: np.ndarray, now: np.ndarray
+        self,
+        marks: tuple,
+        at: np.ndarray,
+        xy_m: np.ndarray,
+        path_m: np.ndarray,
+        gain_m2: np.ndarray,
+        now: np.ndarray,
     ) -> None:
         loop, t = self.loop, len(looks.CATEGORIES)
         assert loop is not None
@@ -151,16 +162,18 @@ class _Collector:
         png = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
         left_m = self._left_m(xy_m)
         n, others = len(marks), np.setdiff1d(np.arange(len(xy_m)), at)
-        shown, shown_path, shown_left = (
+        shown, shown_path, shown_gain, shown_left = (
             np.zeros((MAX_MARKS, 4), np.float32), np.zeros(MAX_MARKS, np.float32),
-            np.full((MAX_MARKS, t), np.inf, np.float32),
+            np.zeros(MAX_MARKS, np.float32), np.full((MAX_MARKS, t), np.inf, np.float32),
         )  # fmt: skip
         shown[:n] = [mark[1:] for mark in marks]
         shown[:n, :2] = (shown[:n, :2] + 0.5) * COARSE - 0.5
-        shown_path[:n], shown_left[:n] = path_m[at], left_m[at]
+        shown_path[:n], shown_gain[:n], shown_left[:n] = path_m[at], gain_m2[at], left_m[at]
+        least_m = path_m[others].min() if len(others) else 0.0
+        rest = (len(others), least_m, gain_m2[others].max(initial=0.0))
         whole_m = left_m + path_m[:, None]
         row = (
-            png, self._seed, n, shown, shown_path, shown_left,
+            png, self._seed, n, shown, shown_path, shown_gain, rest, shown_left,
             left_m[others].min(axis=0, initial=np.inf),
             whole_m[others].min(axis=0, initial=np.inf),
             self._left_m(np.array([[pose.x_m, pose.y_m]]))[0],
@@ -242,8 +255,8 @@ def _drive_on(loop: ClosedLoop) -> None:
 
 _TYPES = {
     "house": np.int32, "count": np.uint8, "marks": np.float32, "path_m": np.float32,
-    "left_m": np.float32, "else_m": np.float32, "else_path_m": np.float32, "here_m": np.float32,
-    "seen": np.uint8, "lift": np.float32,
+    "gain_m2": np.float32, "others": np.float32, "left_m": np.float32, "else_m": np.float32,
+    "else_path_m": np.float32, "here_m": np.float32, "seen": np.uint8, "lift": np.float32,
 }  # fmt: skip
 
 

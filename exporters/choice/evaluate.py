@@ -58,7 +58,7 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
     for i, t in asked[chosen]:
         feed = {
             "images": as_input(views.rgb(i)), "txt_feats": words[t : t + 1],
-            "marks": marks[i : i + 1],
+            "marks": marks[i : i + 1], "others": views.others[i : i + 1],
         }  # fmt: skip
         found, whole = session.run(["directions", "scene"], feed)
         there = np.append(labels.shown(views)[i], True)

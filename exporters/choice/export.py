@@ -22,11 +22,12 @@ from onnx import compose
 from torch import Tensor, nn
 
 from edge.host.files import replace_atomically
+from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS
 from edge.perception.choice.question import MAX_MARKS
 from exporters.choice import evaluate
 from exporters.choice.collect import HW, load_views
 from exporters.choice.features import GRID_HW, HEADS, NECK, Trunk, make_features
-from exporters.choice.net import FAR, MARK, NEAR, ChoiceNet
+from exporters.choice.net import FAR, NEAR, ChoiceNet
 from exporters.choice.training import Data
 from exporters.files import ExportError, sha256_of, tells_errors
 from exporters.mini import checkpoint as checkpoints
@@ -40,7 +41,7 @@ MODELS = Path(__file__).parents[2] / "models"
 NOTE = "# Knows only the built-in world. Written by exporters.choice.export."
 MAX_LOGIT_ERROR = 0.05
 """What the joined file may differ from the net on kept features, where scores have 8 bits."""
-_PREFIX = "net/"
+_PREFIX, _INPUTS = "net/", ("txt_feats", "marks", "others")
 
 
 class Head(nn.Module):
@@ -60,6 +61,7 @@ class Head(nn.Module):
         far: Tensor,
         txt_feats: Tensor,
         marks: Tensor,
+        others: Tensor,
     ) -> tuple[Tensor, Tensor]:
         words = torch.cat([self.words, txt_feats])
         best = None
@@ -71,7 +73,8 @@ class Head(nn.Module):
         scores = torch.sigmoid(self.scale * best + self.bias)
         kinds = self.words.shape[0]
         seen = self.net.read(nn.functional.avg_pool2d(near, 2), far, scores[:, :kinds])
-        directions, scene = self.net(seen, scores[:, kinds:].flatten(2), txt_feats[None], marks)
+        target = scores[:, kinds:].flatten(2)
+        directions, scene = self.net(seen, target, txt_feats[None], marks, others)
         return directions.reshape(1, -1), scene
 
 
@@ -83,14 +86,15 @@ def export(net: ChoiceNet, trunk: Trunk, out: Path) -> None:
     names = ("fine", "mid", "coarse", "near", "far")
     inputs = {name: torch.zeros(1, *shape) for name, shape in zip(names, shapes, strict=True)}
     inputs["txt_feats"] = torch.zeros(1, EMBED_DIM)
-    inputs["marks"] = torch.zeros(1, MAX_MARKS, MARK)
+    inputs["marks"] = torch.zeros(1, MAX_MARKS, MARK_FIELDS)
+    inputs["others"] = torch.zeros(1, OTHERS_FIELDS)
     head = out.with_suffix(".head.onnx")
     export_module(Head(net, trunk).eval(), head, inputs, ("directions", "scene"), {})
     joined = compose.merge_models(
         _at_version(trunk.model, onnx.load(head)), compose.add_prefix(onnx.load(head), _PREFIX),
         [(tensor, _PREFIX + name) for tensor, name in zip((*HEADS, *NECK), names, strict=True)],
     )  # fmt: skip
-    _rename(joined, {_PREFIX + n: n for n in ("txt_feats", "marks", "directions", "scene")})
+    _rename(joined, {_PREFIX + n: n for n in (*_INPUTS, "directions", "scene")})
     with replace_atomically(out) as part:
         onnx.save(joined, part)
         check_format(part)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge.perception.card_types import MARK_FIELDS
+from edge.perception.choice.mark_scorer import FAR_M
 from edge.perception.choice.question import MAX_MARKS
 from exporters.choice.collect import BEFORE, HW, Views
 
@@ -16,13 +18,14 @@ RIGHT_M = 0.5
 
 
 def marks_of(views: Views) -> np.ndarray:
-    """(n, MAX_MARKS, 5) float32, as `net.MARK` has them."""
-    out = np.zeros((len(views), MAX_MARKS, 5), np.float32)
+    """(n, MAX_MARKS, MARK_FIELDS) float32, as `MarksCard` has them."""
+    out = np.zeros((len(views), MAX_MARKS, MARK_FIELDS), np.float32)
     out[..., 0] = (views.marks[..., 0] + 0.5) / HW[1]
     out[..., 1] = (views.marks[..., 1] + 0.5) / HW[0]
     out[..., 2:4] = views.marks[..., 2:]
-    out[..., 4] = shown(views)
-    return out * out[..., 4:]
+    out[..., 4] = np.minimum(views.path_m, FAR_M)
+    out[..., 5], out[..., -1] = views.gain_m2, shown(views)
+    return out * out[..., -1:]
 
 
 def shown(views: Views) -> np.ndarray:

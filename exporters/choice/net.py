@@ -16,9 +16,7 @@ from exporters.mini.net import EMBED_DIM, Conv
 
 NEAR, FAR = 96, 128
 """Channels of `features.NECK`."""
-MARK = 5
-"""Of a mark: u and v as shares of the image, bearing [rad], distance [m], and 1 where it is one."""
-_FAR_M = 8.0
+_FAR_M, _WIDE_M2 = 8.0, 10.0
 _BIG = 1e4
 
 
@@ -32,7 +30,7 @@ class ChoiceNet(nn.Module):
         self.map = nn.Sequential(Conv(3 * width, width, 1), Conv(width, width))
         self.place = nn.Parameter(0.02 * torch.randn(width, *GRID_HW))
         self.mark = nn.Linear(width + _GEOMETRY, width)
-        self.rest = nn.Parameter(0.02 * torch.randn(width))
+        self.rest = nn.Linear(_REST, width)
         self.text = nn.Sequential(nn.Linear(EMBED_DIM, width), nn.ReLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(_Layer(width, heads) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
@@ -52,14 +50,14 @@ class ChoiceNet(nn.Module):
         return self.map(self.fade(x)) + self.place
 
     def forward(
-        self, seen: Tensor, target: Tensor, text: Tensor, marks: Tensor
+        self, seen: Tensor, target: Tensor, text: Tensor, marks: Tensor, others: Tensor
     ) -> tuple[Tensor, Tensor]:
         """
         Args:
             seen: (v, width, 8, 10), the map of v images.
             target: (v, t, 80) scores of t targets in the cells.
             text: (v, t, 64) their embeddings.
-            marks: (v, m, MARK).
+            marks: (v, m, MARK_FIELDS); others: (v, OTHERS_FIELDS); see `MarksCard`.
 
         Returns:
             (v, t, m + 1) logits, very low where there is no mark; (v, t) logits of the scene.
@@ -68,9 +66,9 @@ class ChoiceNet(nn.Module):
         cells = seen.flatten(2).transpose(1, 2)  # (v, 80, width)
         near = tents(marks[..., :2]) @ cells  # (v, m, width)
         tokens = self.mark(torch.cat([self.drop(near), geometry(marks)], -1))
-        rest = self.rest.expand(v, 1, -1)
+        rest = self.rest(of_others(others))[:, None]
         tokens = torch.cat([tokens, rest], 1)[:, None] + self.text(text)[:, :, None]
-        there = torch.cat([marks[..., 4], torch.ones_like(marks[:, :1, 4])], 1)  # (v, m + 1)
+        there = torch.cat([marks[..., -1], torch.ones_like(marks[:, :1, -1])], 1)  # (v, m + 1)
         middle = torch.full_like(marks[:, :1, :2], 0.5)
         away = torch.cat([marks[..., :2], middle], 1)[:, :, None] - self.cells  # (v, m + 1, 80, 2)
         for layer in self.layers:
@@ -120,15 +118,27 @@ class _Layer(nn.Module):
         return x + self.step(self.norms[2](x))
 
 
-_GEOMETRY = 11
+_GEOMETRY, _REST = 17, 6
 
 
 def geometry(marks: Tensor) -> Tensor:
     """What a mark's place says, (…, _GEOMETRY)."""
-    u, v, bearing, distance, there = marks.unbind(-1)
-    away = torch.log1p(distance)
+    u, v, bearing, distance, path, gain, there = marks.unbind(-1)
     waves = [wave(k * torch.pi * u) for k in (1, 2) for wave in (torch.sin, torch.cos)]
-    return torch.stack([u, v, bearing, bearing.abs(), distance / _FAR_M, away, *waves, there], -1)
+    lie = [u, v, bearing, bearing.abs(), distance / _FAR_M, torch.log1p(distance), *waves]
+    return torch.stack([*lie, (path - distance) / _FAR_M, *_worth(path, gain), there], -1)
+
+
+def of_others(others: Tensor) -> Tensor:
+    """What the frontiers without a mark say together, (…, _REST)."""
+    count, path, gain = others.unbind(-1)
+    return torch.stack([torch.log1p(count), *_worth(path, gain)], -1)
+
+
+def _worth(path: Tensor, gain: Tensor) -> list[Tensor]:
+    """A way's length, what is at its end, and the two in one as `edge.policies.search` has them."""
+    wide = torch.sqrt(gain.clamp(min=0.0) + 1e-6)
+    return [path / _FAR_M, torch.log1p(path), gain / _WIDE_M2, wide, wide / (1.0 + path)]
 
 
 def cell_centres() -> Tensor:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import logging
-import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,19 +17,22 @@ from exporters.choice.collect import Views
 from exporters.choice.features import Features
 from exporters.choice.net import ChoiceNet
 from exporters.files import ExportError
+from exporters.learning import Learner
 from exporters.mini import checkpoint as checkpoints
 
 log = logging.getLogger(__name__)
 
 DROP = 0.25
 """Chance of a mark to be left out, so that there are more ways to ask about a view."""
+CLIP = 5.0
+"""Norm that gradients have at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """How long and how fast to learn; a step takes `views` views with `targets` targets each."""
 
-    steps: int = 3000
+    steps: int = 1800
     views: int = 24
     targets: int = 8
     rate: float = 1.5e-3
@@ -52,6 +52,7 @@ class Batch(NamedTuple):
     target: Tensor
     text: Tensor
     marks: Tensor
+    others: Tensor
     direction: Tensor
     among: Tensor
     scene: Tensor
@@ -80,7 +81,7 @@ class Data:
             sides: (v,) 1 for the mirrored ones.
         """
         sides = np.broadcast_to(sides, rows.shape)
-        return self._batch(rows, targets, sides, self._marks[rows, :, 4] > 0.0)
+        return self._batch(rows, targets, sides, self._marks[rows, :, -1] > 0.0)
 
     def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
         """A batch for each step from `first` on: random views and targets, mirrored by half, some
@@ -90,7 +91,7 @@ class Data:
             rows = rng.choice(self.rows, plan.views)
             chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
             targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
-            there = self._marks[rows, :, 4] > 0.0
+            there = self._marks[rows, :, -1] > 0.0
             kept = there & (rng.random(there.shape) >= DROP)
             there = np.where(kept.any(axis=1, keepdims=True), kept, there)
             yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), there)
@@ -107,6 +108,7 @@ class Data:
         marks = self._marks[rows] * there[..., None]
         marks[..., 0] = np.where(sides[:, None] & there, 1.0 - marks[..., 0], marks[..., 0])
         marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
+        others = _with_hidden(views.others[rows], self._marks[rows], ~there)
         left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
         hidden_m = np.where(there[:, None], np.inf, left_m).min(axis=-1)
         else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
@@ -117,14 +119,27 @@ class Data:
         return Batch(
             near, far, evidence, evidence.flatten(2)[each, targets],
             torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
-            torch.from_numpy(right), torch.from_numpy(among), torch.from_numpy(scene),
+            torch.from_numpy(others), torch.from_numpy(right), torch.from_numpy(among),
+            torch.from_numpy(scene),
         )  # fmt: skip
+
+
+def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(v, OTHERS_FIELDS) float32: marks that are left out count as frontiers without one."""
+    hidden = hidden & (marks[..., -1] > 0.0)
+    count, least_m, most_m2 = others.T
+    least_m = np.where(count > 0.0, least_m, np.inf)
+    least_m = np.minimum(least_m, np.where(hidden, marks[..., 4], np.inf).min(axis=1))
+    most_m2 = np.maximum(most_m2, np.where(hidden, marks[..., 5], 0.0).max(axis=1))
+    count = count + hidden.sum(axis=1)
+    least_m = np.where(count > 0.0, least_m, 0.0)
+    return np.stack([count, least_m, most_m2], axis=1).astype(np.float32)
 
 
 def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
     """Logits; see `ChoiceNet.forward`."""
     seen = net.read(batch.near, batch.far, batch.evidence)
-    return net(seen, batch.target, batch.text, batch.marks)
+    return net(seen, batch.target, batch.text, batch.marks, batch.others)
 
 
 def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
@@ -154,58 +169,16 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
     run = checkpoints.describe(plan, len(data.rows), 1, "cpu")
     torch.manual_seed(plan.seed)
     net = ChoiceNet(kinds)
-    averaged = copy.deepcopy(net).eval().requires_grad_(False)
-    matrices = [p for p in net.parameters() if p.ndim > 1]
-    rest = [p for p in net.parameters() if p.ndim <= 1]
-    groups = [{"params": matrices, "weight_decay": plan.decay}, {"params": rest, "weight_decay": 0}]
-    optimizer = torch.optim.AdamW(groups, lr=plan.rate)
-    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
-    first, trained_s, started = 0, 0.0, time.monotonic()
-    state = {"model": net, "averaged": averaged, "optimizer": optimizer, "rates": rates}
-    if kept := checkpoints.resume(checkpoint, run):
-        for name, part in state.items():
-            part.load_state_dict(kept[name])
-        first, trained_s = kept["step"], kept["seconds"]
+    learner = Learner(net, plan, plan.steps, checkpoint, run)
     sums = torch.zeros(3)
-    for step, batch in enumerate(data.disturbed(plan, first), first + 1):
+    for step, batch in enumerate(data.disturbed(plan, learner.done), learner.done + 1):
         torch.manual_seed(plan.seed * 1_000_003 + step)  # of the dropout, also when it goes on
         parts = losses(net, batch)
-        optimizer.zero_grad(set_to_none=True)
-        sum(parts).backward()
-        nn.utils.clip_grad_norm_(net.parameters(), 5.0)
-        optimizer.step()
-        rates.step()
-        _average(averaged, net, plan.average, step)
+        learner.step(sum(parts), CLIP)
         sums += torch.stack(parts).detach()
         if step % plan.keep_every == 0 or step == plan.steps:
-            shown = sums / plan.keep_every
-            log.info(
-                "step %d/%d: direction %.3f marks %.3f scene %.3f",
-                step,
-                plan.steps,
-                *shown.tolist(),
-            )
+            shown = (step, plan.steps, *(sums / plan.keep_every).tolist())
+            log.info("step %d/%d: direction %.3f marks %.3f scene %.3f", *shown)
             sums.zero_()
-            seconds = trained_s + time.monotonic() - started
-            checkpoints.save(checkpoint, state, run, step, seconds)
-    return averaged
-
-
-def _rate(step: int, plan: Plan) -> float:
-    """Linear up at first, then half a cosine down to one percent."""
-    if step < plan.warm_up:
-        return (step + 1) / plan.warm_up
-    share = (step - plan.warm_up) / max(1, plan.steps - plan.warm_up)
-    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
-
-
-@torch.no_grad()
-def _average(averaged: nn.Module, net: nn.Module, keep: float, step: int) -> None:
-    """Exponential mean of weights and of norm statistics, faster at first."""
-    keep = min(keep, (1.0 + step) / (20.0 + step))
-    pairs = zip(averaged.state_dict().values(), net.state_dict().values(), strict=True)
-    for mean, value in pairs:
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, 1.0 - keep)
-        else:
-            mean.copy_(value)
+            learner.keep()
+    return learner.averaged

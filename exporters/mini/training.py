@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import logging
-import math
 import signal
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor, distributed, nn
 
 from exporters.files import ExportError
+from exporters.learning import Learner
 from exporters.mini import checkpoint as checkpoints
 from exporters.mini import looks
 from exporters.mini.batches import Batch, batches, disturb
@@ -27,6 +27,8 @@ from exporters.mini.views import Frames
 log = logging.getLogger(__name__)
 
 FULL_HW = (256, 320)
+CLIP = 10.0
+"""Norm that gradients have at most."""
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -122,42 +124,25 @@ def train(
     run = checkpoints.describe(plan, len(frames), ranks, device)
     torch.manual_seed(plan.seed)
     model = Model().to(device).to(memory_format=torch.channels_last)
-    averaged = copy.deepcopy(model).eval().requires_grad_(False)
-    optimizer = _optimizer(model, plan)
     steps = plan.steps
-    rates = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, plan))
-    first, trained_s = 0, 0.0
-    if kept := checkpoints.resume(checkpoint, run, device):
-        model.load_state_dict(kept["model"])
-        averaged.load_state_dict(kept["averaged"])
-        optimizer.load_state_dict(kept["optimizer"])
-        rates.load_state_dict(kept["rates"])
-        first, trained_s = kept["step"], kept["seconds"]
-        log.info("going on from step %d", first)
-    started = since = time.monotonic()
-    began = first
+    learner = Learner(
+        model, plan, len(steps), checkpoint, run, tables=model.encoder, betas=(0.9, 0.99)
+    )
+    first = began = learner.done
+    since = time.monotonic()
     stream = batches(frames, plan.batch // ranks, steps, plan.seed * ranks + rank, first)
     for step, batch in enumerate(stream, first + 1):
         generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
         loss, parts = _loss(model, batch, generator, device)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        if ranks > 1:
-            _share_gradients(model, ranks)
-        nn.utils.clip_grad_norm_(model.parameters(), 10.0)
-        optimizer.step()
-        rates.step()
-        _average(averaged, model, plan.average, step)
+        learner.step(loss, CLIP, partial(_share_gradients, model, ranks) if ranks > 1 else None)
         if step % 50 == 0 or step == len(steps):
             pace = (time.monotonic() - since) / (step - began)
             shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
             log.info("step %d/%d %.3f s: %s", step, len(steps), pace, shown)
             since, began = time.monotonic(), step
         if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
-            state = {"model": model, "averaged": averaged, "optimizer": optimizer, "rates": rates}
-            seconds = trained_s + time.monotonic() - started
-            checkpoints.save(checkpoint, state, run, step, seconds)
-    return averaged
+            learner.keep()
+    return learner.averaged
 
 
 def _share_gradients(model: nn.Module, ranks: int) -> None:
@@ -185,36 +170,3 @@ def _loss(
     anchors, stride = anchor_points(images.shape[2], images.shape[3], device)
     decoded = model.detector.decode(box, anchors, stride)
     return detection_loss(box, decoded, logits, anchors, stride, labels)
-
-
-def _optimizer(model: nn.Module, plan: Plan) -> torch.optim.Optimizer:
-    """AdamW; weights decay, biases, norms and tables do not."""
-    matrices = [p for p in model.detector.parameters() if p.ndim > 1]
-    rest = [p for p in model.detector.parameters() if p.ndim <= 1]
-    groups = [
-        {"params": matrices, "weight_decay": plan.decay},
-        {"params": rest + list(model.encoder.parameters()), "weight_decay": 0.0},
-    ]
-    return torch.optim.AdamW(groups, lr=plan.rate, betas=(0.9, 0.99))
-
-
-def _rate(step: int, plan: Plan) -> float:
-    """Linear up at first, then half a cosine down to one percent (arXiv:1608.03983, eq. 5)."""
-    if step < plan.warm_up:
-        return (step + 1) / plan.warm_up
-    steps = sum(count for count, *_ in plan.stages)
-    share = (step - plan.warm_up) / max(1, steps - plan.warm_up)
-    return 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(1.0, share)))
-
-
-@torch.no_grad()
-def _average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
-    """Exponential mean of weights and of norm statistics, faster at first."""
-    keep = min(keep, (1.0 + step) / (20.0 + step))
-    for mean, value in zip(
-        averaged.state_dict().values(), model.state_dict().values(), strict=True
-    ):
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, 1.0 - keep)
-        else:
-            mean.copy_(value)

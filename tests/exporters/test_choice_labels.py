@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from edge.perception.card_types import MARK_FIELDS
 from edge.perception.choice.question import MAX_MARKS
 from exporters.choice import labels
 from exporters.choice.collect import BEFORE, NEVER, NOW, Views
@@ -33,7 +34,8 @@ def views_of(rows: list[dict]) -> Views:
 
     return Views(
         np.empty(n, object), np.arange(n, dtype=np.int32),
-        np.array([len(row["left"]) for row in rows], np.uint8), marks, path_m, left_m,
+        np.array([len(row["left"]) for row in rows], np.uint8), marks, path_m,
+        2.0 * path_m, np.zeros((n, 3), np.float32), left_m,
         each("else_m", INF), each("else_path_m", INF), each("here_m", INF),
         each("seen", NEVER).astype(np.uint8), np.ones((n, MAX_MARKS, 1), np.float32),
     )  # fmt: skip
@@ -41,13 +43,13 @@ def views_of(rows: list[dict]) -> Views:
 
 def test_no_views_have_no_labels():
     empty = views_of([])
-    assert labels.marks_of(empty).shape == (0, MAX_MARKS, 5)
+    assert labels.marks_of(empty).shape == (0, MAX_MARKS, MARK_FIELDS)
     assert labels.asked(empty).shape == labels.scene(empty).shape == (0, 1)
 
 
 def test_marks_are_shares_of_the_image_and_zeros_where_there_is_none():
     found = labels.marks_of(views_of([{"left": [2.0], "path": [1.0]}]))
-    np.testing.assert_allclose(found[0, 0], [0.5, 0.5, 0.1, 3.0, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(found[0, 0], [0.5, 0.5, 0.1, 3.0, 1.0, 2.0, 1.0], rtol=1e-6)
     assert not found[0, 1:].any()
 
 

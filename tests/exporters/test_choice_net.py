@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed (extra `export`)")
 
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
-from exporters.choice.net import FAR, GRID_HW, MARK, NEAR, ChoiceNet, cell_centres, tents  # noqa: E402
+from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
+from exporters.choice.net import FAR, GRID_HW, NEAR, ChoiceNet, cell_centres, tents  # noqa: E402
+from exporters.choice.training import _with_hidden  # noqa: E402
 
 KINDS, CELLS = 5, GRID_HW[0] * GRID_HW[1]
 
@@ -26,9 +29,10 @@ def asked(views: int = 2, targets: int = 3, marks: int = 4):
         return torch.rand(*shape, generator=g)
 
     images = (some(views, NEAR, *GRID_HW), some(views, FAR, *GRID_HW), some(views, KINDS, *GRID_HW))
-    at = some(views, marks, MARK)
-    at[..., 4] = 1.0
-    return images, some(views, targets, CELLS), some(views, targets, 64), at
+    at = some(views, marks, MARK_FIELDS)
+    at[..., -1] = 1.0
+    others = some(views, OTHERS_FIELDS)
+    return images, some(views, targets, CELLS), some(views, targets, 64), at, others
 
 
 def answer(net, images, *rest):
@@ -45,29 +49,45 @@ def test_a_place_is_read_from_its_cells_with_weights_that_sum_to_one():
 
 
 def test_without_marks_only_elsewhere_is_left(net):
-    images, target, text, marks = asked()
-    logits, scene = answer(net, images, target, text, torch.zeros_like(marks))
+    images, target, text, marks, others = asked()
+    logits, scene = answer(net, images, target, text, torch.zeros_like(marks), others)
     assert logits.shape == (2, 3, 5)
     assert scene.shape == (2, 3)
     torch.testing.assert_close(logits.softmax(-1)[..., -1], torch.ones(2, 3))
 
 
 def test_marks_that_are_not_there_change_nothing(net):
-    images, target, text, marks = asked()
-    fewer, scene = answer(net, images, target, text, marks[:, :2])
+    images, target, text, marks, others = asked()
+    fewer, scene = answer(net, images, target, text, marks[:, :2], others)
     marks[:, 2:] = 0.0
-    logits, same = answer(net, images, target, text, marks)
+    logits, same = answer(net, images, target, text, marks, others)
     torch.testing.assert_close(logits[..., [0, 1, 4]], fewer, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(scene, same, atol=1e-5, rtol=1e-4)
 
 
 def test_the_order_of_marks_views_and_targets_is_only_an_order(net):
-    images, target, text, marks = asked()
-    logits, scene = answer(net, images, target, text, marks)
+    images, target, text, marks, others = asked()
+    logits, scene = answer(net, images, target, text, marks, others)
     turned = tuple(x.flip(0) for x in images)
     other, whole = answer(
-        net, turned, target.flip(0, 1), text.flip(0, 1), marks.flip(0, 1)
+        net, turned, target.flip(0, 1), text.flip(0, 1), marks.flip(0, 1), others.flip(0)
     )  # fmt: skip
     expected = torch.cat([logits[..., :4].flip(-1), logits[..., 4:]], -1).flip(0, 1)
     torch.testing.assert_close(other, expected, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(whole, scene.flip(0, 1), atol=1e-5, rtol=1e-4)
+
+
+def test_elsewhere_goes_by_the_frontiers_without_a_mark(net):
+    images, target, text, marks, others = asked()
+    logits, _ = answer(net, images, target, text, marks, others)
+    more, _ = answer(net, images, target, text, marks, 5.0 * others)
+    assert not torch.allclose(logits[..., -1], more[..., -1], atol=1e-3)
+
+
+def test_marks_that_are_left_out_become_frontiers_without_a_mark():
+    marks = np.zeros((3, 2, MARK_FIELDS), np.float32)
+    marks[:, :, 4:] = [[3.0, 9.0, 1.0], [5.0, 2.0, 1.0]]  # path, gain, there
+    others = np.array([[0, 0, 0], [2, 4, 5], [0, 0, 0]], np.float32)
+    hidden = np.array([[True, True], [True, False], [False, False]])
+    found = _with_hidden(others, marks, hidden)
+    np.testing.assert_allclose(found, [[2, 3, 9], [3, 3, 9], [0, 0, 0]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -46,15 +46,6 @@ def truth(boxes, answers=1) -> loss.Labels:
     said = torch.full((1, boxes.shape[1], 1), answers, dtype=torch.int8)
     taught = torch.ones(boxes.shape[:2], dtype=torch.bool)
     return loss.Labels(boxes, taught, said, torch.zeros_like(said, dtype=torch.bool))
-
-
-def test_the_rate_climbs_and_falls():
-    shape = training.Plan(stages=((60, HW, 0), (40, HW, 0)), warm_up=10)
-    rates = [training._rate(step, shape) for step in range(120)]
-    assert rates[0] == pytest.approx(0.1)
-    assert rates[10] == pytest.approx(1.0)
-    assert all(a > b for a, b in pairwise(rates[10:101]))
-    assert rates[100:] == [pytest.approx(0.01)] * 20
 
 
 def test_the_shipped_models_plan_has_sizes_that_the_network_takes_and_ends_at_its_own():

@@ -13,10 +13,10 @@ from simulated import simulated
 from edge.eval.closed_loop import START_NS, ClosedLoop
 from edge.geometry import SE2, CameraModel, optical, se3
 from edge.loop.cooccurrence import PriorChoice, RelatedScores, given
-from edge.loop.scorers import Scorers
+from edge.loop.scorers import Scorers, ways_to
 from edge.mapping.grid import RollingMap
 from edge.mission.brief import prepare
-from edge.perception.choice.question import Choice
+from edge.perception.choice.question import Choice, Mark
 from edge.perception.instances import InstanceTracker
 from edge.perception.prior.table import load
 from edge.policies.base import FRONTIER, Candidates
@@ -292,3 +292,30 @@ def test_a_policy_that_goes_by_no_values_has_none():
     loop.step()
     assert loop.service.map.grid.values.value.size == 0
     assert loop.scorers.answers.similarity is not None
+
+
+@pytest.mark.parametrize(
+    ("reaches", "others"),
+    [
+        ((True, True, True, True), (2.0, 1.0, 9.0)),
+        ((True, True, True, False), (1.0, 6.0, 4.0)),
+        ((True, True, False, False), (0.0, 0.0, 0.0)),  # none that a way leads to
+    ],
+)
+def test_ways_are_those_to_the_marks_and_the_rest_of_the_frontiers(reaches, others):
+    candidates = frontiers((4.0, 1.0), (5.0, -1.0), (-6.0, 0.0), (-1.0, 0.0))
+    candidates.path_m[:4] = np.where(reaches, (4.5, 7.0, 6.0, 1.0), math.inf)
+    candidates.gain_m2[:4] = 2.0, 3.0, 4.0, 9.0
+    marks = (Mark(8, 0.0, 0.0, 0.0, 5.0), Mark(7, 9.0, 0.0, 0.0, 4.0))
+    ways = ways_to(candidates, np.arange(4), marks)
+    np.testing.assert_allclose(ways.path_m, [7.0, 4.5])
+    np.testing.assert_allclose(ways.gain_m2, [3.0, 2.0])
+    np.testing.assert_allclose(ways.others, others)
+
+
+def test_without_marks_all_frontiers_are_others():
+    candidates = frontiers((4.0, 1.0))
+    candidates.path_m[0], candidates.gain_m2[0] = 4.5, 2.0
+    ways = ways_to(candidates, np.arange(1), ())
+    assert ways.path_m.shape == ways.gain_m2.shape == (0,)
+    np.testing.assert_allclose(ways.others, [1.0, 4.5, 2.0])

@@ -16,8 +16,14 @@ from edge.perception.card_types import MARK_FIELDS, MarksCard
 from edge.perception.cards import load_card_of, verify_model
 from edge.perception.choice import mark_scorer
 from edge.perception.choice.factory import make_choice, open_choice
-from edge.perception.choice.mark_scorer import MarkNetwork, MarkScorer, as_input, letterboxed
-from edge.perception.choice.question import MAX_MARKS, Mark, View
+from edge.perception.choice.mark_scorer import (
+    FAR_M,
+    MarkNetwork,
+    MarkScorer,
+    as_input,
+    letterboxed,
+)
+from edge.perception.choice.question import MAX_MARKS, Mark, View, Ways
 from edge.perception.model_file import ModelError
 from edge.perception.process.choice import ProcessMarks
 from edge.perception.text import PromptError
@@ -32,9 +38,16 @@ def mark(id_: int, u_px: float, v_px: float = 128.0, bearing_rad: float = 0.0, a
     return Mark(id_, u_px, v_px, bearing_rad, away_m)
 
 
+def ways(*marks: Mark) -> Ways:
+    """Twice as far as straight on, a square metre at the end of each, and two others."""
+    path_m = np.array([2.0 * mark.distance_m for mark in marks], np.float32)
+    return Ways(path_m, np.ones_like(path_m), np.array([2.0, 5.0, 9.0], np.float32))
+
+
 def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> View:
     image = np.full((*HW, 3), 90, np.uint8) if rgb is None else rgb
-    return View(Observation(1, 7, np.eye(4), rgb=image), target, tuple(marks))
+    seen = Observation(1, 7, np.eye(4), rgb=image)
+    return View(seen, target, tuple(marks), ways=ways(*marks))
 
 
 # -- what the network gets ------------------------------------------------------------------------
@@ -68,14 +81,20 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
 
 
 def test_without_marks_there_is_no_row():
-    assert as_input((), 1.0, 0, 0, HW).shape == (0, MARK_FIELDS)
+    assert as_input((), ways(), 1.0, 0, 0, HW).shape == (0, MARK_FIELDS)
 
 
 def test_marks_are_shares_of_the_letterboxed_image():
-    found = as_input((mark(1, -0.5, 239.5, 0.3, 4.0), mark(2, 319.5, 0.0)), 0.5, 8, 0, HW)
+    marks = (mark(1, -0.5, 239.5, 0.3, 4.0), mark(2, 319.5, 0.0))
+    found = as_input(marks, ways(*marks), 0.5, 8, 0, HW)
     assert found.shape == (2, MARK_FIELDS)
-    np.testing.assert_allclose(found[0], [0.0, 0.5, 0.3, 4.0, 1.0])
+    np.testing.assert_allclose(found[0], [0.0, 0.5, 0.3, 4.0, 8.0, 1.0, 1.0])
     np.testing.assert_allclose(found[1, :2], [0.5, 8.25 / 256])
+
+
+def test_a_mark_that_no_way_leads_to_is_as_far_as_can_be_told():
+    lost = ways(mark(1, 0.0))._replace(path_m=np.array([np.inf], np.float32))
+    assert as_input((mark(1, 0.0),), lost, 1.0, 0, 0, HW)[0, 4] == FAR_M
 
 
 # -- what is made of its logits -------------------------------------------------------------------
@@ -140,6 +159,7 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
     assert marks.shape == (1, MAX_MARKS, MARK_FIELDS)
     assert marks[0, :2, -1].all()
     assert not marks[0, 2:].any()
+    np.testing.assert_array_equal(session.feeds[-1]["others"], [[2.0, 5.0, 9.0]])
 
 
 def test_the_image_is_copied_when_it_is_looked_at(monkeypatch):
@@ -165,11 +185,12 @@ def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says)
     assert "\n" not in str(error.value)
 
 
-def test_without_an_image_and_for_an_unknown_target_it_says_so(monkeypatch):
+def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypatch):
     scorer = scorer_of(monkeypatch, FakeSession([0.0] * 9))
-    blind = View(Observation(3, 7, np.eye(4)), "bed", (mark(1, 1.0),))
-    with pytest.raises(ModelError, match="observation 3: no image"):
-        scorer.look(blind)
+    for rgb, says in ((None, "image"), (np.zeros((*HW, 3), np.uint8), "map with ways")):
+        blind = View(Observation(3, 7, np.eye(4), rgb=rgb), "bed", (mark(1, 1.0),))
+        with pytest.raises(ModelError, match=f"observation 3: no {says}"):
+            scorer.look(blind)
     with pytest.raises(PromptError, match="unicorn"):
         scorer.answer(scorer.look(view(mark(1, 1.0), target="unicorn")))
 

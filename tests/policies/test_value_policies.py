@@ -105,6 +105,13 @@ def test_the_frontier_with_the_best_value_near_it_is_taken(policy, values, expec
     assert first(scored(policy, Valued(values), A, B, C, D)) == expected
 
 
+@pytest.mark.parametrize("kind", [PolicyVlfm, PolicyDirectional], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(("nearness", "expected"), [(1e-3, 1), (0.3, 1), (3.0, 0)])
+def test_the_more_nearness_counts_the_nearer_is_taken(kind, nearness, expected):
+    seen = Valued({a: 0.1, b: 0.3})  # 2 m and 5 m away
+    assert first(scored(kind(nearness=nearness), seen, A, B)) == expected
+
+
 def test_each_target_has_a_channel():
     seen, targets = Valued({a: (0.1, 0.9), b: (0.8, 0.2)}), ("bed", "sofa")
     for target, expected in (("bed", 1), ("sofa", 0)):

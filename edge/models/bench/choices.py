@@ -28,7 +28,7 @@ from edge.models.bench.frames import Frames
 from edge.models.bench.variants import PROVIDERS, providers_here, runs_on
 from edge.perception.card_types import DirectionsCard
 from edge.perception.cards import all_cards, how_to_get
-from edge.perception.choice.question import Mark, Sighting, View
+from edge.perception.choice.question import Mark, Sighting, View, Ways
 from edge.text import aligned
 from edge.types import Observation
 
@@ -146,7 +146,9 @@ def views_of(pictures: Frames) -> list[View]:
         targets = _TARGETS[turn:] + _TARGETS[:turn]
         unseen = (t for t in targets if not any(names.same(label, t) for label in labels))
         target = next(unseen, targets[0])
-        views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen))
+        straight_m = np.array([mark.distance_m for mark in marks], np.float32)
+        ways = Ways(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
+        views.append(View(Observation(k, k, np.eye(4), rgb), target, marks, seen, ways=ways))
     return views
 
 

@@ -15,14 +15,16 @@ import numpy as np
 from edge.config import ChoiceOnnx
 from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import TENSORRT, open_session
-from edge.perception.card_types import MARK_FIELDS, MarksCard, TextCard
+from edge.perception.card_types import MARK_FIELDS, OTHERS_FIELDS, MarksCard, TextCard
 from edge.perception.cards import load_card_of, verify_model
 from edge.perception.choice.deadline import FIRST_RUN_S, Deadline
-from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, choice_of
+from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, Ways, choice_of
 from edge.perception.encoders import open_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.text import TextEncoder
 
+FAR_M = 20.0
+"""A way so long, or none, is the same to the network."""
 _KEY = "perception.choice.providers"
 
 
@@ -32,7 +34,7 @@ class Network(Protocol):
     name: str
 
     def ask(
-        self, image: np.ndarray, marks: np.ndarray, target: str, limit_s: float
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
     ) -> list[np.ndarray]: ...
 
     def close(self) -> None: ...
@@ -76,16 +78,18 @@ class MarkNetwork:
         self._rows: dict[str, np.ndarray] = {}
         blank = np.zeros((card.input.height, card.input.width, 3), np.uint8)
         nowhere = np.zeros((1, card.text_dim), np.float32)
-        self._run(blank, np.ones((1, MARK_FIELDS), np.float32), nowhere, FIRST_RUN_S)
+        one, others = np.ones((1, MARK_FIELDS), np.float32), np.ones(OTHERS_FIELDS, np.float32)
+        self._run(blank, one, others, nowhere, FIRST_RUN_S)
 
     def ask(
-        self, image: np.ndarray, marks: np.ndarray, target: str, limit_s: float
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
     ) -> list[np.ndarray]:
         """Put both questions about a view.
 
         Args:
             image: (h, w, 3) uint8 RGB of the card's size.
-            marks: (n, MARK_FIELDS) float32, from 1 to MAX_MARKS; see `MarksCard`.
+            marks: (n, MARK_FIELDS) float32, from 1 to MAX_MARKS, and `others`: (OTHERS_FIELDS,)
+                float32; see `MarksCard`.
 
         Returns:
             (n + 1,) float32 of the marks and of "elsewhere" (ViTL eq. 4), and (2,) of yes and no
@@ -95,20 +99,21 @@ class MarkNetwork:
             PromptError: the text encoder does not know the target.
             ModelError: it fails, takes too long, or returns what is not finite; one line.
         """
-        return self._run(image, marks, self._row(target), limit_s)
+        return self._run(image, marks, others, self._row(target), limit_s)
 
     def close(self) -> None:
         """Give up what is being asked; may be called from another thread."""
         self._deadline.end()
 
     def _run(
-        self, image: np.ndarray, marks: np.ndarray, row: np.ndarray, limit_s: float
-    ) -> list[np.ndarray]:
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, row: np.ndarray,
+        limit_s: float,
+    ) -> list[np.ndarray]:  # fmt: skip
         n, padded = len(marks), np.zeros((1, MAX_MARKS, MARK_FIELDS), np.float32)
         padded[0, :n] = marks
         planes = image.transpose(2, 0, 1)[None].astype(np.float32, order="C")
         planes *= self._scale
-        feed = {"images": planes, "txt_feats": row, "marks": padded}
+        feed = {"images": planes, "txt_feats": row, "marks": padded, "others": others[None]}
         with self._deadline.within(limit_s):
             options = self._deadline.options
             directions, scene = self._session.run(["directions", "scene"], feed, options)
@@ -136,12 +141,13 @@ class Looked(NamedTuple):
 
     Attributes:
         image: (h, w, 3) uint8, letterboxed.
-        marks: (n, MARK_FIELDS) float32; see `MarksCard`.
+        marks: (n, MARK_FIELDS) and `others`: (OTHERS_FIELDS,) float32; see `MarksCard`.
     """
 
     view: View
     image: np.ndarray
     marks: np.ndarray
+    others: np.ndarray
 
 
 class MarkScorer:
@@ -163,16 +169,18 @@ class MarkScorer:
         """Prepare what the network gets; the observation is not needed afterwards.
 
         Raises:
-            ModelError: the observation has no image.
+            ModelError: the observation has no image, or no map tells of the ways.
         """
         rgb = view.observation.rgb
-        if rgb is None:
-            raise ModelError(f"observation {view.observation.seq}: no image to show {self.name}")
+        if rgb is None or view.ways is None:
+            lacks = "image to show" if rgb is None else "map with ways to tell"
+            raise ModelError(f"observation {view.observation.seq}: no {lacks} {self.name}")
         hw = (self._card.input.height, self._card.input.width)
         image, scale, top, left = letterboxed(rgb, hw, self._card.preprocess.letterbox_pad)
         if image is rgb:
             image = rgb.copy()
-        return Looked(view, image, as_input(view.marks[:MAX_MARKS], scale, top, left, hw))
+        rows = as_input(view.marks[:MAX_MARKS], view.ways, scale, top, left, hw)
+        return Looked(view, image, rows, view.ways.others)
 
     def answer(self, looked: Looked) -> Choice | None:
         """Both answers at once.
@@ -184,10 +192,10 @@ class MarkScorer:
             PromptError: the text encoder does not know the target.
             ModelError: the network gave no usable answer within the time limit; one line.
         """
-        view, image, rows = looked
+        view, image, rows, others = looked
         if not len(rows):
             return None
-        p, scene = self._network.ask(image, rows, view.target, self._limit_s)
+        p, scene = self._network.ask(image, rows, others, view.target, self._limit_s)
         return choice_of(view, view.marks[: len(rows)], p, float(scene[0]))
 
     def close(self) -> None:
@@ -213,14 +221,15 @@ def letterboxed(
 
 
 def as_input(
-    marks: Sequence[Mark], scale: float, top: int, left: int, hw: tuple[int, int]
+    marks: Sequence[Mark], ways: Ways, scale: float, top: int, left: int, hw: tuple[int, int]
 ) -> np.ndarray:
     """Marks as the network takes them, (n, MARK_FIELDS) float32; see `MarksCard`."""
     out = np.zeros((len(marks), MARK_FIELDS), np.float32)
-    for row, mark in zip(out, marks, strict=True):
+    path_m = np.minimum(ways.path_m, FAR_M)
+    for row, mark, *worth in zip(out, marks, path_m, ways.gain_m2, strict=False):
         u = ((mark.u_px + 0.5) * scale + left) / hw[1]
         v = ((mark.v_px + 0.5) * scale + top) / hw[0]
-        row[:] = u, v, mark.bearing_rad, mark.distance_m, 1.0
+        row[:] = u, v, mark.bearing_rad, mark.distance_m, *worth, 1.0
     return out
 
 

@@ -53,6 +53,21 @@ class Sighting(NamedTuple):
     distance_m: float
 
 
+class Ways(NamedTuple):
+    """What the robot's map says of where the directions lead.
+
+    Attributes:
+        path_m: (n,) float32, driving distance to each mark, inf where no way leads to it.
+        gain_m2: (n,) float32, unknown area that each mark is expected to show.
+        others: (3,) float32, of the frontiers without a mark that a way leads to: how many, the
+            least driving distance [m] (0: there are none), and the most such area [m²].
+    """
+
+    path_m: np.ndarray
+    gain_m2: np.ndarray
+    others: np.ndarray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """What there is to choose from at one instant.
@@ -63,6 +78,7 @@ class View:
         marks: at most `MAX_MARKS`, from left to right.
         lift: (n,) float32, how much likelier the target is near each mark than near an average
             place, by what was seen so far; None: no prior was asked.
+        ways: to the marks; None: there is no map.
     """
 
     observation: Observation
@@ -70,6 +86,7 @@ class View:
     marks: tuple[Mark, ...]
     sightings: tuple[Sighting, ...] = ()
     lift: np.ndarray | None = None
+    ways: Ways | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

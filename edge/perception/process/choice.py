@@ -113,10 +113,10 @@ class ProcessMarks(_Process):
     """
 
     def ask(
-        self, image: np.ndarray, marks: np.ndarray, target: str, limit_s: float
+        self, image: np.ndarray, marks: np.ndarray, others: np.ndarray, target: str, limit_s: float
     ) -> list[np.ndarray]:
         """See `MarkNetwork.ask` and `_put`."""
-        request = {"marks": marks.tolist(), "target": target}
+        request = {"marks": marks.tolist(), "others": others.tolist(), "target": target}
         return self._put(request, image, (len(marks) + 1, len(YES_NO)), limit_s)
 
 

@@ -52,8 +52,9 @@ def open_answer(choice: ChoiceOnnx) -> Answer:
 
         network = open_network(card, choice)
         return lambda request, image: network.ask(
-            image, np.array(request["marks"], np.float32), request["target"], request["limit_s"]
-        )
+            image, np.array(request["marks"], np.float32), np.array(request["others"], np.float32),
+            request["target"], request["limit_s"],
+        )  # fmt: skip
     from edge.perception.choice.onnx_scorer import open_model
     from edge.perception.vlm.model import Asked
 

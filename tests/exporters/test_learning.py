@@ -1,0 +1,83 @@
+"""What training runs share: the curve, the averaged weights, going on from a checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed (extra `export`)")
+
+from exporters.files import ExportError  # noqa: E402
+from exporters.learning import Learner, average, rate  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Pace:
+    steps: int = 20
+    rate: float = 1e-2
+    decay: float = 0.0
+    warm_up: int = 2
+    average: float = 0.9
+
+
+def test_the_rate_climbs_and_falls():
+    rates = [rate(step, 100, 10) for step in range(120)]
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[10] == pytest.approx(1.0)
+    assert all(a > b for a, b in pairwise(rates[10:101]))
+    assert rates[100:] == [pytest.approx(0.01)] * 20
+
+
+def test_the_average_follows_at_once_at_first_and_slowly_later():
+    model, averaged = torch.nn.Linear(1, 1), torch.nn.Linear(1, 1)
+    for step, share in ((0, 1 / 20), (10_000, 0.99)):
+        torch.nn.init.zeros_(averaged.weight)
+        torch.nn.init.ones_(model.weight)
+        average(averaged, model, 0.99, step)
+        assert averaged.weight.item() == pytest.approx(1.0 - share)
+
+
+def learner_of(path, decay: float = 0.0, tables: bool = False) -> tuple[torch.nn.Module, Learner]:
+    torch.manual_seed(0)
+    model = torch.nn.Sequential(torch.nn.Linear(3, 3), torch.nn.Linear(3, 1))
+    run = {"plan": {"decay": decay}, "ranks": 1, "frames": 1, "device": "cpu"}
+    spared = model[1] if tables else None
+    return model, Learner(model, Pace(decay=decay), Pace.steps, path, run, tables=spared)
+
+
+def steps(model, learner, n: int) -> None:
+    for _ in range(n):
+        torch.manual_seed(learner.done)
+        learner.step(model(torch.randn(4, 3)).square().mean(), 5.0)
+
+
+def test_a_run_that_stopped_goes_on_as_if_it_had_not(tmp_path):
+    model, learner = learner_of(tmp_path / "whole.pt")
+    steps(model, learner, 10)
+    first, begun = learner_of(tmp_path / "parts.pt")
+    steps(first, begun, 4)
+    begun.keep()
+    again, rest = learner_of(tmp_path / "parts.pt")
+    assert rest.done == 4
+    steps(again, rest, 6)
+    for one, other in zip(learner.averaged.parameters(), rest.averaged.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
+
+
+def test_another_run_does_not_go_on(tmp_path):
+    _, learner = learner_of(tmp_path / "a.pt")
+    learner.keep()
+    with pytest.raises(ExportError, match=r"of another run: decay was 0\.0 and is 0\.5"):
+        learner_of(tmp_path / "a.pt", decay=0.5)
+
+
+def test_of_tables_nothing_decays(tmp_path):
+    model, learner = learner_of(tmp_path / "a.pt", decay=0.5, tables=True)
+    before = [p.detach().clone() for p in model.parameters()]
+    for p in model.parameters():
+        p.grad = torch.zeros_like(p)
+    learner.step(sum(0.0 * p.sum() for p in model.parameters()), 5.0)
+    changed = [not torch.equal(p, q) for p, q in zip(model.parameters(), before, strict=True)]
+    assert changed == [True, False, False, False]  # only the first layer's matrix
