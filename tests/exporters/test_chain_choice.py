@@ -1,4 +1,4 @@
-"""A model that chooses directions, from its published folder to the running service, by commands."""
+"""A model that chooses directions, from its published folder to the service, by commands."""
 
 from __future__ import annotations
 
