@@ -18,6 +18,7 @@ from edge.perception.choice.factory import make_choice
 from edge.perception.choice.mark_scorer import MarkScorer, as_input, letterboxed, open_mark_scorer
 from edge.perception.choice.question import MAX_MARKS, Mark, View
 from edge.perception.model_file import ModelError
+from edge.perception.onnx_file import check_fixed
 from edge.perception.text import PromptError
 from edge.types import Observation
 
@@ -107,7 +108,7 @@ class FakeText:
 def scorer_of(monkeypatch, session, dim: int = 64) -> MarkScorer:
     how = SimpleNamespace(scale=1 / 255, letterbox_pad=114)
     card = SimpleNamespace(
-        name="fake", text_dim=dim, text_encoder="text", preprocess=how,
+        name="fake", precision="fp32", text_dim=dim, text_encoder="text", preprocess=how,
         input=SimpleNamespace(height=HW[0], width=HW[1]),
     )  # fmt: skip
     monkeypatch.setattr(mark_scorer, "verify_model", lambda card, believe_cache: None)
@@ -215,3 +216,17 @@ def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped)
     scaled = shipped.answer(shipped.look(view(*doubled, rgb=large)))
     np.testing.assert_allclose(one.p, scaled.p, atol=1e-4)
     assert scaled.scene == pytest.approx(one.scene, abs=1e-4)
+
+
+# -- TensorRT -------------------------------------------------------------------------------------
+
+
+def test_every_input_has_one_shape_as_tensorrt_wants_it():
+    check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
+
+
+@pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
+def test_int8_for_a_cpu_is_none_for_tensorrt(provider):
+    config = ChoiceOnnx(card=NAME, providers=(provider,))
+    with pytest.raises(ModelError, match="mini-house-choice: its INT8 is not symmetric"):
+        open_mark_scorer(load_card_of(MarksCard, NAME), config)

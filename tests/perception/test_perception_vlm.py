@@ -553,6 +553,16 @@ def test_sizes_of_patches_that_lie_are_told_in_one_line(models_dir, told, says):
     assert str(raised.value).isprintable()
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
+def test_free_shapes_are_none_for_tensorrt(models_dir, family, provider):
+    card = publish(models_dir, family)
+    says = r"\.onnx: its input '\w+' has no fixed shape, .* in perception\.choice\.providers"
+    with pytest.raises(ModelError, match=says) as raised:
+        LanguageModel(card, EVERY, providers=[provider])
+    assert str(raised.value).isprintable()
+
+
 def changed_bytes(content, chance):
     """As a bad disk or a bad download leaves it."""
     made = bytearray(content)

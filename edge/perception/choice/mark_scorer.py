@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from edge.config import ChoiceOnnx
+from edge.perception.backends.engines import EngineOptions
 from edge.perception.backends.runtime import failing_as, open_session
 from edge.perception.card_types import MARK_FIELDS, MarksCard, TextCard
 from edge.perception.cards import load_card_of, verify_model
@@ -20,6 +21,8 @@ from edge.perception.choice.question import MAX_MARKS, Choice, Mark, View, choic
 from edge.perception.encoders import open_text_encoder
 from edge.perception.model_file import ModelError
 from edge.perception.text import TextEncoder
+
+PROVIDERS_KEY = "perception.choice.providers"
 
 
 class Looked(NamedTuple):
@@ -62,7 +65,8 @@ class MarkScorer:
             )
         self.name, self._card, self._text = card.name, card, text
         path = verify_model(card, believe_cache=True)
-        self._session = open_session(path, providers, threads, device_id)
+        engine = EngineOptions(card.name, card.precision)
+        self._session = open_session(path, providers, threads, device_id, engine, PROVIDERS_KEY)
         self._rows: dict[str, np.ndarray] = {}
 
     def look(self, view: View) -> Looked:
