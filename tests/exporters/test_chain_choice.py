@@ -82,7 +82,7 @@ def test_from_a_published_folder_to_the_running_service(
     assert "my-vlm-fp32: ok (hashes of " in says(robot, "check", "my-vlm-fp32")
 
     how = ["--calibration", pictures, "--no-gate"]
-    told = says(robot, "quantize", "my-vlm-fp32", "--precision", "q4", "int8", *how)
+    told = says(robot, "quantize", "my-vlm-fp32", "--precision", "q4", "int8", "q4f16", *how)
     assert "my-vlm-q4 against my-vlm-fp32:" in told
     made = yaml.safe_load((robot / "my-vlm-q4.yaml").read_text())
     assert made["derived_from"] == "my-vlm-fp32"
@@ -94,11 +94,13 @@ def test_from_a_published_folder_to_the_running_service(
     whole, small = (robot / "my-vlm" / some["decoder"]["file"] for some in (card, made))
     assert small.stat().st_size < 0.7 * whole.stat().st_size
     assert "my-vlm-q4: ok (hashes of " in says(robot, "check", "my-vlm-q4")
-    assert "my-vlm-int8: ok (hashes of " in says(robot, "check", "my-vlm-int8")
+    for precision in ("int8", "q4f16"):
+        name = f"my-vlm-{precision}"
+        assert f"{name}: ok (hashes of " in says(robot, "check", name)
 
     bench = ["--images", pictures, "--frames", "2", "--threads", "1", "--providers", "cpu"]
     table = says(robot, "bench", "my-vlm", *bench)
-    for name in ("my-vlm-fp32", "my-vlm-q4", "my-vlm-int8"):
+    for name in ("my-vlm-fp32", "my-vlm-q4", "my-vlm-int8", "my-vlm-q4f16"):
         assert re.search(rf"^{name} +cpu +\d", table, re.MULTILINE), table
 
     choice = {"kind": "onnx", "card": "my-vlm-fp32", "threads": 1, "time_limit_s": 60}
