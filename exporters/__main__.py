@@ -6,6 +6,10 @@
 Of a folder as Hugging Face publishes it, the files and their cards:
 
     python -m exporters NAME --weights FOLDER --precision fp32 int8-cpu --calibration DIR
+
+Of a vision-language model that is here in FP32, its variants and their cards:
+
+    python -m exporters NAME-fp32 --precision q4 --calibration DIR
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import re
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -26,7 +31,7 @@ import yaml
 from edge.host import resources
 from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
-from edge.perception.card_types import DetectCard
+from edge.perception.card_types import Card, ChoiceCard, DetectCard
 from edge.perception.cards import read_card
 from edge.perception.text import VOCABULARY_FILE
 from exporters.files import ExportError, tells_errors
@@ -62,13 +67,18 @@ FOLDERS = {
 """By the `model_type` of a Hugging Face folder: the module that exports it."""
 
 
-def load_card(name: str, folder: Path) -> DetectCard:
-    """A detector's card; raises UserError for one that is not valid, or not made from weights."""
+def named_card(name: str, folder: Path) -> Card:
+    """The card of a folder; raises UserError for one that is not there or not valid."""
     path = folder / f"{name}.yaml"
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
         raise ExportError(f"{folder}: no card {name!r} (choices: {choices})")
-    card = read_card(path)
+    return read_card(path)
+
+
+def load_card(name: str, folder: Path) -> DetectCard:
+    """A detector's card; raises UserError for one that is not valid, or not made from weights."""
+    path, card = folder / f"{name}.yaml", named_card(name, folder)
     if card.family in TRAINED:
         raise ExportError(f"{name}: made with `{TRAINED[card.family]}`, not from weights")
     if not isinstance(card, DetectCard) or card.family not in FAMILIES:
@@ -222,6 +232,11 @@ def export_folder(args: argparse.Namespace) -> None:
     args.cache.mkdir(parents=True, exist_ok=True)
     module = importlib.import_module(FOLDERS[kind])
     reports = module.export(args)
+    told(reports)
+
+
+def told(reports: dict[str, Any]) -> None:
+    """Print reports as one JSON object, by card."""
     print(json.dumps({name: asdict(r) if r else None for name, r in reports.items()}))
 
 
@@ -239,7 +254,11 @@ def main(argv: list[str] | None) -> None:
         "--weights", type=Path, help="the .pt file, or a model's folder; default: the cache's FP32"
     )
     parser.add_argument(
-        "--precision", nargs="+", default=["fp32"], metavar="P", help="of a folder: what to make"
+        "--precision",
+        nargs="+",
+        default=["fp32"],
+        metavar="P",
+        help="of a folder or a vision-language model: what to make",
     )
     parser.add_argument("--family", help="of a folder: its cards' family; default: NAME")
     parser.add_argument("--license", help="of a folder: default: what its README.md says")
@@ -258,6 +277,11 @@ def main(argv: list[str] | None) -> None:
     args = parser.parse_args(argv)
     if args.weights is not None and args.weights.is_dir():
         export_folder(args)
+        return
+    if isinstance(named := named_card(args.card, args.cards), ChoiceCard):
+        from exporters.vlm_quantize import quantize_card
+
+        told(quantize_card(named, args))
         return
     card = load_card(args.card, args.cards)
     report = export_card(card, args)

@@ -9,7 +9,6 @@ and values of what was read go in and out of the decoder: one file reads a promp
 
 from __future__ import annotations
 
-import itertools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,70 +18,38 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-import onnx
 import torch
-import yaml
 from torch import nn
 
-from edge.host.files import read_regular, replace_atomically, write_atomically
+from edge.host.files import read_regular, write_atomically
 from edge.text import one_line
 from exporters import hugging_face
-from exporters.encoder_parity import Tolerance, check_tolerance
 from exporters.files import ExportError
-from exporters.fp16 import kept_nodes, to_fp16
 from exporters.images import digest_of, read_rgb
-from exporters.onnx_format import check_format, trace_module
-from exporters.quantize import need_pictures, pictures, quantize
-from exporters.recipes import TRANSFORMER, Recipe, nodes_like
+from exporters.onnx_format import trace_module
+from exporters.quantize import need_pictures, pictures
 from exporters.sidecar import write_sidecar
-from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
-from exporters.vlm_parity import (
-    Chain,
-    LetterReport,
-    Original,
-    Question,
-    cache_shape,
-    letter_logits,
-    measure,
-    questions,
+from exporters.vlm_files import (
+    CACHED,
+    DECODER,
+    EMBEDDING,
+    PRECISIONS,
+    VISION,
+    Maker,
+    files_of_card,
+    make_variant,
+    write_card,
 )
-from exporters.weight_only import quantize_weights
+from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
+from exporters.vlm_original import TorchOriginal, cache_shape
+from exporters.vlm_parity import Exam, LetterReport, questions
 
-VISION, EMBEDDING, DECODER = FILES = ("vision_encoder", "embed_tokens", "decoder_model_merged")
-PRECISIONS = {
-    "fp32": ("fp32", "fp32", "fp32"),
-    "fp16": ("fp16", "fp16", "fp16"),
-    "int8": ("int8", "int8", "int8"),
-    "q4": ("int8", "int8", "q4"),
-    "q4f16": ("fp16", "fp16", "q4f16"),
-}
-"""By a card's precision: those of its files. `int8` is static of the vision encoder, and of weights
-alone of the others; `q4` of weights."""
-TOLERANCES = {
-    "fp32": Tolerance(cosine=0.9999, rank_agreement=0.99),
-    "fp16": Tolerance(cosine=0.999, rank_agreement=0.97),
-    "int8": Tolerance(cosine=0.9, rank_agreement=0.9),
-    "q4": Tolerance(cosine=0.9, rank_agreement=0.8),
-    "q4f16": Tolerance(cosine=0.999, rank_agreement=0.8),
-}
-CACHED = ("past_key_values.", "present.")
-RECIPES = {
-    VISION: Recipe(not_fp16=(r"^/places/",)),
-    EMBEDDING: Recipe(),
-    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"layernorm/", r"^/norm/")),
-}
-"""What stays in float32: the angle of place 1000 has no fraction left in float16, and the square of
-a decoder's hidden value soon is no number."""
-ONE_FILE_BYTES = 2_000_000_000
-"""What is more is kept in a file beside: protocol buffers end at 2 GiB."""
 OTHERS = (
     "config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json",
     "processor_config.json", "chat_template.jinja", "chat_template.json",
 )  # fmt: skip
 """What says how to feed the networks, as far as the folder has it."""
 TRACED_TOKENS, TRACED_PAST = 3, 2
-HALF_PICTURES = 8
-"""On so many it is seen which of the decoder's values are too large for float16."""
 
 
 class Networks(NamedTuple):
@@ -186,42 +153,42 @@ def export(args: Any) -> dict[str, LetterReport]:
     Raises:
         ExportError: the folder or the pictures cannot be used, or a parity misses its limits.
     """
-    folder: Path = args.weights
     if unknown := [p for p in args.precision if p not in PRECISIONS]:
         choices = ", ".join(PRECISIONS)
         raise ExportError(f"--precision: {unknown[0]!r} (choices: {choices})")
     if set(args.precision) != {"fp32"}:
         need_pictures(args.calibration, args.card)
     calibration, validation = pictures(args.calibration, args.validation)
-    model, networks = load_model(folder)
-    asked = questions(folder, model.config.image_token_id)
+    model, networks = load_model(args.weights)
+    asked = questions(args.weights, model.config.image_token_id)
     for question in asked:
         used = (*question.ids(1)[0].tolist(), *question.letters)
-        hugging_face.check_tokens(folder, used, networks.text.vocab_size)
-    original = Original(model, networks.prepare)
+        hugging_face.check_tokens(args.weights, used, networks.text.vocab_size)
+    original = TorchOriginal(model, networks.prepare)
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
-    reference = letter_logits(original, shown, asked)
-    (args.cache / args.card / "onnx").mkdir(parents=True, exist_ok=True)
-    digest = hugging_face.weights_sha256(folder)
-    calibrated = digest_of(calibration) if calibration else None
-    others = _copy_others(folder, args.cache / args.card, digest)
+    exam = Exam(original, shown, asked)
+    folder = args.cache / args.card
+    (folder / "onnx").mkdir(parents=True, exist_ok=True)
+    digest = hugging_face.weights_sha256(args.weights)
+    digests = digest, digest_of(calibration) if calibration else None
+    others = _copy_others(args.weights, folder, digest)
     reports = {}
     with traced(networks) as traces:
-        maker = _Maker(traces, original, asked[0], calibration, args.cache / args.card / "onnx")
+        maker = Maker(traces, original, asked[0], calibration, folder / "onnx")
         for precision in args.precision:
             name = f"{args.card}-{precision}"
-            files = [maker.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
-            chain = Chain([network for network, *_ in files])
-            report = reports[name] = measure(reference, chain, shown, asked, original.merge)
-            print(f"{name} against torch:\n{report.table()}", file=sys.stderr)
-            if not args.no_gate:
-                check_tolerance(report, TOLERANCES[precision], name)
-            for path in itertools.chain(*files):
-                write_sidecar(path, name, report.figures(), digest, calibrated)
-            card = make_card(args, precision, files, others, report)
-            card["image_tokens"] = max(len(picture.features) for picture in shown)
-            text = yaml.safe_dump(card, sort_keys=False, width=110)
-            write_atomically(args.cache / f"{name}.yaml", text.encode())
+            files, reports[name] = make_variant(
+                maker, precision, name, exam, "torch", not args.no_gate, digests
+            )
+            card = {
+                "name": name, "task": "choice", "family": args.family or args.card,
+                "license": args.license or hugging_face.license_of(args.weights),
+                "precision": precision, "folder": args.card,
+                **files_of_card(files, folder, others),
+                "measured": {"against torch": reports[name].figures()},
+                "image_tokens": max(len(picture.features) for picture in shown),
+            }  # fmt: skip
+            write_card(card, args.cache)
     return reports
 
 
@@ -237,24 +204,6 @@ def _copy_others(folder: Path, out: Path, digest: str) -> list[str]:
         write_atomically(out / name, read_regular(folder / name))
         write_sidecar(out / name, name, None, digest)
     return found
-
-
-def make_card(
-    args: Any, precision: str, paths: list[list[Path]], others: list[str], report: LetterReport
-) -> dict[str, Any]:
-    """A card of task `choice`."""
-    parts = {
-        key: {"file": f"onnx/{files[0].name}"}
-        for key, files in zip(("vision_encoder", "embed_tokens", "decoder"), paths, strict=True)
-    }
-    beside = [f"onnx/{path.name}" for files in paths for path in files[1:]]
-    return {
-        "name": f"{args.card}-{precision}", "task": "choice", "family": args.family or args.card,
-        "license": args.license or hugging_face.license_of(args.weights),
-        "precision": precision, "folder": args.card, **parts,
-        "others": [{"file": file} for file in (*others, *beside)],
-        "measured": {"against torch": report.figures()},
-    }  # fmt: skip
 
 
 @contextmanager
@@ -305,76 +254,3 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
             with torch.inference_mode():
                 trace_module(module, paths[name], inputs, outputs, free)
         yield paths
-
-
-class _Maker:
-    """Makes files of the traces, each once: several precisions of a model share some."""
-
-    def __init__(
-        self,
-        traces: dict[str, Path],
-        original: Original,
-        asked: Question,
-        calibration: list[Path],
-        folder: Path,
-    ) -> None:
-        self._traces, self._folder = traces, folder
-        self._made: dict[tuple[str, str], list[Path]] = {}
-        few = [original.show(read_rgb(path)) for path in calibration[:HALF_PICTURES]]
-        self._feeds = {
-            VISION: [original.prepare(read_rgb(path)) for path in calibration],
-            EMBEDDING: [{"input_ids": asked.ids(1)}],
-            DECODER: [original.decoder_feeds(asked, shown) for shown in few],
-        }
-
-    def make(self, name: str, precision: str) -> list[Path]:
-        """The file of a network in a precision, and those that it keeps weights in."""
-        if (name, precision) not in self._made:
-            suffix = "" if precision == "fp32" else f"_{precision}"
-            out = self._folder / f"{name}{suffix}.onnx"
-            print(f"{out.name}: making it", file=sys.stderr)
-            self._made[name, precision] = self._make(name, precision, out)
-        return self._made[name, precision]
-
-    def _make(self, name: str, precision: str, out: Path) -> list[Path]:
-        trace, feeds = self._traces[name], self._feeds[name]
-        whole = sum(path.stat().st_size for path in trace.parent.iterdir()) < ONE_FILE_BYTES
-        if name == VISION and precision == "int8" and whole:
-            with replace_atomically(out) as temporary:
-                quantize(trace, temporary, feeds, TRANSFORMER, "int8-cpu")
-                check_format(temporary)
-            return [out]
-        model = onnx.load(trace)
-        if precision in ("fp16", "q4f16"):
-            model = to_fp16(model, _kept(model, feeds if whole else [], name), half_ends=CACHED)
-            if precision == "q4f16":
-                model = quantize_weights(model, "q4")
-        elif precision != "fp32":
-            model = quantize_weights(model, precision)
-        return save_network(model, out)
-
-
-def _kept(model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str) -> set[str]:
-    """Nodes that stay in float32; by their values only where there are feeds to see them on."""
-    recipe = RECIPES[name]
-    return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))
-
-
-def save_network(model: onnx.ModelProto, out: Path) -> list[Path]:
-    """Write a model, its weights in `FILE.onnx_data` beside it where one file does not hold them.
-
-    Returns:
-        The files: the model first.
-    """
-    size = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
-    if size < ONE_FILE_BYTES:
-        with replace_atomically(out) as temporary:
-            onnx.save(model, temporary)
-            check_format(temporary)
-        return [out]
-    data = out.with_name(f"{out.name}_data")
-    data.unlink(missing_ok=True)  # onnx would append to it
-    onnx.save(
-        model, out, save_as_external_data=True, all_tensors_to_one_file=True, location=data.name
-    )
-    return [out, data]

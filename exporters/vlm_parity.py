@@ -6,14 +6,11 @@ picture and a question only the letters'.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
-import torch
-from torch import nn
 
 from edge.host.bars import counted
 from edge.perception.choice.question import LETTERS, SYSTEM, direction_question
@@ -102,73 +99,33 @@ class Shown(NamedTuple):
     @property
     def grid(self) -> np.ndarray | None:
         """(1, 3) of its patches, for a model whose places have three numbers."""
-        return self.feeds.get("grid_thw")
+        return self.feeds.get("grid_thw", self.feeds.get("image_grid_thw"))
 
 
-class Original:
-    """The model of `transformers`, asked as a whole.
+class Original(Protocol):
+    """What a candidate is compared with: a model of `transformers`, or its files in FP32.
 
     Attributes:
-        prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
         merge: how many patches a token is high and wide.
     """
 
-    def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
-        self._model, self.prepare = model, prepare
-        visual = getattr(model.model, "visual", None)
-        self.merge = 1 if visual is None else visual.spatial_merge_size
+    merge: int
+
+    def prepare(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
+        """(h, w, 3) uint8 → inputs of the vision encoder's ONNX."""
+        ...
 
     def show(self, rgb: np.ndarray) -> Shown:
         """A picture, (h, w, 3) uint8, made ready and looked at."""
-        feeds = self.prepare(rgb)
-        with torch.inference_mode():
-            found = self._model.model.get_image_features(**_inputs(feeds)).pooler_output
-        rows = found if torch.is_tensor(found) else torch.cat(tuple(found))
-        return Shown(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
+        ...
 
     def logits(self, question: Question, shown: Shown) -> np.ndarray:
         """(v,) float32 of the token behind the question."""
-        ids = torch.from_numpy(question.ids(len(shown.features)))
-        more = {}
-        if shown.grid is not None:
-            more["mm_token_type_ids"] = (ids == question.image).to(torch.int32)
-        with torch.inference_mode():
-            found = self._model(
-                input_ids=ids, attention_mask=torch.ones_like(ids), **_inputs(shown.feeds), **more
-            )
-        return found.logits[0, -1].numpy()
+        ...
 
     def decoder_feeds(self, question: Question, shown: Shown) -> dict[str, np.ndarray]:
         """Inputs of the decoder's ONNX for the whole question, with nothing before it."""
-        ids = question.ids(len(shown.features))
-        with torch.inference_mode():
-            rows = self._model.get_input_embeddings()(torch.from_numpy(ids)).numpy().copy()
-        rows[ids == question.image] = shown.features
-        heads, size = cache_shape(self._model.config.get_text_config())
-        layers = self._model.config.get_text_config().num_hidden_layers
-        empty = np.zeros((1, heads, 0, size), np.float32)
-        return {
-            "inputs_embeds": rows,
-            "attention_mask": np.ones(ids.shape, np.int64),
-            "position_ids": places_of(ids, question.image, shown.grid, self.merge),
-            **{
-                f"past_key_values.{layer}.{kind}": empty
-                for layer in range(layers)
-                for kind in ("key", "value")
-            },
-        }
-
-
-def cache_shape(text: Any) -> tuple[int, int]:
-    """(heads, size) of a language model's keys and values, by its configuration."""
-    size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
-    return text.num_key_value_heads, size
-
-
-def _inputs(feeds: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Of the vision encoder's ONNX → those of transformers, which calls the grid otherwise."""
-    renamed = {"grid_thw": "image_grid_thw"}
-    return {renamed.get(key, key): torch.from_numpy(value) for key, value in feeds.items()}
+        ...
 
 
 class Chain:
@@ -181,6 +138,10 @@ class Chain:
         """
         self._vision, self._embedding, self._decoder = (cpu_session(f, threads=2) for f in files)
 
+    @property
+    def vision_inputs(self) -> list[str]:
+        return [value.name for value in self._vision.get_inputs()]
+
     def features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
         """(tokens, d) of a prepared picture."""
         (found,) = self._vision.run(["image_features"], feeds)
@@ -192,20 +153,34 @@ class Chain:
         rows[ids == image] = features
         return rows
 
+    def logits(
+        self, question: Question, features: np.ndarray, grid: np.ndarray | None, merge: int
+    ) -> np.ndarray:
+        """(v,) of the token behind a question about a picture; see `places_of`."""
+        ids = question.ids(len(features))
+        places = places_of(ids, question.image, grid, merge)
+        return self.read(self.rows(ids, question.image, features), places)[0]
+
     def read(
         self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Read on; logits (v,) of the last token, and all that was read, for the next time."""
         past = self._nothing() if past is None else past
+        logits, *present = self._decoder.run(None, self.decoder_feeds(rows, places, past))
+        return logits[0, -1], dict(zip(past, present, strict=True))
+
+    def decoder_feeds(
+        self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Inputs of the decoder that reads on."""
+        past = self._nothing() if past is None else past
         before = next(iter(past.values())).shape[2]
-        feeds = {
+        return {
             "inputs_embeds": rows,
             "attention_mask": np.ones((1, before + rows.shape[1]), np.int64),
             "position_ids": places,
             **past,
         }
-        logits, *present = self._decoder.run(None, feeds)
-        return logits[0, -1], dict(zip(past, present, strict=True))
 
     def _nothing(self) -> dict[str, np.ndarray]:
         types = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
@@ -245,53 +220,40 @@ class LetterReport:
         return "\n".join(f"  {name:<16}{value:>12.6g}" for name, value in self.figures().items())
 
 
-def letter_logits(original: Original, pictures: list[Shown], asked: list[Question]) -> np.ndarray:
-    """What the original answers: (letters, pictures · questions) float32."""
-    rows = [
-        original.logits(question, shown)[list(question.letters)]
-        for shown in counted("pictures: the original is asked", pictures)
-        for question in asked
-    ]
-    return np.array(rows).T
+class Exam:
+    """Questions about pictures, and what the original answers: (letters, pictures · questions)."""
 
+    def __init__(self, original: Original, pictures: list[Shown], asked: list[Question]) -> None:
+        self._pictures, self._asked, self._merge = pictures, asked, original.merge
+        rows = [
+            original.logits(question, shown)[list(question.letters)]
+            for shown in counted("pictures: the original is asked", pictures)
+            for question in asked
+        ]
+        self._reference = np.array(rows).T
 
-def measure(
-    reference: np.ndarray,
-    chain: Chain,
-    pictures: list[Shown],
-    asked: list[Question],
-    merge: int,
-) -> LetterReport:
-    """Ask the three files the same.
-
-    Args:
-        reference: see `letter_logits`.
-        merge: see `Original`.
-
-    Raises:
-        ExportError: a logit or a feature is not finite.
-    """
-    found, cosines = [], []
-    for shown in counted("pictures: asked about", pictures):
-        features = chain.features(shown.feeds)
-        norms = np.linalg.norm(shown.features, axis=1) * np.linalg.norm(features, axis=1)
-        cosines.append(float(((shown.features * features).sum(axis=1) / norms).min()))
-        for question in asked:
-            ids = question.ids(len(features))
-            places = places_of(ids, question.image, shown.grid, merge)
-            logits, _ = chain.read(chain.rows(ids, question.image, features), places)
-            found.append(logits[list(question.letters)])
-    candidate = np.array(found, np.float32).T
-    if not (np.isfinite(candidate).all() and np.isfinite(cosines).all()):
-        raise ExportError("the candidate's logits or features are not finite; take more bits")
-    return LetterReport(
-        questions=reference.shape[1],
-        cosine=min(cosines),
-        same_letter=float((reference.argmax(axis=0) == candidate.argmax(axis=0)).mean()),
-        rank_agreement=rank_agreement(reference, candidate),
-        share_error=float(np.abs(_shares(reference) - _shares(candidate)).max()),
-        max_abs_diff=float(np.abs(reference - candidate).max()),
-    )
+    def sit(self, chain: Chain) -> LetterReport:
+        """Ask three files the same; raises ExportError if what they answer is not finite."""
+        found, cosines = [], []
+        for shown in counted("pictures: asked about", self._pictures):
+            features = chain.features(shown.feeds)
+            norms = np.linalg.norm(shown.features, axis=1) * np.linalg.norm(features, axis=1)
+            cosines.append(float(((shown.features * features).sum(axis=1) / norms).min()))
+            found += [
+                chain.logits(question, features, shown.grid, self._merge)[list(question.letters)]
+                for question in self._asked
+            ]
+        reference, candidate = self._reference, np.array(found, np.float32).T
+        if not (np.isfinite(candidate).all() and np.isfinite(cosines).all()):
+            raise ExportError("the candidate's logits or features are not finite; take more bits")
+        return LetterReport(
+            questions=reference.shape[1],
+            cosine=min(cosines),
+            same_letter=float((reference.argmax(axis=0) == candidate.argmax(axis=0)).mean()),
+            rank_agreement=rank_agreement(reference, candidate),
+            share_error=float(np.abs(_shares(reference) - _shares(candidate)).max()),
+            max_abs_diff=float(np.abs(reference - candidate).max()),
+        )
 
 
 def _shares(logits: np.ndarray) -> np.ndarray:

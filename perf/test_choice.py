@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime as ort
 import pytest
 
@@ -15,13 +18,16 @@ from edge.perception.choice.onnx_scorer import asked_of
 from edge.perception.choice.question import SYSTEM, Mark, Sighting, View, describe
 from edge.perception.vlm.model import LanguageModel
 from edge.types import Observation
+from exporters.weight_only import quantize_weights
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from tiny_vlm import Size, publish
+from small_llama import LlamaSize, onnx_of, weights, write_gguf
+from tiny_vlm import Size, pin, publish
 
 LIMIT_S = 600.0
 MOST_TOKENS = 2048
 SIZE = Size(hidden=256, heads=4, layers=8)
+LLAMA = LlamaSize(*SIZE, inner=704, tokens=600)
 
 
 def view(k: int) -> str:
@@ -92,6 +98,68 @@ def test_prefill_against_genai(benchmark, against, tmp_path, monkeypatch):
     np.testing.assert_allclose(ours(), peer(), atol=1e-4)
     benchmark.pedantic(ours, rounds=15, warmup_rounds=2)
     against(peer)
+
+
+@pytest.mark.parametrize(
+    ("kind", "precision", "differ"),
+    [("F32", "fp32", 5e-3), ("Q8_0", "int8", 0.4), ("Q4_0", "q4", 1.2)],
+)
+def test_prefill_against_llama_cpp(
+    benchmark, against, tmp_path, monkeypatch, kind, precision, differ
+):
+    """The same 200 tokens, in a Llama whose weights both have; llama.cpp reads them in one go.
+
+    In fewer bits each rounds in its own way: `differ` is of a log-probability.
+    """
+    llama = pytest.importorskip("xllamacpp", reason="pip install xllamacpp")
+    pytest.importorskip("gguf", reason="pip install gguf")
+    benchmark.extra_info["budget"] = f"choice_prefill_200_llama_{kind.lower()}"
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    told = weights(LLAMA)
+    card = publish(resources.models_dir(), "text", size=SIZE)
+    network = onnx_of(LLAMA, told)
+    if precision != "fp32":
+        network = quantize_weights(network, precision)
+    onnx.save(network, card.path_of(card.decoder))
+    pin(card)
+    model = LanguageModel(card, asked_of(8, "chair"), threads=1)
+    ids = np.random.default_rng(0).integers(0, LLAMA.tokens, 200)
+    places = np.tile(np.arange(200), (3, 1))
+
+    def ours() -> np.ndarray:
+        with model._deadline.within(LIMIT_S):
+            past = model._decoder.read(ids[:-30], places[:, :-30], model._decoder.nothing)
+            return model._decoder.next_logits(ids[-30:], places[:, -30:], past)
+
+    write_gguf(tmp_path / "llama.gguf", LLAMA, told, kind)
+    theirs = llama.Server(llama_params(llama, tmp_path / "llama.gguf"))
+    question = {
+        "prompt": ids.tolist(), "max_tokens": 1, "cache_prompt": False, "temperature": 0.0,
+        "logprobs": 1,
+    }  # fmt: skip
+
+    def peer(**more: object) -> dict:
+        return theirs.handle_completions({**question, **more})
+
+    answer = peer(n_probs=LLAMA.tokens)
+    assert answer["timings"]["prompt_n"] == 200
+    likeliest = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
+    logprobs = np.array([one["logprob"] for one in sorted(likeliest, key=lambda one: one["id"])])
+    logits = ours()
+    np.testing.assert_allclose(logits - np.logaddexp.reduce(logits), logprobs, atol=differ)
+    benchmark.pedantic(ours, rounds=15, warmup_rounds=2)
+    against(peer, time.process_time)  # it reads on a thread of its own
+
+
+def llama_params(llama: Any, path: Path) -> Any:
+    """One thread on the CPU, and nothing kept from one question to the next."""
+    told = llama.CommonParams()
+    told.model.path, told.n_ctx, told.n_parallel = str(path), MOST_TOKENS, 1
+    told.cpuparams.n_threads = told.cpuparams_batch.n_threads = 1
+    told.cache_type_k = told.cache_type_v = llama.ggml_type.GGML_TYPE_F32
+    told.cache_ram_mib, told.n_gpu_layers, told.port, told.verbosity = 0, 0, 0, 0
+    return told
 
 
 def genai_config(tokens: int) -> dict:

@@ -53,6 +53,7 @@ def _quantize(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
     option("name", help=_CARD)
     option("--calibration", type=Path, required=True, metavar="DIR", help="folder of pictures")
+    option("--precision", nargs="+", metavar="P", help="of a vision-language model's FP32 (q4)")
     option("--vocabulary", type=Path, help="text embeddings (.npz); default: as `edge run` has")
     option("--no-gate", action="store_true", help=_NO_GATE)
 

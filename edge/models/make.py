@@ -19,6 +19,7 @@ from edge.perception.cards import (
     how_to_get,
     load_card,
     verify_model,
+    verify_parts,
 )
 from edge.perception.text import MAX_VOCABULARY_BYTES, VOCABULARY_FILE, find_vocabulary
 
@@ -27,6 +28,7 @@ TRAINED = {
 }
 """Families that are not made from weights, and the commands that train them."""
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")
+_CHOICE_NEEDS, _CHOICE_PRECISION = ("PIL", "tokenizers"), "q4"
 _EXPORT_NEEDS = ("torch", "torchvision", "ultralytics", "onnxslim", *_QUANTIZE_NEEDS)
 _FOLDER_NEEDS = ("torch", "transformers", "tokenizers", "onnxscript", *_QUANTIZE_NEEDS)
 _WITHOUT_DEPENDENCIES = ("torchvision", "ultralytics")
@@ -67,11 +69,22 @@ def export(args: argparse.Namespace) -> int:
 def quantize(args: argparse.Namespace) -> int:
     """Handle `edge models quantize`, which needs no torch; the exit code is the exporter's.
 
+    Of a card that is derived from another; or of a vision-language model's FP32, whose variants
+    get cards.
+
     Raises:
-        ModelError: the card is not derived from another, whose file is here and sound, or what
-            this needs is not installed.
+        ModelError: the card is not derived from another, what it is made of is not here and sound,
+            or what this needs is not installed.
         PromptError: no vocabulary of text embeddings.
     """
+    if isinstance(named := load_card(args.name), ChoiceCard):
+        verify_parts(named)
+        need_modules("quantize", _QUANTIZE_NEEDS)
+        need_modules("choice", _CHOICE_NEEDS)
+        args.precision = args.precision or [_CHOICE_PRECISION]
+        return _run_exporters(named.name, args, cards=_folder_of(named))
+    if args.precision:
+        raise ModelError(f"models quantize: {args.name}: its card names its precision already")
     card = with_file(args.name)
     if card.derived_from is None:
         raise ModelError(
@@ -130,7 +143,7 @@ def need_modules(action: str, modules: tuple[str, ...]) -> None:
         )
 
 
-def _folder_of(card: FileCard) -> Path:
+def _folder_of(card: FileCard | ChoiceCard) -> Path:
     return card_path(card.name).parent
 
 

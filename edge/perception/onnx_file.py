@@ -130,6 +130,20 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
     check_format(path, model._replace(external=outside))
 
 
+def check_fixed(path: Path, key: str) -> None:
+    """Raise ModelError unless every input of a network has one shape, as TensorRT's engines have.
+
+    Args:
+        key: of the configuration that asked for TensorRT, for the message.
+    """
+    for value in _read(path).inputs:
+        if value.shape is None or None in value.shape:
+            raise ModelError(
+                f"{path}: its input {value.name!r:.60} has no fixed shape, of which TensorRT would "
+                f"build an engine: name CUDAExecutionProvider or CPUExecutionProvider in {key}"
+            )
+
+
 def _read(path: Path) -> OnnxFile:
     try:
         return read_onnx(path)

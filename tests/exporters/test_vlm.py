@@ -21,16 +21,17 @@ from onnx import numpy_helper
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.cards import load_card
 from edge.perception.vlm.model import Asked, LanguageModel
-from exporters import vlm
+from exporters import vlm, vlm_files
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
 from exporters.images import read_rgb
-from exporters.vlm_parity import Chain, Original, places_of, questions
+from exporters.vlm_original import TorchOriginal
+from exporters.vlm_parity import Chain, places_of, questions
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
 
 KINDS = ("idefics3", "smolvlm", "qwen2_vl")
-EVERY = tuple(vlm.PRECISIONS)
+EVERY = tuple(vlm_files.PRECISIONS)
 MADE = [("smolvlm", "fp32"), *((k, p) for k in ("idefics3", "qwen2_vl") for p in EVERY)]
 MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 
@@ -77,7 +78,7 @@ def originals(folders):
     for kind, folder in folders.items():
         model, networks = vlm.load_model(folder)
         asked = questions(folder, model.config.image_token_id)
-        found[kind] = Original(model, networks.prepare), asked
+        found[kind] = TorchOriginal(model, networks.prepare), asked
     return found
 
 
@@ -207,7 +208,7 @@ def test_inputs_and_outputs_are_the_published_ones(cache, kind):
 @pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
 @pytest.mark.parametrize("precision", EVERY)
 def test_files_have_the_published_names_and_their_precision(cache, kind, precision):
-    kinds = vlm.PRECISIONS[precision]
+    kinds = vlm_files.PRECISIONS[precision]
     files = files_of(cache, kind, precision)
     suffixes = ["" if kind == "fp32" else f"_{kind}" for kind in kinds]
     assert [f.name for f in files] == [f"{m}{s}.onnx" for m, s in zip(MAIN, suffixes, strict=True)]
@@ -244,7 +245,7 @@ def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
 def test_weights_that_one_file_does_not_hold_are_beside_it(
     cache, originals, rgb, folders, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(vlm, "ONE_FILE_BYTES", 10_000)
+    monkeypatch.setattr(vlm_files, "ONE_FILE_BYTES", 10_000)
     words = ["big", "--weights", str(folders["idefics3"]), "--cache", str(tmp_path / "models")]
     assert main(words) == 0
     card = yaml.safe_load((tmp_path / "models" / "big-fp32.yaml").read_text())

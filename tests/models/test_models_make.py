@@ -30,13 +30,17 @@ TOWER = {
     "name": "rows", "task": "text", "file": "rows.onnx", "sources": [], "precision": "int8",
     "derived_from": "big", "dim": 8, "tokenizer": {"kind": "attributes"},
 }  # fmt: skip
+CHOICE = {
+    "name": "vlm-fp32", "family": "f", "task": "choice", "license": "MIT", "precision": "fp32",
+    "folder": "vlm", "decoder": {"file": "onnx/decoder.onnx"}, "others": [],
+}  # fmt: skip
 SCORER = {"name": "s", "family": "f", "task": "similarity", "license": "MIT", "detector": "big"}
 
 
 @pytest.fixture
 def started(put_card, monkeypatch):
     """The command lines of the exporters that would have been started."""
-    for card in (ORIGINAL, DERIVED, SCORER, TRAINED, TOWER):
+    for card in (ORIGINAL, DERIVED, SCORER, TRAINED, TOWER, CHOICE):
         put_card(card)
     lines = []
 
@@ -77,6 +81,26 @@ def test_a_variant_is_made_of_the_original_that_is_here(started, tmp_path, monke
     assert main(["models", "quantize", "small", *words]) == 0
     (line,) = started
     assert line[4:-4] == ["exporters", "small", *words]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],
+)
+def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch, given, told):
+    monkeypatch.setattr(make, "verify_parts", lambda card: None)
+    words = ["quantize", "vlm-fp32", "--calibration", "pictures"]
+    assert main(["models", *words, *given]) == 0
+    cards = ["--cards", str(resources.data_dir("models"))]
+    assert started[0][5:9] == ["vlm-fp32", "--calibration", "pictures", "--cache"]
+    assert started[0][10:] == [*cards, "--precision", *told]
+
+
+def test_a_card_that_names_its_precision_is_not_told_another(started, capsys):
+    words = ["--calibration", "p", "--precision", "int8"]
+    assert main(["models", "quantize", "small", *words]) == os.EX_UNAVAILABLE
+    assert "small: its card names its precision already" in capsys.readouterr().err
+    assert started == []
 
 
 def test_a_models_folder_needs_no_card(started, tmp_path):
@@ -136,6 +160,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("s", "has no file of its own, it uses big"),
         ("rows", "is no detector; make it from its model's folder: `edge models export NAME "),
         ("none", "no such card"),
+        ("vlm-fp32", "decoder.onnx: model vlm-fp32 is not there; run `edge models pull vlm-fp32"),
     ],
 )
 def test_what_cannot_be_quantized(started, capsys, name, message):

@@ -25,6 +25,7 @@ from edge.perception.choice.mark_scorer import (
 )
 from edge.perception.choice.question import MAX_MARKS, Mark, View, Ways
 from edge.perception.model_file import ModelError
+from edge.perception.onnx_file import check_fixed
 from edge.perception.process.choice import ProcessMarks
 from edge.perception.text import PromptError
 from edge.types import Observation
@@ -309,3 +310,16 @@ def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped)
     scaled = shipped.answer(shipped.look(view(*doubled, rgb=large)))
     np.testing.assert_allclose(one.p, scaled.p, atol=1e-4)
     assert scaled.scene == pytest.approx(one.scene, abs=1e-4)
+
+
+# -- TensorRT -------------------------------------------------------------------------------------
+
+
+def test_every_input_has_one_shape_as_tensorrt_wants_it():
+    check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
+
+
+def test_int8_for_a_cpu_is_none_for_tensorrt():
+    config = ChoiceOnnx(card=NAME, providers=("TensorrtExecutionProvider",))
+    with pytest.raises(ModelError, match="mini-house-choice: its INT8 is not symmetric"):
+        open_choice(config)

@@ -11,7 +11,7 @@ import pytest
 import tiny_vlm
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx import TensorProto, helper, save
+from onnx import TensorProto, helper, load, save
 from patience import PATIENCE_S, eventually
 from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 
@@ -391,6 +391,38 @@ def short_decoder():
     return tiny_vlm.decoder(50, np.random.default_rng(0), "smolvlm", F32)
 
 
+def change_network(part, change):
+    """Put a changed network in its own place."""
+
+    def changed(card):
+        path = str(card.path_of(getattr(card, part)))
+        made = load(path)
+        change(made.graph)
+        save(made, path)
+
+    return changed
+
+
+def lose_tensor(graph):
+    del graph.initializer[0]
+
+
+def lie_about(*dims):
+    """Of its largest tensor."""
+
+    def change(graph):
+        largest = max(graph.initializer, key=lambda tensor: len(tensor.raw_data))
+        largest.dims[:] = dims
+
+    return change
+
+
+def keep_more_heads(graph):
+    for value in graph.input:
+        if value.name.startswith("past_key_values."):
+            value.type.tensor_type.shape.dim[1].dim_value = 1 << 40
+
+
 def without_past():
     made = tiny_vlm.decoder(400, np.random.default_rng(0), "smolvlm", F32)
     del made.graph.output[1:]
@@ -453,6 +485,36 @@ WRONG = {
     "a decoder that keeps nothing": (
         network("decoder", without_past), "decoder has no output present.0.key",
     ),
+    **{
+        f"a tensor of the {part} is missing": (
+            change_network(part, lose_tensor), "onnxruntime cannot load it: Invalid model",
+        )
+        for part in ("vision_encoder", "embed_tokens", "decoder")
+    },
+    **{
+        f"a tensor that is said to be {dims}": (
+            change_network("decoder", lie_about(*dims)), "onnxruntime cannot load it",
+        )
+        for dims in ((1 << 20, 1 << 20), (1 << 40, 1 << 40), (-5, 7))
+    },
+    "keys of heads that there are not": (
+        change_network("decoder", keep_more_heads), "onnxruntime cannot load it",
+    ),
+    **{
+        f"images of {told}": (
+            change_json("preprocessor_config.json", **told), "lacks or garbles longest_edge",
+        )
+        for told in (
+            {"max_image_size": {"longest_edge": 1 << 20}}, {"size": {"longest_edge": 1 << 40}},
+            {"max_image_size": {"longest_edge": 0}}, {"size": {"longest_edge": -3}},
+        )
+    },
+    "a filter that there is not": (
+        change_json("preprocessor_config.json", resample=99), "lacks or garbles 99 is not a valid",
+    ),
+    "an image that is no number": (
+        change_json("preprocessor_config.json", image_std=[float("nan")] * 3), "not finite",
+    ),
     "an encoder for a decoder": (
         network("decoder", lambda: encoder(4)), "decoder has no input past_key_values.N.key",
     ),
@@ -469,6 +531,84 @@ def test_what_is_wrong_is_told_in_one_line(models_dir, what):
     with pytest.raises(ModelError, match=says) as raised:
         opened(card)
     assert str(raised.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ({"patch_size": 1 << 16}, r"patch_size 65536 .1 to 4096."),
+        ({"patch_size": 0}, "patch_size 0"),
+        ({"merge_size": 4096}, "patch_size times merge_size 16384"),
+        ({"temporal_patch_size": 1 << 40}, "temporal_patch_size 1099511627776"),
+        ({"max_pixels": 0, "size": {"longest_edge": 1}}, "max_pixels 1"),
+        ({"min_pixels": 1 << 60}, "tokens an image, where the card's image_tokens is 100"),
+    ],
+)
+def test_sizes_of_patches_that_lie_are_told_in_one_line(models_dir, told, says):
+    card = publish(models_dir, "qwen2-vl")
+    change_json("preprocessor_config.json", **told)(card)
+    pin(card)
+    with pytest.raises(ModelError, match=says) as raised:
+        opened(card)
+    assert str(raised.value).isprintable()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
+def test_free_shapes_are_none_for_tensorrt(models_dir, family, provider):
+    card = publish(models_dir, family)
+    says = r"\.onnx: its input '\w+' has no fixed shape, .* in perception\.choice\.providers"
+    with pytest.raises(ModelError, match=says) as raised:
+        LanguageModel(card, EVERY, providers=[provider])
+    assert str(raised.value).isprintable()
+
+
+def changed_bytes(content, chance):
+    """As a bad disk or a bad download leaves it."""
+    made = bytearray(content)
+    for _ in range(chance.choice((1, 1, 2, 8))):
+        at, n = chance.randrange(len(made)), chance.choice((1, 4, 50))
+        made[at : at + chance.choice((0, 1, n))] = chance.choice(
+            (b"", chance.randbytes(1), made[at : at + 2 * n])
+        )
+        made = made or bytearray(b"x")
+    return bytes(made)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A card by family, and the content of its files."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EDGE_CACHE_DIR", str(tmp_path_factory.mktemp("sound")))
+        folder = resources.models_dir()
+        folder.mkdir(parents=True)
+        cards = {family: publish(folder, family, family) for family in FAMILIES}
+        yield {
+            family: (card, {part.file: card.path_of(part).read_bytes() for part in card.parts})
+            for family, card in cards.items()
+        }
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@settings(deadline=None, max_examples=60)
+@given(st.randoms(use_true_random=False), st.data())
+def test_changed_files_are_told_in_one_line_or_do_no_harm(sound, family, chance, data):
+    """Though their hashes are right: nothing but a ModelError is raised, whatever the bytes."""
+    card, contents = sound[family]
+    file = data.draw(st.sampled_from(sorted(contents)))
+    path = card.path / file
+    path.write_bytes(changed_bytes(contents[file], chance))
+    pin(card)
+    told = ""
+    try:
+        model = opened(card)
+        model.ask(SYSTEM, a_view(model), EVERY, PATIENCE_S)
+    except ModelError as error:
+        told = str(error)
+    finally:
+        path.write_bytes(contents[file])
+    assert told.isprintable()
+    assert len(told) < 1200
 
 
 def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):

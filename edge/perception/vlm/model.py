@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.perception.backends.runtime import DTYPES, open_session
+from edge.perception.backends.runtime import DTYPES, TENSORRT_PROVIDERS, open_session
 from edge.perception.card_types import ChoiceCard
 from edge.perception.cards import verify_parts
 from edge.perception.choice.answers import shares, spellings
 from edge.perception.choice.deadline import FIRST_RUN_S, Deadline
 from edge.perception.model_file import ModelError
+from edge.perception.onnx_file import check_fixed
 from edge.perception.vlm.decoder import Decoder, Past
 from edge.perception.vlm.files import common_prefix, read_files, vocabulary
 from edge.perception.vlm.pictures import make_prepare, positions
@@ -64,6 +65,8 @@ class LanguageModel:
 
         def open_part(part: Any) -> Any:
             where = card.path_of(part)
+            if TENSORRT_PROVIDERS.intersection(providers):
+                check_fixed(where, PROVIDERS_KEY)
             return open_session(where, providers, threads, device_id, key=PROVIDERS_KEY)
 
         self.name, self.sees = card.name, card.vision_encoder is not None

@@ -17,7 +17,9 @@ from PIL import Image
 from edge.perception.model_file import ModelError
 from edge.perception.vlm.files import ModelFiles
 
-MAX_EDGE_PX = 4096  # no image is enlarged beyond, by Idefics3's processor
+MAX_EDGE_PX = 4096
+"""No image is enlarged beyond, by Idefics3's processor, nor by a configuration that lies."""
+_MAX_FRAMES = 16
 
 
 class Picture(NamedTuple):
@@ -63,11 +65,11 @@ def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepa
         ) from None
 
 
-def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: int) -> np.ndarray:
+def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resampling) -> np.ndarray:
     """Pillow's own, whose filters are those that the configurations number."""
     if (rgb.shape[1], rgb.shape[0]) == size_wh:
         return rgb
-    return np.asarray(Image.fromarray(rgb).resize(size_wh, Image.Resampling(resample)))
+    return np.asarray(Image.fromarray(rgb).resize(size_wh, resample))
 
 
 class _Normalise:
@@ -87,14 +89,23 @@ class _Normalise:
         return (rgb.astype(np.float32) * self._scale - self._shift).transpose(2, 0, 1)
 
 
+def _size(told: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
+    """A whole number of 1 to `most`; raises KeyError or ValueError."""
+    found = int(told[key] if default is None else told.get(key, default))
+    if not 1 <= found <= most:
+        raise ValueError(f"{key} {found} (1 to {most})")
+    return found
+
+
 def _idefics3(
     told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
     """Idefics3 and SmolVLM: one square, and as many tiles beside it as may be."""
-    side = int(told["max_image_size"]["longest_edge"])
-    longest, resample = int(told["size"]["longest_edge"]), int(told.get("resample", 1))
+    side = _size(told["max_image_size"], "longest_edge", MAX_EDGE_PX)
+    longest = min(_size(told["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
+    resample = Image.Resampling(told.get("resample", 1))
     normalise = _Normalise(told)
-    length = int(files.processor.get("image_seq_len", 169))
+    length = _size(files.processor, "image_seq_len", 1 << 30, 169)
     _check_limit(most_tokens, length)
     most_squares = most_tokens // length if told.get("do_image_splitting", True) else 1
     fake, whole, marks = "<fake_token_around_image>", "<global-img>", image_token * length
@@ -152,14 +163,19 @@ def _qwen2_vl(
     told: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
     """Qwen2-VL: patches of an image of about its own size, merged by the encoder."""
-    patch, merge = int(told["patch_size"]), int(told["merge_size"])
-    times, resample = int(told.get("temporal_patch_size", 2)), int(told.get("resample", 3))
+    patch, merge = (_size(told, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
+    times = _size(told, "temporal_patch_size", _MAX_FRAMES, 2)
+    resample = Image.Resampling(told.get("resample", 3))
+    if patch * merge > MAX_EDGE_PX:
+        raise ValueError(f"patch_size times merge_size {patch * merge} (1 to {MAX_EDGE_PX})")
     size = told.get("size") or {}
     least = int(told.get("min_pixels") or size["shortest_edge"])
     most = int(told.get("max_pixels") or size["longest_edge"])
     per_token_px = (patch * merge) ** 2
     _check_limit(most_tokens, math.ceil(least / per_token_px))
-    most = min(most, most_tokens * per_token_px)
+    if max(least, per_token_px) > MAX_EDGE_PX**2 or most < per_token_px:
+        raise ValueError(f"min_pixels {least} or max_pixels {most}")
+    most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
     normalise = _Normalise(told)
 
     def prepare(rgb: np.ndarray) -> Picture:
