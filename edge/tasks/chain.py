@@ -7,18 +7,23 @@ composed (`edge.tasks.captions`). A part is a function; a chain holds one of eac
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from edge import config
+from edge.perception.detector import check_rgb
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
 from edge.perception.sim_detector import TruthAt
 from edge.tasks.captions import composed
 from edge.types import Detections, Observation
+
+TILE_FROM, TILE_OVERLAP, TILE_SAME = 1.5, 0.25, 0.6
 
 Tags = Callable[[Observation], Sequence[str]]
 Boxes = Callable[[Observation, Sequence[str]], Detections]
@@ -74,6 +79,65 @@ def boxes_alone(found: Detections) -> Detections:
     return found
 
 
+def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
+    """Look at a wide picture part by part as well as whole, so that a detector whose input is less
+    wide does not see all of it at a fraction of its size.
+
+    Parts are as high as the picture and overlap by `TILE_OVERLAP`. Boxes of one word that cover
+    each other by `TILE_SAME` of the smaller become one around both.
+
+    Args:
+        aspect: width over height of a part; a picture not `TILE_FROM` times as wide is not cut.
+    """
+
+    def tiled(observation: Observation, tags: Sequence[str]) -> Detections:
+        whole = boxes(observation, tags)
+        rgb = check_rgb(observation)
+        height, width = rgb.shape[:2]
+        side = round(aspect * height)
+        if width < TILE_FROM * side:
+            return whole
+        n = math.ceil((width - TILE_OVERLAP * side) / ((1.0 - TILE_OVERLAP) * side))
+        parts = [whole]
+        for left in np.linspace(0, width - side, n).round().astype(int):
+            part = np.ascontiguousarray(rgb[:, left : left + side])
+            found = boxes(replace(observation, rgb=part, camera=None, depth_m=None), tags)
+            shift = np.array([left, 0, left, 0], np.float32)
+            parts.append(replace(found, xyxy_px=found.xyxy_px + shift))
+        return _united(whole, parts)
+
+    return tiled
+
+
+def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
+    """Boxes of one picture that were found in several parts of it."""
+    xyxy, score, class_id = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("xyxy_px", "score", "class_id")
+    )
+    order = np.argsort(-score, kind="stable")
+    kept: list[int] = []
+    for i in order.tolist():
+        same = next((k for k in kept if class_id[k] == class_id[i]
+                     and _covered(xyxy[k], xyxy[i]) >= TILE_SAME), None)  # fmt: skip
+        if same is None:
+            kept.append(i)
+        else:
+            xyxy[same, :2] = np.minimum(xyxy[same, :2], xyxy[i, :2])
+            xyxy[same, 2:] = np.maximum(xyxy[same, 2:], xyxy[i, 2:])
+    return replace(
+        whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
+        rival=None, context=None, mask=None, latency_ns=sum(part.latency_ns for part in parts),
+    )  # fmt: skip
+
+
+def _covered(a: np.ndarray, b: np.ndarray) -> float:
+    """Which share of the smaller box the other covers."""
+    both = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    least = min(np.prod(a[2:] - a[:2]), np.prod(b[2:] - b[:2]))
+    return float(np.prod(both) / least) if both.min() > 0.0 and least > 0.0 else 0.0
+
+
 @contextmanager
 def open_chain(
     perception: config.Perception, words: Sequence[str], truth: TruthAt | None = None
@@ -103,5 +167,7 @@ def open_chain(
             return detector.detect(observation).without_rivals().above(perception.tau_det)
 
         yield Chain(
-            lambda observation: tuple(words), boxes, boxes_alone if masker is None else masker.add
+            lambda observation: tuple(words),
+            in_tiles(boxes),
+            boxes_alone if masker is None else masker.add,
         )

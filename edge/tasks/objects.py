@@ -16,8 +16,9 @@ REACH_M, REACH_SHARE = 0.4, 0.012
 VOXEL_M = 0.1
 NEAR_M = 0.3
 """A point of a thing lies about this near to one that was seen of it before."""
-SAME_SHARE = 0.25
-"""Two are one thing where so many of the points of either lie near the other's."""
+SAME_SHARE, ALIKE_SHARE = 0.25, 0.6
+"""Two of one label are one thing where so many of the points of either lie near the other's; two of
+different labels, where so many of both do: a detector calls one thing by two names."""
 MOST_POINTS = 4096
 LEAST_POINTS = 5
 """With fewer there is no telling where and how large it is."""
@@ -28,25 +29,32 @@ class MapObject:
     """A thing in the 3D object map.
 
     Attributes:
+        labels: what it was called in each picture, by the sum of the scores.
         points_m: (n, 3) float32 in `map`, one in a voxel, at most `MOST_POINTS`.
-        captions: what was said of it in each picture, counted.
+        captions: what was said of it in each picture, counted, by what it was called.
         embedding: (d,) float32, the mean over pictures; None: there are none.
         score: the highest of its boxes.
         hits: pictures that it was found in.
     """
 
     id: int
-    label: str
+    labels: dict[str, float]
     points_m: np.ndarray
-    captions: Counter[str] = field(default_factory=Counter)
+    captions: dict[str, Counter[str]] = field(default_factory=dict)
     embedding: np.ndarray | None = None
     score: float = 0.0
     hits: int = 1
 
     @property
+    def label(self) -> str:
+        """What it was called with the highest scores, in sum."""
+        return max(self.labels, key=lambda label: self.labels[label])
+
+    @property
     def caption(self) -> str:
-        """What was said most often, and first; the label where nothing was."""
-        return self.captions.most_common(1)[0][0] if self.captions else self.label
+        """What was said of it most often, and first, as what it is; the label where nothing was."""
+        said = self.captions.get(self.label)
+        return said.most_common(1)[0][0] if said else self.label
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -107,14 +115,21 @@ def _parts(xy_m: np.ndarray, reach_m: float) -> np.ndarray:
 
 def thin(points_m: np.ndarray, voxel_m: float = VOXEL_M, most: int = MOST_POINTS) -> np.ndarray:
     """One point in a voxel, the first; of more than `most`, evenly many: (n, 3) float32."""
-    if not len(points_m):
-        return np.zeros((0, 3), np.float32)
-    voxels = np.floor(points_m / voxel_m).astype(np.int64)
-    _, first = np.unique(voxels, axis=0, return_index=True)
-    first.sort()
+    first = first_in_voxels(points_m, np.full(3, voxel_m))
     if len(first) > most:
         first = first[np.linspace(0, len(first) - 1, most).astype(np.intp)]
     return np.ascontiguousarray(points_m[first], np.float32)
+
+
+def first_in_voxels(points: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Indices of the first of the points (n, 3) in each voxel of sides `size`, (3,); ascending."""
+    if not len(points):
+        return np.zeros(0, np.intp)
+    voxels = np.floor(points / size).astype(np.int64)
+    voxels -= voxels.min(axis=0)
+    sides = voxels.max(axis=0) + 1
+    flat = (voxels[:, 0] * sides[1] + voxels[:, 1]) * sides[2] + voxels[:, 2]
+    return np.sort(np.unique(flat, return_index=True)[1])
 
 
 def share_near(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> float:
@@ -164,8 +179,8 @@ class ObjectMap:
         if len(points) < LEAST_POINTS:
             return None
         label = names.canonical(label)
-        captions = Counter([caption] if caption else [])
-        new = MapObject(self._newest + 1, label, points, captions, embedding, score)
+        said = {label: Counter([caption])} if caption else {}
+        new = MapObject(self._newest + 1, {label: score}, points, said, embedding, score)
         one = next((old for old in self.objects.values() if _same(old, new)), None)
         if one is None:
             self._newest += 1
@@ -183,18 +198,13 @@ class ObjectMap:
 
 
 def _same(a: MapObject, b: MapObject) -> bool:
-    if a.label != b.label:
-        return False
     apart = np.maximum(a.points_m.min(0) - b.points_m.max(0), b.points_m.min(0) - a.points_m.max(0))
     if apart.max() > NEAR_M:
         return False
-    return (
-        max(
-            share_near(a.points_m, b.points_m),
-            share_near(b.points_m, a.points_m),
-        )
-        >= SAME_SHARE
-    )
+    shares = share_near(a.points_m, b.points_m), share_near(b.points_m, a.points_m)
+    if a.label == b.label:
+        return max(shares) >= SAME_SHARE
+    return min(shares) >= ALIKE_SHARE
 
 
 def _absorb(one: MapObject, other: MapObject) -> None:
@@ -204,5 +214,8 @@ def _absorb(one: MapObject, other: MapObject) -> None:
     elif other.embedding is not None:
         one.embedding = (one.hits * one.embedding + other.hits * other.embedding) / hits
     one.points_m = thin(np.concatenate((one.points_m, other.points_m)))
-    one.captions += other.captions
+    for label, score in other.labels.items():
+        one.labels[label] = one.labels.get(label, 0.0) + score
+    for label, said in other.captions.items():
+        one.captions.setdefault(label, Counter()).update(said)
     one.score, one.hits = max(one.score, other.score), hits

@@ -13,6 +13,9 @@ BESIDE = 0.25
 GAP_M, GAP_SHARE = 0.5, 0.015
 """Surfaces are apart where depth leaps by more; scan lines on one surface lie further apart the
 farther it is."""
+LEAST_SPAN = 0.2
+"""Points that reach over less of the width or height of their box are of something else in it, such
+as the hedge before a house that stands higher than the LiDAR looks."""
 _BOXES_ALONE = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
@@ -27,7 +30,8 @@ def points_of_masks(
     """The points of each thing in a picture: those that its mask shows, less the background.
 
     A mask also shows what is seen past the thing. The points are parted where their depth leaps,
-    and the part is taken whose picture fits the mask best (see `scan_kernels.best_surface`).
+    and the part is taken whose picture fits the mask best (see `scan_kernels.best_surface`),
+    unless that is but a corner of the box.
 
     Args:
         cloud_m: (n, 3) float32; points that are not finite are in no picture.
@@ -73,8 +77,20 @@ def points_of_masks(
         mine = order[ends[i] : ends[i + 1]]
         first, last = kernels.best_surface(depth_m[mine], on[mine], GAP_M, GAP_SHARE)
         taken = mine[first:last]
-        out.append(np.sort(point_of[taken[on[taken]]]))
+        points = np.sort(point_of[taken[on[taken]]])
+        fits = len(points) and _spans(cloud_m[points], T_camera_cloud, camera, boxes[i])
+        out.append(points if fits else points[:0])
     return out
+
+
+def _spans(
+    points_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel, box: np.ndarray
+) -> bool:
+    """Whether the picture of some points reaches over enough of the part of a box in the image."""
+    at_px, _ = in_picture(points_m, T_camera_cloud, camera)
+    sides = np.array([camera.width_px, camera.height_px], np.float64)
+    inside = np.clip(box[2:], 0.0, sides) - np.clip(box[:2], 0.0, sides)
+    return bool((np.ptp(at_px, axis=0) >= LEAST_SPAN * inside).all())
 
 
 def in_picture(

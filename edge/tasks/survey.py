@@ -18,7 +18,7 @@ from edge.mapping.view import MapView
 from edge.tasks import terrain
 from edge.tasks.captions import in_words
 from edge.tasks.chain import Chain, see
-from edge.tasks.objects import MapObject, ObjectMap, box_around, main_cluster
+from edge.tasks.objects import MapObject, ObjectMap, box_around, first_in_voxels, main_cluster
 from edge.tasks.projection import points_of_masks
 from edge.tasks.scene import Scene, SceneObject
 from edge.types import Detections, Instance, Observation
@@ -129,9 +129,8 @@ class Survey:
         fine = np.isfinite(xy_m).all(axis=1)
         new = np.column_stack((xy_m[fine], kind[fine])).astype(np.float32)
         # Of a kind and a place one vote is enough, so that what stands near has no more weight.
-        cells = np.floor(new / np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0])).astype(np.int64)
-        _, first = np.unique(cells, axis=0, return_index=True)
-        self._ground = np.concatenate((self._ground, new[np.sort(first)]))
+        first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
+        self._ground = np.concatenate((self._ground, new[first]))
 
 
 def scene_of_map(
@@ -151,7 +150,7 @@ def scene_of_map(
         floor: what free ground is called.
     """
     objects = [
-        MapObject(one.id, one.label, one.points_m, score=one.score, hits=one.hits)
+        MapObject(one.id, {one.label: one.score}, one.points_m, score=one.score, hits=one.hits)
         for one in instances
         if len(one.points_m)
     ]
