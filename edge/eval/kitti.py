@@ -116,7 +116,8 @@ def read_frame(folder: Path, number: int) -> Frame:
             f"{min(len(poses), len(times)) - 1}"
         )
     path = folder / "image_2" / f"{number:06d}.png"
-    bgr = cv2.imdecode(np.frombuffer(_bytes(path), np.uint8), cv2.IMREAD_COLOR)
+    png = np.frombuffer(_bytes(path), np.uint8)
+    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
     if bgr is None:
         raise KittiError(f"{path}: not an image")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)

@@ -154,7 +154,7 @@ def regions_of(
     """
     found: list[tuple[int, str, np.ndarray]] = []
     least = max(1.0, LEAST_M2 / occupancy.resolution_m**2)
-    for k, label in enumerate(labels, start=1):
+    for k, label in enumerate(labels if kind.size else (), start=1):  # OpenCV dies of no cells
         here = ((kind == k) & (occupancy.cells <= 0)).astype(np.uint8)
         n, part, stats, _ = cv2.connectedComponentsWithStats(here, connectivity=8)
         for i in range(1, n):
