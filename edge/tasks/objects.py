@@ -19,6 +19,9 @@ NEAR_M = 0.3
 SAME_SHARE, ALIKE_SHARE = 0.25, 0.6
 """Two of one label are one thing where so many of the points of either lie near the other's; two of
 different labels, where so many of both do: a detector calls one thing by two names."""
+_CLOSE_M = 0.05
+"""What a point lies off a side counts about this much at least."""
+_FIT_POINTS = 400
 MOST_POINTS = 4096
 LEAST_POINTS = 5
 """With fewer there is no telling where and how large it is."""
@@ -58,7 +61,10 @@ class MapObject:
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The upright box around points with the least footprint.
+    """The upright box that fits points best, when they lie on its sides (Zhang, Xu, Dong, Dolan:
+    search-based L-shape fitting, IV 2017, closeness criterion).
+
+    A LiDAR sees two sides of a thing at most, and the smallest rectangle around an L is askew.
 
     Args:
         points_m: (n, 3), n > 0.
@@ -68,17 +74,31 @@ def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         first not shorter than the second; the heading of its longer side, in [-pi/2, pi/2): which
         end is the front is not seen.
     """
-    # About the middle, since OpenCV counts in float32.
     xy, z = points_m[:, :2].astype(np.float64), points_m[:, 2].astype(np.float64)
     middle = xy.mean(axis=0)
-    (x, y), (along, across), turn_deg = cv2.minAreaRect((xy - middle).astype(np.float32))
-    turn = math.radians(turn_deg)
+    xy = xy - middle
+    some = xy[np.linspace(0, len(xy) - 1, min(len(xy), _FIT_POINTS)).astype(np.intp)]
+    turn = _best_turn(some, np.radians(np.arange(0.0, 90.0, 2.0)))
+    turn = _best_turn(some, turn + np.radians(np.arange(-2.0, 2.01, 0.1)))
+    c, s = math.cos(turn), math.sin(turn)
+    turned = xy @ np.array([[c, -s], [s, c]])
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    (x, y), (along, across) = 0.5 * (low + high), high - low
+    x, y = c * x - s * y + middle[0], s * x + c * y + middle[1]
     if across > along:
         along, across, turn = across, along, turn + 0.5 * math.pi
     heading = (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    low, high = float(z.min()), float(z.max())
-    position = np.array([x + middle[0], y + middle[1], 0.5 * (low + high)])
-    return position, np.array([along, across, high - low]), heading
+    bottom, top = float(z.min()), float(z.max())
+    position = np.array([x, y, 0.5 * (bottom + top)])
+    return position, np.array([along, across, top - bottom]), heading
+
+
+def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
+    """Of some headings, the one whose box has the points (n, 2) nearest to its sides."""
+    c, s = np.cos(turns), np.sin(turns)
+    along, across = xy @ np.stack((c, s)), xy @ np.stack((-s, c))  # (n, turns)
+    off = np.minimum(*(np.minimum(v - v.min(axis=0), v.max(axis=0) - v) for v in (along, across)))
+    return float(turns[np.argmax((1.0 / (off + _CLOSE_M)).sum(axis=0))])
 
 
 def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
