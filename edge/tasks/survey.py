@@ -30,6 +30,8 @@ GROUND_VOXEL_M = 0.2
 MASK_SCALE = 4
 """Contours are drawn around masks enlarged by so much, so that their corners are less coarse."""
 
+_INFLATED = 50
+
 OUTDOORS = config.Mapping(
     input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
     inflation_m=0.2, obstacle_min_m=0.25, obstacle_max_m=2.0,
@@ -112,7 +114,7 @@ class Survey:
         """
         if self._newest is None:
             raise ValueError("a scene of no frames")
-        occupancy = self.map.snapshot(inflated=0)
+        occupancy = as_seen(self.map)
         kind, labels = None, self._ground_labels
         if labels:
             xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
@@ -155,8 +157,18 @@ def scene_of_map(
         if len(one.points_m)
     ]
     contours = {} if found is None else _boxed(objects, found)
-    occupancy = view.snapshot(0)
+    occupancy = as_seen(view)
     return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
+
+
+def as_seen(view: RollingMap | MapView) -> Grid:
+    """A map without what is inflated: those cells are free or unknown, as they were seen."""
+    grid, n = view.snapshot(_INFLATED), view.window.n
+    rows, columns = np.nonzero(grid.cells == _INFLATED)
+    corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
+    seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
+    grid.cells[rows, columns] = np.where(seen, 0, -1)
+    return grid
 
 
 def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:

@@ -121,6 +121,14 @@ def test_what_stands_there_is_occupied():
     assert scene.occupancy.cells[scene.occupancy.cell_of(6.0, 0.0)] == 0
 
 
+def test_behind_a_wall_nothing_is_known():
+    """Not even where the map keeps the robot away from the wall."""
+    scene = at_the_origin()
+    assert scene.occupancy.cells[scene.occupancy.cell_of(23.3, -2.0)] == 0
+    behind = scene.occupancy.cell_of(23.95, -2.0)
+    assert behind is None or scene.occupancy.cells[behind] == -1
+
+
 def test_frames_add_up_to_the_same_things():
     """Driven past, a car is seen from both ends: still one, and better known."""
     poses = [np.eye(4), se3(2.0, 0.0), se3(4.0, 0.2, 0.0, yaw_rad=0.05)]
