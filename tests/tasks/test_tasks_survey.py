@@ -124,7 +124,7 @@ def test_what_stands_there_is_occupied():
 def test_behind_a_wall_nothing_is_known():
     """Not even where the map keeps the robot away from the wall."""
     scene = at_the_origin()
-    assert scene.occupancy.cells[scene.occupancy.cell_of(23.3, -2.0)] == 0
+    assert scene.occupancy.cells[scene.occupancy.cell_of(15.0, -1.0)] == 0
     behind = scene.occupancy.cell_of(23.95, -2.0)
     assert behind is None or scene.occupancy.cells[behind] == -1
 
