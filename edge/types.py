@@ -140,14 +140,21 @@ class Detections:
 
     def without_rivals(self) -> Detections:
         """Only the boxes that nothing else explains better."""
-        mine = np.flatnonzero(self.unrivalled())
+        return replace(self.only(self.unrivalled()), rival=None)
+
+    def above(self, score: float) -> Detections:
+        """Only the boxes with at least that score."""
+        return self.only(self.score >= score)
+
+    def only(self, chosen: np.ndarray) -> Detections:
+        """Only the boxes that `chosen`, (n,) bool or indices, names."""
         return replace(
             self,
-            xyxy_px=self.xyxy_px[mine],
-            score=self.score[mine],
-            class_id=self.class_id[mine],
-            rival=None,
-            mask=None if self.mask is None else self.mask[mine],
+            xyxy_px=self.xyxy_px[chosen],
+            score=self.score[chosen],
+            class_id=self.class_id[chosen],
+            rival=None if self.rival is None else self.rival[chosen],
+            mask=None if self.mask is None else self.mask[chosen],
         )
 
 

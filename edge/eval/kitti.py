@@ -1,0 +1,297 @@
+"""Frames of SemanticKITTI (Behley et al., ICCV 2019), the paper's outdoor scenes (OpenNav IV).
+
+A folder is one sequence as KITTI's odometry benchmark lays it out: `image_2/`, `velodyne/`,
+`labels/`, `calib.txt`, `poses.txt`, `times.txt`, and `Tr_velo_to_cam0.txt` where `calib.txt` has
+no `Tr`. `map` has its origin on the road under the LiDAR at the first pose, x forward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edge.errors import UserError
+from edge.geometry import CameraModel, invert
+from edge.host.files import read_regular
+from edge.tasks.chain import Chain
+from edge.tasks.objects import clusters, share_near, thin
+from edge.tasks.projection import in_picture
+from edge.tasks.scene import Scene
+from edge.tasks.survey import OUTDOORS, Survey
+from edge.types import MASK_SIDE, Detections, Observation
+
+LIDAR_HEIGHT_M = 1.73
+"""Over the road, as KITTI's makers give it."""
+CAR_RADIUS_M = 1.0
+"""Half of its width: nothing here turns on the spot."""
+
+GROUND = {40: "road", 60: "road", 44: "parking", 48: "sidewalk", 49: "ground", 72: "terrain"}
+"""Label → kind of ground; 49 is "other-ground", 60 lane markings. Terrain is what may be grass."""
+GROUND_LABELS = tuple(dict.fromkeys(GROUND.values()))
+THINGS = {
+    10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "train", 18: "truck",
+    20: "vehicle", 30: "person", 31: "cyclist", 32: "motorcyclist", 50: "building", 51: "fence",
+    52: "structure", 70: "bush", 71: "tree trunk", 80: "pole", 81: "traffic sign", 99: "object",
+    252: "car", 253: "cyclist", 254: "person", 255: "motorcyclist", 256: "train", 257: "bus",
+    258: "truck", 259: "vehicle",
+}  # fmt: skip
+PLANT, TRUNK, TREE_M = 70, 71, 3.0
+"""Vegetation that is as high, or over a trunk, is called a tree: scans end low above a near one."""
+REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
+"""Things without an instance of their own are told apart by gaps as wide, `REACH_ELSE_M` else."""
+REACH_ELSE_M = 0.6
+LEAST_POINTS = 12
+LEAST_PX = 6
+_DOTS_PX = 5, 9
+"""Width and height of gaps between returns of one surface in the picture, scan lines included."""
+
+
+class KittiError(UserError):
+    """A sequence that cannot be used: which file, and what is wrong with it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One instant of a sequence.
+
+    Attributes:
+        observation: image, cloud and pose; `seq` is the frame's number.
+        semantic: (n,) uint16, the label of each point of the cloud.
+        instance: (n,) uint16, which thing of its label; 0: not told apart.
+    """
+
+    observation: Observation
+    semantic: np.ndarray
+    instance: np.ndarray
+
+    @property
+    def ground_kind(self) -> np.ndarray:
+        """(n,) uint8, index into `GROUND_LABELS` plus 1; 0: not ground."""
+        table = np.zeros(1 << 16, np.uint8)
+        for label, name in GROUND.items():
+            table[label] = GROUND_LABELS.index(name) + 1
+        return table[self.semantic]
+
+
+def frames_in(folder: Path) -> list[int]:
+    """The numbers of the frames whose image, scan and labels are there, ascending.
+
+    Raises:
+        KittiError: there are none.
+    """
+    found = [
+        {int(path.stem) for path in (folder / kind).glob(f"*.{ext}") if path.stem.isdigit()}
+        for kind, ext in (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))
+    ]
+    numbers = sorted(set.intersection(*found))
+    if not numbers:
+        raise KittiError(
+            f"{folder}: no frame with image_2/, velodyne/ and labels/: give the folder of a "
+            "SemanticKITTI sequence"
+        )
+    return numbers
+
+
+def read_frame(folder: Path, number: int) -> Frame:
+    """A frame with its camera, scan, labels and pose.
+
+    Raises:
+        KittiError: a file is missing or is not what it should be.
+    """
+    calibration = _matrices(folder / "calib.txt")
+    separate = folder / "Tr_velo_to_cam0.txt"
+    if "Tr" not in calibration and separate.is_file():
+        calibration |= _matrices(separate)
+    for key in ("P2", "Tr"):
+        if key not in calibration:
+            raise KittiError(f"{folder / 'calib.txt'}: no {key}: of 12 numbers")
+    poses, times = _table(folder / "poses.txt", 12), _table(folder / "times.txt", 1)
+    if not 0 <= number < min(len(poses), len(times)):
+        raise KittiError(
+            f"{folder}: frame {number}: poses.txt and times.txt end at "
+            f"{min(len(poses), len(times)) - 1}"
+        )
+    path = folder / "image_2" / f"{number:06d}.png"
+    png = np.frombuffer(_bytes(path), np.uint8)
+    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
+    if bgr is None:
+        raise KittiError(f"{path}: not an image")
+    scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)
+    label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
+    if len(scan) != len(label):
+        raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
+    P2 = calibration["P2"]
+    height, width = bgr.shape[:2]
+    camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
+    T_cam0_velo = _rigid(calibration["Tr"])
+    T_cam2_cam0 = np.eye(4)
+    T_cam2_cam0[:3, 3] = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    T_base_velo = np.eye(4)
+    T_base_velo[2, 3] = LIDAR_HEIGHT_M
+    to_base = T_base_velo @ invert(T_cam0_velo)
+    observation = Observation(
+        seq=number,
+        stamp_ns=round(1e9 * float(times[number, 0])),
+        T_map_base=to_base @ _rigid(poses[number].reshape(3, 4)) @ invert(to_base),
+        rgb=cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB),
+        camera=camera,
+        T_base_camera=to_base @ invert(T_cam2_cam0),
+        cloud_m=np.ascontiguousarray(scan[:, :3]),
+        T_base_lidar=T_base_velo,
+    )
+    return Frame(observation, (label & 0xFFFF).astype(np.uint16), (label >> 16).astype(np.uint16))
+
+
+def things_in(frame: Frame) -> list[tuple[str, np.ndarray]]:
+    """Each thing that the labels tell of: its name and its points, as indices into the cloud."""
+    cloud = frame.observation.cloud_m
+    trunks = cloud[frame.semantic == TRUNK]
+    found = []
+    for label, name in THINGS.items():
+        for instance in np.unique(frame.instance[frame.semantic == label]):
+            mine = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
+            reach_m = REACH_M.get(label, REACH_ELSE_M)
+            groups = clusters(cloud[mine], reach_m) if instance == 0 else [np.arange(len(mine))]
+            for group in groups:
+                points = mine[group]
+                if len(points) < LEAST_POINTS:
+                    continue
+                tree = label == PLANT and _is_tree(cloud[points], trunks)
+                found.append(("tree" if tree else name, points))
+    return found
+
+
+def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
+    high = float(np.ptp(plant_m[:, 2])) >= TREE_M
+    flat = np.array([1.0, 1.0, 0.0], np.float32)
+    return high or share_near(thin(trunks_m) * flat, thin(plant_m) * flat) > 0.0
+
+
+def oracle(frames: Sequence[Frame]) -> Chain:
+    """A chain that has boxes and masks from the labels of the frames' points."""
+    by_seq = {frame.observation.seq: frame for frame in frames}
+
+    def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
+        return true_boxes(by_seq[observation.seq])
+
+    words = tuple(dict.fromkeys((*THINGS.values(), "tree")))
+    return Chain(lambda observation: words, boxes, lambda found: found)
+
+
+def true_boxes(frame: Frame) -> Detections:
+    """What of the labelled things is in the picture, with the masks that their returns make."""
+    seen = frame.observation
+    T = invert(seen.T_base_camera) @ seen.T_base_lidar
+    at_px, shown = in_picture(seen.cloud_m, T, seen.camera)
+    boxes, names, masks = [], [], []
+    for name, points in things_in(frame):
+        dots = at_px[points[shown[points]]]
+        if len(dots) < LEAST_POINTS:
+            continue
+        box = np.concatenate((np.floor(dots.min(axis=0)), np.ceil(dots.max(axis=0) + 1e-3)))
+        if min(box[2:] - box[:2]) < LEAST_PX:
+            continue
+        boxes.append(box)
+        names.append(name)
+        masks.append(_mask(dots, box))
+    prompts = tuple(dict.fromkeys(names))
+    n = len(boxes)
+    return Detections(
+        seen, np.array(boxes, np.float32).reshape(n, 4), np.ones(n, np.float32),
+        np.array([prompts.index(name) for name in names], np.int32), prompts, model="labels",
+        mask=np.array(masks, np.bool_).reshape(n, MASK_SIDE, MASK_SIDE),
+    )  # fmt: skip
+
+
+def kitti_scene(
+    folder: Path, numbers: Sequence[int], chain: Chain | None = None, by_labels: bool = True
+) -> Scene:
+    """The scene of some frames of a sequence, as it stands at the last.
+
+    Args:
+        chain: finds the objects; None: the labels do (`oracle`).
+        by_labels: regions by the labels' kinds of ground; False: by what is flat and connected.
+
+    Raises:
+        KittiError: see `read_frame`; `numbers` is empty.
+    """
+    if not numbers:
+        raise KittiError(f"{folder}: no frame chosen (there are {frames_in(folder)})")
+    frames = [read_frame(folder, number) for number in numbers]
+    survey = Survey(
+        oracle(frames) if chain is None else chain, OUTDOORS, CAR_RADIUS_M,
+        GROUND_LABELS if by_labels else (),
+    )  # fmt: skip
+    for frame in frames:
+        survey.add(frame.observation, frame.ground_kind if by_labels else None)
+    return survey.scene()
+
+
+def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """(MASK_SIDE, MASK_SIDE) bool, what lies between a thing's returns in its box."""
+    width, height = (box[2:] - box[:2]).astype(int)
+    picture = np.zeros((height, width), np.uint8)
+    x, y = (dots - box[:2]).astype(int).T
+    picture[y, x] = 255
+    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones(_DOTS_PX[::-1], np.uint8))
+    small = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_AREA)
+    enlarged = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_NEAREST)
+    return (small if width * height > MASK_SIDE**2 else enlarged) >= 96
+
+
+def _rigid(rows: np.ndarray) -> np.ndarray:
+    """(4, 4) of the first three rows."""
+    T = np.eye(4)
+    T[:3] = rows
+    return T
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return read_regular(path)
+    except OSError as error:
+        raise KittiError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _array(path: Path, of: type, columns: int) -> np.ndarray:
+    data = _bytes(path)
+    if len(data) % (columns * np.dtype(of).itemsize):
+        raise KittiError(f"{path}: {len(data)} bytes are no rows of {columns} {np.dtype(of)}")
+    return np.frombuffer(data, of)
+
+
+def _table(path: Path, columns: int) -> np.ndarray:
+    """(n, columns) float64 of a text file."""
+    rows = [line.split() for line in _text(path).splitlines() if line.strip()]
+    try:
+        table = np.array([[float(value) for value in row] for row in rows])
+    except ValueError:
+        raise KittiError(f"{path}: not a table of {columns} numbers a line") from None
+    if table.ndim != 2 or table.shape[1] != columns or not np.isfinite(table).all():
+        raise KittiError(f"{path}: not a table of {columns} numbers a line")
+    return table
+
+
+def _matrices(path: Path) -> dict[str, np.ndarray]:
+    """(3, 4) float64 by their keys, as in `P2: 12 numbers`; lines of `#` are comments."""
+    out = {}
+    for line in _text(path).splitlines():
+        key, colon, values = line.partition(":")
+        if not colon or line.lstrip().startswith("#"):
+            continue
+        try:
+            out[key.strip()] = np.array([float(value) for value in values.split()]).reshape(3, 4)
+        except ValueError:
+            raise KittiError(f"{path}: {key}: not 12 numbers") from None
+    return out
+
+
+def _text(path: Path) -> str:
+    try:
+        return _bytes(path).decode("ascii")
+    except UnicodeDecodeError:
+        raise KittiError(f"{path}: not a text file") from None

@@ -1,0 +1,107 @@
+"""What is said of a thing: colour, size, place (OpenNav III-B, where there is no captioner)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from edge.geometry import SE2
+from edge.types import Detections
+
+COLOURS = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink",
+           "brown")  # fmt: skip
+_HUES = ((8, "red"), (20, "orange"), (34, "yellow"), (85, "green"), (128, "blue"), (148, "purple"),
+         (170, "pink"), (180, "red"))  # fmt: skip
+"""Hues of OpenCV, half degrees, up to which a colour goes."""
+_DARK, _LIGHT = 55, 165
+_PALE = 55
+"""Saturation below which a colour is none; dark pixels are noisier, and need more."""
+_BROWN_BELOW = 150
+_INNER = 0.6
+"""Of a box without a mask, this share of its width and height shows the thing."""
+_LEAST_SHARE = 0.35
+"""A thing has the colour that so many of its pixels have."""
+BESIDE_M = 1.0
+"""A thing less far to the side is straight ahead or behind."""
+
+
+def colour_names(rgb: np.ndarray) -> np.ndarray:
+    """The colour of each pixel: (…,) uint8, index into `COLOURS`.
+
+    Args:
+        rgb: (h, w, 3) uint8.
+    """
+    hue, saturation, value = (
+        plane for plane in np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0)
+    )
+    ends, which = zip(*_HUES, strict=True)
+    table = np.array([COLOURS.index(name) for name in which], np.uint8)
+    out = table[np.searchsorted(ends, hue, side="right").clip(max=len(table) - 1)]
+    warm = (out == COLOURS.index("orange")) | (out == COLOURS.index("red")) & (hue > 2) & (hue < 90)
+    out[warm & (value < _BROWN_BELOW)] = COLOURS.index("brown")
+    pale = saturation < np.where(value < 100, 2 * _PALE, _PALE)
+    out[pale] = COLOURS.index("gray")
+    out[pale & (value >= _LIGHT)] = COLOURS.index("white")
+    out[value < _DARK] = COLOURS.index("black")
+    return out
+
+
+def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) -> str:
+    """The name of the colour that most of a thing has; "" where none stands out, or too little of
+    it is in the picture.
+
+    Args:
+        box: (4,) xyxy in pixels.
+        mask: (rows, columns) bool over the box; None or empty: the middle of the box.
+    """
+    h, w = rgb.shape[:2]
+    masked = mask is not None and bool(mask.any())
+    if not masked:
+        middle, half = 0.5 * (box[:2] + box[2:]), 0.5 * _INNER * (box[2:] - box[:2])
+        box = np.concatenate((middle - half, middle + half))
+    x0, y0 = (max(0, int(np.floor(v))) for v in box[:2])
+    x1, y1 = min(w, int(np.ceil(box[2]))), min(h, int(np.ceil(box[3])))
+    if x1 - x0 < 2 or y1 - y0 < 2:
+        return ""
+    named = colour_names(np.ascontiguousarray(rgb[y0:y1, x0:x1]))
+    if masked:
+        rows, columns = mask.shape
+        v = ((np.arange(y0, y1) + 0.5 - box[1]) / (box[3] - box[1]) * rows).astype(np.intp)
+        u = ((np.arange(x0, x1) + 0.5 - box[0]) / (box[2] - box[0]) * columns).astype(np.intp)
+        named = named[mask[np.ix_(v.clip(0, rows - 1), u.clip(0, columns - 1))]]
+    counts = np.bincount(named.ravel(), minlength=len(COLOURS))
+    best = int(np.argmax(counts))
+    return COLOURS[best] if counts[best] > _LEAST_SHARE * max(counts.sum(), 1) else ""
+
+
+def composed(found: Detections) -> tuple[str, ...]:
+    """Colour and label of each box, such as "white car"; the captioner that needs no model."""
+    rgb, masks = found.observation.rgb, found.mask
+    out = []
+    for i, box in enumerate(found.xyxy_px):
+        colour = "" if rgb is None else colour_of(rgb, box, None if masks is None else masks[i])
+        out.append(f"{colour} {found.prompts[found.class_id[i]]}".strip())
+    return tuple(out)
+
+
+def in_words(caption: str, position_m: np.ndarray, size_m: np.ndarray, pose: SE2) -> str:
+    """What was said of a thing, with its size and its place as the robot sees it.
+
+    >>> in_words("white car", np.array([9.0, 4.0, 0.7]), np.array([4.2, 1.8, 1.5]), SE2(0, 0, 0))
+    'white car, 4.2 x 1.8 x 1.5 m, 9 m ahead, 4 m to the left'
+    """
+    along, across, up = size_m
+    return f"{caption}, {along:.1f} x {across:.1f} x {up:.1f} m, {place_of(position_m, pose)}"
+
+
+def place_of(position_m: np.ndarray, pose: SE2) -> str:
+    """Where a point lies as the robot sees it, in whole metres."""
+    c, s = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
+    dx, dy = position_m[0] - pose.x_m, position_m[1] - pose.y_m
+    ahead, left = c * dx + s * dy, c * dy - s * dx
+    parts = []
+    if abs(ahead) >= BESIDE_M or abs(left) < BESIDE_M:
+        parts.append(f"{abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}")
+    if abs(left) >= BESIDE_M:
+        parts.append(f"{abs(left):.0f} m to the {'left' if left > 0 else 'right'}")
+    return ", ".join(parts)

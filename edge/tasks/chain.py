@@ -1,0 +1,173 @@
+"""Open-vocabulary perception as a chain of parts that can each be replaced (OpenNav eq. 1).
+
+Tags → boxes → masks → captions: the paper has RAM, Grounding DINO and TAP. Here a vocabulary's
+words are the tags, the configured detector and segmenter make boxes and masks, and captions are
+composed (`edge.tasks.captions`). A part is a function; a chain holds one of each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from edge import config
+from edge.perception.detector import check_rgb
+from edge.perception.factory import make_detector
+from edge.perception.masks.masker import make_masker
+from edge.perception.sim_detector import TruthAt
+from edge.tasks.captions import composed
+from edge.types import Detections, Observation
+
+TILE_FROM, TILE_OVERLAP, TILE_SAME = 1.5, 0.25, 0.6
+
+Tags = Callable[[Observation], Sequence[str]]
+Boxes = Callable[[Observation, Sequence[str]], Detections]
+Masks = Callable[[Detections], Detections]
+Captions = Callable[[Detections], Sequence[str]]
+Embeddings = Callable[[Detections], np.ndarray]
+
+
+class Chain(NamedTuple):
+    """The parts of eq. 1.
+
+    Attributes:
+        tags: what to look for in a picture (RAM).
+        boxes: where that is (GD).
+        masks: which pixels of the boxes are the things' (TAP); `boxes_alone`: the boxes.
+        captions: what is said of each box (TAP).
+        embeddings: (n, d) float32, one a box; None: there are none.
+    """
+
+    tags: Tags
+    boxes: Boxes
+    masks: Masks
+    captions: Captions = composed
+    embeddings: Embeddings | None = None
+
+
+class Seen(NamedTuple):
+    """What a chain makes of a picture: `caption` and `embedding` are parallel to the boxes."""
+
+    found: Detections
+    caption: tuple[str, ...]
+    embedding: np.ndarray | None
+
+
+def see(chain: Chain, observation: Observation) -> Seen:
+    """Masks and captions of what a picture shows (OpenNav eq. 1).
+
+    Raises:
+        ValueError: the observation has no usable image, or a part answers for another number of
+            boxes than it was given.
+    """
+    found = chain.masks(chain.boxes(observation, chain.tags(observation)))
+    caption = tuple(chain.captions(found))
+    embedding = None if chain.embeddings is None else chain.embeddings(found)
+    for what, answers in (("captions", caption), ("embeddings", embedding)):
+        if answers is not None and len(answers) != len(found):
+            raise ValueError(f"{len(found)} boxes, but {len(answers)} {what}")
+    return Seen(found, caption, embedding)
+
+
+def boxes_alone(found: Detections) -> Detections:
+    """No segmenter: each box is its own mask."""
+    return found
+
+
+def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
+    """Look at a wide picture part by part as well as whole, so that a detector whose input is less
+    wide does not see all of it at a fraction of its size.
+
+    Parts are as high as the picture and overlap by `TILE_OVERLAP`. Boxes of one word that cover
+    each other by `TILE_SAME` of the smaller become one around both.
+
+    Args:
+        aspect: width over height of a part; a picture not `TILE_FROM` times as wide is not cut.
+    """
+
+    def tiled(observation: Observation, tags: Sequence[str]) -> Detections:
+        whole = boxes(observation, tags)
+        rgb = check_rgb(observation)
+        height, width = rgb.shape[:2]
+        side = round(aspect * height)
+        if width < TILE_FROM * side:
+            return whole
+        n = math.ceil((width - TILE_OVERLAP * side) / ((1.0 - TILE_OVERLAP) * side))
+        parts = [whole]
+        for left in np.linspace(0, width - side, n).round().astype(int):
+            part = np.ascontiguousarray(rgb[:, left : left + side])
+            found = boxes(replace(observation, rgb=part, camera=None, depth_m=None), tags)
+            shift = np.array([left, 0, left, 0], np.float32)
+            parts.append(replace(found, xyxy_px=found.xyxy_px + shift))
+        return _united(whole, parts)
+
+    return tiled
+
+
+def _united(whole: Detections, parts: Sequence[Detections]) -> Detections:
+    """Boxes of one picture that were found in several parts of it."""
+    xyxy, score, class_id = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("xyxy_px", "score", "class_id")
+    )
+    order = np.argsort(-score, kind="stable")
+    kept: list[int] = []
+    for i in order.tolist():
+        same = next((k for k in kept if class_id[k] == class_id[i]
+                     and _covered(xyxy[k], xyxy[i]) >= TILE_SAME), None)  # fmt: skip
+        if same is None:
+            kept.append(i)
+        else:
+            xyxy[same, :2] = np.minimum(xyxy[same, :2], xyxy[i, :2])
+            xyxy[same, 2:] = np.maximum(xyxy[same, 2:], xyxy[i, 2:])
+    return replace(
+        whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
+        rival=None, context=None, mask=None, latency_ns=sum(part.latency_ns for part in parts),
+    )  # fmt: skip
+
+
+def _covered(a: np.ndarray, b: np.ndarray) -> float:
+    """Which share of the smaller box the other covers."""
+    both = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    least = min(np.prod(a[2:] - a[:2]), np.prod(b[2:] - b[:2]))
+    return float(np.prod(both) / least) if both.min() > 0.0 and least > 0.0 else 0.0
+
+
+@contextmanager
+def open_chain(
+    perception: config.Perception, words: Sequence[str], truth: TruthAt | None = None
+) -> Iterator[Chain]:
+    """The chain of what a configuration names, closed at the end.
+
+    Boxes count from `perception.tau_det`, where no other word explains their place better.
+
+    Args:
+        words: the vocabulary; each picture is tagged with all of it.
+        truth: see `edge.perception.factory.make_detector`.
+
+    Raises:
+        PromptError: a word cannot be looked for.
+        ModelError: a model cannot be loaded.
+    """
+    with ExitStack() as stack:
+        detector = make_detector(perception, words, truth=truth)
+        stack.callback(detector.close)
+        masker = make_masker(perception, timed=False)
+        if masker is not None:
+            stack.callback(masker.close)
+
+        def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
+            if tuple(tags) != detector.prompts:
+                detector.set_prompts(tags)
+            return detector.detect(observation).without_rivals().above(perception.tau_det)
+
+        yield Chain(
+            lambda observation: tuple(words),
+            in_tiles(boxes),
+            boxes_alone if masker is None else masker.add,
+        )

@@ -1,0 +1,112 @@
+"""From masks in the picture to points of the LiDAR (OpenNav eq. 2), without the background."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge.geometry import CameraModel
+from edge.tasks import scan_kernels as kernels
+from edge.types import MASK_SIDE
+
+BESIDE = 0.25
+"""Share of a box's size that is looked at on each side of it, to see what goes on beyond it."""
+GAP_M, GAP_SHARE = 0.5, 0.015
+"""Surfaces are apart where depth leaps by more; scan lines on one surface lie further apart the
+farther it is."""
+LEAST_SPAN = 0.2
+"""Points that reach over less of the width or height of their box are of something else in it, such
+as the hedge before a house that stands higher than the LiDAR looks."""
+_BOXES_ALONE = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
+
+
+def points_of_masks(
+    cloud_m: np.ndarray,
+    T_camera_cloud: np.ndarray,
+    camera: CameraModel,
+    xyxy_px: np.ndarray,
+    mask: np.ndarray | None = None,
+    keep: np.ndarray | None = None,
+) -> list[np.ndarray]:
+    """The points of each thing in a picture: those that its mask shows, less the background.
+
+    A mask also shows what is seen past the thing. The points are parted where their depth leaps,
+    and the part is taken whose picture fits the mask best (see `scan_kernels.best_surface`),
+    unless that is but a corner of the box.
+
+    Args:
+        cloud_m: (n, 3) float32; points that are not finite are in no picture.
+        T_camera_cloud: (4, 4) float64, the optical frame from the cloud's: M_T.
+        camera: M_K.
+        xyxy_px: (k, 4) float32 boxes.
+        mask: (k, MASK_SIDE, MASK_SIDE) bool, see `Detections.mask`; a box without any cell of its
+            own, and all where it is None, are their own masks.
+        keep: (n,) bool, points that count, such as those above the ground; None: all.
+
+    Returns:
+        For each box indices into `cloud_m`, int32, ascending; empty where nothing returned.
+    """
+    k, n = len(xyxy_px), len(cloud_m)
+    if k == 0 or n == 0:
+        return [np.zeros(0, np.int32) for _ in range(k)]
+    masks = _BOXES_ALONE
+    if mask is not None:
+        masks = np.where(mask.any(axis=(1, 2), keepdims=True), mask, True)
+    seen_by = (
+        float(camera.width_px), float(camera.height_px),
+        camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+    )  # fmt: skip
+    keep = np.ones(n, np.bool_) if keep is None else keep
+    boxes = np.ascontiguousarray(xyxy_px, np.float32)
+    room = n
+    while True:
+        mask_of, point_of = np.empty(room, np.int32), np.empty(room, np.int32)
+        depth_m = np.empty(room, np.float32)
+        found = kernels.points_of_windows(
+            cloud_m, T_camera_cloud, seen_by, boxes, masks, BESIDE, keep, mask_of, point_of, depth_m
+        )
+        if found <= room:
+            break
+        room = found
+    mask_of, point_of, depth_m = mask_of[:found], point_of[:found], depth_m[:found]
+    on = mask_of >= 0
+    window = np.where(on, mask_of, -1 - mask_of)
+    order = np.lexsort((depth_m, window))
+    ends = np.searchsorted(window[order], np.arange(k + 1))
+    out = []
+    for i in range(k):
+        mine = order[ends[i] : ends[i + 1]]
+        first, last = kernels.best_surface(depth_m[mine], on[mine], GAP_M, GAP_SHARE)
+        taken = mine[first:last]
+        points = np.sort(point_of[taken[on[taken]]])
+        fits = len(points) and _spans(cloud_m[points], T_camera_cloud, camera, boxes[i])
+        out.append(points if fits else points[:0])
+    return out
+
+
+def _spans(
+    points_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel, box: np.ndarray
+) -> bool:
+    """Whether the picture of some points reaches over enough of the part of a box in the image."""
+    at_px, _ = in_picture(points_m, T_camera_cloud, camera)
+    sides = np.array([camera.width_px, camera.height_px], np.float64)
+    inside = np.clip(box[2:], 0.0, sides) - np.clip(box[:2], 0.0, sides)
+    return bool((np.ptp(at_px, axis=0) >= LEAST_SPAN * inside).all())
+
+
+def in_picture(
+    cloud_m: np.ndarray, T_camera_cloud: np.ndarray, camera: CameraModel
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where points lie in a picture: M_K M_T l of eq. 2.
+
+    Returns:
+        (n, 2) float64 u and v in pixels from the corner of the picture, as boxes count, and (n,)
+        bool, whether the picture holds the point.
+    """
+    T = T_camera_cloud
+    x, y, z = (cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float64).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = camera.fx_px * x / z + camera.cx_px + 0.5
+        v = camera.fy_px * y / z + camera.cy_px + 0.5
+        shown = (z > kernels.NEAREST_M) & (u >= 0.0) & (v >= 0.0)
+        shown &= (u < camera.width_px) & (v < camera.height_px)
+    return np.stack((u, v), axis=1), shown

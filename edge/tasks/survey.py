@@ -1,0 +1,269 @@
+"""From what the sensors saw to a scene: objects, occupancy, regions (OpenNav III-B).
+
+`Survey` adds frames of a camera with LiDAR or depth up. `scene_of_map` describes what the service
+knows anyway: its rolling map and its instances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import cv2
+import numpy as np
+
+from edge import config
+from edge.geometry import SE2, Grid, invert
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
+from edge.tasks import terrain
+from edge.tasks.captions import in_words
+from edge.tasks.chain import Chain, see
+from edge.tasks.objects import MapObject, ObjectMap, box_around, first_in_voxels, main_cluster
+from edge.tasks.projection import points_of_masks
+from edge.tasks.scene import Scene, SceneObject
+from edge.types import Detections, Instance, Observation
+
+OFF_GROUND_M = 0.15
+"""Lower points are the ground's, or say too little of a thing."""
+MOST_DEPTH_POINTS = 60_000
+GROUND_VOXEL_M = 0.2
+MASK_SCALE = 4
+"""Contours are drawn around masks enlarged by so much, so that their corners are less coarse."""
+
+_INFLATED = 50
+
+OUTDOORS = config.Mapping(
+    input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
+    inflation_m=0.2, obstacle_min_m=0.25, obstacle_max_m=2.0,
+)  # fmt: skip
+"""A map for a LiDAR of 64 rings on a car's roof: what is nearer than `min_range_m` is the car."""
+
+
+class Survey:
+    """What frames of one run add up to, each seen through a chain (OpenNav eq. 1 and 2).
+
+    Args:
+        mapping: of the occupancy map.
+        radius_m: the robot's; it gets no nearer to what is occupied.
+        ground_labels: kinds of ground that may be driven over, where semantics tell them; empty:
+            free ground that is connected to the robot.
+
+    Attributes:
+        objects: the 3D object map.
+        map: the occupancy map.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        mapping: config.Mapping = OUTDOORS,
+        radius_m: float = 0.5,
+        ground_labels: Sequence[str] = (),
+    ) -> None:
+        self.objects, self.map = ObjectMap(), RollingMap(mapping)
+        self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
+        self._range_m = mapping.range_m
+        self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
+        self._newest: Observation | None = None
+        self._contours: dict[int, list[np.ndarray]] = {}
+
+    def add(self, observation: Observation, ground_kind: np.ndarray | None = None) -> None:
+        """Bring in a frame.
+
+        Args:
+            ground_kind: (n,) uint8 for the points of its cloud, index into `ground_labels` plus 1;
+                0: not to be driven over, or not known. None: no semantics.
+
+        Raises:
+            ValueError: it has no camera, no image, or neither cloud nor depth; `ground_kind` is
+                of another number of points.
+        """
+        cloud_m, T_base_cloud = cloud_of(observation)
+        if ground_kind is not None and len(ground_kind) != len(cloud_m):
+            raise ValueError(f"{len(cloud_m)} points, but kinds of ground of {len(ground_kind)}")
+        T_map_base, pose = observation.T_map_base, observation.pose
+        T_map_cloud = T_map_base @ T_base_cloud
+        points_m = _moved(T_map_cloud, cloud_m)
+        self.map.update_cloud(cloud_m, T_map_cloud, pose)
+        base_z_m = float(T_map_base[2, 3])
+        ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
+        above = terrain.height_above(ground, points_m)
+        if ground_kind is not None:
+            self._add_ground(points_m[:, :2], ground_kind)
+        seen = see(self._chain, observation)
+        shown = points_of_masks(
+            cloud_m, invert(observation.T_base_camera) @ T_base_cloud, observation.camera,
+            seen.found.xyxy_px, seen.found.mask, above > OFF_GROUND_M,
+        )  # fmt: skip
+        self._newest, self._contours = observation, {}
+        for i, mine in enumerate(shown):
+            points = points_m[mine]
+            points = points[main_cluster(points, T_map_cloud[:3, 3])]
+            thing = self.objects.add(
+                seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
+                float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
+            )  # fmt: skip
+            if thing is not None:
+                self._contours.setdefault(thing.id, []).extend(contours_of(seen.found, i))
+
+    def scene(self) -> Scene:
+        """All of it, around where the newest frame was taken.
+
+        Raises:
+            ValueError: there was no frame.
+        """
+        if self._newest is None:
+            raise ValueError("a scene of no frames")
+        occupancy = as_seen(self.map)
+        kind, labels = None, self._ground_labels
+        if labels:
+            xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
+            pose = self._newest.pose
+            kind = terrain.kinds_of_cells(occupancy, pose, xy_m, of, len(labels))
+        contours = {i: lines for i, lines in self._contours.items() if i in self.objects.objects}
+        return _scene(
+            self._newest, occupancy, kind, labels or (terrain.GROUND,),
+            self.objects.objects.values(), contours, self._radius_m,
+        )  # fmt: skip
+
+    def _add_ground(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
+        """Points of other things than ground vote as well: a kerb's cell is not half a road's."""
+        fine = np.isfinite(xy_m).all(axis=1)
+        new = np.column_stack((xy_m[fine], kind[fine])).astype(np.float32)
+        # Of a kind and a place one vote is enough, so that what stands near has no more weight.
+        first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
+        self._ground = np.concatenate((self._ground, new[first]))
+
+
+def scene_of_map(
+    view: MapView,
+    observation: Observation,
+    instances: Iterable[Instance],
+    radius_m: float,
+    found: Detections | None = None,
+    floor: str = "floor",
+) -> Scene:
+    """A scene of what the service knows: free floor is one region for each piece of it.
+
+    Args:
+        instances: become the objects, under their own ids.
+        radius_m: the robot's.
+        found: boxes of the same picture; those around an instance's middle are its contours.
+        floor: what free ground is called.
+    """
+    objects = [
+        MapObject(one.id, {one.label: one.score}, one.points_m, score=one.score, hits=one.hits)
+        for one in instances
+        if len(one.points_m)
+    ]
+    contours = {} if found is None else _boxed(objects, found)
+    occupancy = as_seen(view)
+    return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
+
+
+def as_seen(view: RollingMap | MapView) -> Grid:
+    """A map without what is inflated: those cells are free or unknown, as they were seen."""
+    grid, n = view.snapshot(_INFLATED), view.window.n
+    rows, columns = np.nonzero(grid.cells == _INFLATED)
+    corner = np.rint(np.array(grid.origin_xy_m) / grid.resolution_m).astype(np.int64)
+    seen = view.layers.raw[(rows + corner[1]) % n, (columns + corner[0]) % n] > 0
+    grid.cells[rows, columns] = np.where(seen, 0, -1)
+    return grid
+
+
+def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+    """The observation's points: (n, 3) float32 of its LiDAR, else of its depth image, and their
+    frame, T_base_cloud.
+
+    Raises:
+        ValueError: it has neither; or a depth image that does not fit its camera.
+    """
+    if observation.cloud_m is not None:
+        return observation.cloud_m, observation.T_base_lidar
+    depth, camera = observation.depth_m, observation.camera
+    if depth is None or camera is None or depth.shape != (camera.height_px, camera.width_px):
+        raise ValueError(
+            f"observation {observation.seq}: neither a cloud nor depth that fits a camera"
+        )
+    stride = max(1, int(np.ceil(np.sqrt(depth.size / MOST_DEPTH_POINTS))))
+    z = depth[::stride, ::stride]
+    v, u = np.nonzero((z > 0.0) & np.isfinite(z))
+    z = z[v, u]
+    x = (u * stride - camera.cx_px) / camera.fx_px * z
+    y = (v * stride - camera.cy_px) / camera.fy_px * z
+    return np.stack((x, y, z), axis=1).astype(np.float32), observation.T_base_camera
+
+
+def contours_of(found: Detections, i: int) -> list[np.ndarray]:
+    """The outlines of box i's mask, or the box where it has none: (k, 2) int32 polygons."""
+    x0, y0, x1, y1 = found.xyxy_px[i]
+    if found.mask is None or not found.mask[i].any():
+        return [np.rint([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]).astype(np.int32)]
+    mask = np.kron(found.mask[i], np.ones((MASK_SCALE, MASK_SCALE), np.bool_)).astype(np.uint8)
+    lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    scale = np.array([(x1 - x0) / mask.shape[1], (y1 - y0) / mask.shape[0]])
+    corner = np.array([x0, y0])
+    return [np.rint(corner + line[:, 0] * scale).astype(np.int32) for line in lines]
+
+
+def _moved(T: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 points in another frame."""
+    return points_m @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+
+
+def _boxed(objects: Iterable[MapObject], found: Detections) -> dict[int, list[np.ndarray]]:
+    """Each object's box in a picture: of those of its name that hold the middle of its points,
+    the smallest."""
+    seen, camera = found.observation, found.observation.camera
+    if camera is None:
+        return {}
+    T = invert(seen.T_map_base @ seen.T_base_camera)
+    area = np.prod(found.xyxy_px[:, 2:] - found.xyxy_px[:, :2], axis=1)
+    out = {}
+    for thing in objects:
+        x, y, z = _moved(T, np.median(thing.points_m, axis=0)[None])[0]
+        if z <= 0.0:
+            continue
+        u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
+        x0, y0, x1, y1 = found.xyxy_px.T
+        around = (x0 <= u) & (u <= x1) & (y0 <= v) & (v <= y1)
+        around &= np.array([found.prompts[k] == thing.label for k in found.class_id], np.bool_)
+        if around.any():
+            which = np.flatnonzero(around)[np.argmin(area[around])]
+            out[thing.id] = contours_of(found, int(which))
+    return out
+
+
+def _scene(
+    seen: Observation,
+    occupancy: Grid,
+    kind: np.ndarray | None,
+    labels: Sequence[str],
+    objects: Iterable[MapObject],
+    contours: dict[int, list[np.ndarray]],
+    radius_m: float,
+) -> Scene:
+    """Regions of the ground's kinds (None: what the robot could drive to), and where on them one
+    gets nearest to each object."""
+    pose = seen.pose
+    if kind is None:
+        kind = terrain.reachable(occupancy, pose, 0.0).astype(np.uint8)
+    regions, cells = terrain.regions_of(occupancy, kind, labels)
+    allowed = terrain.reachable(occupancy, pose, radius_m)
+    described = {thing.id: _described(thing, pose, cells, allowed) for thing in objects}
+    pictured = seen.rgb is not None and seen.camera is not None
+    return Scene(
+        seen.stamp_ns, pose, described, regions, occupancy, cells,
+        rgb=seen.rgb if pictured else None,
+        camera=seen.camera if pictured else None,
+        T_map_camera=seen.T_map_base @ seen.T_base_camera if pictured else None,
+        contours=contours,
+    )  # fmt: skip
+
+
+def _described(thing: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) -> SceneObject:
+    position, size, heading = box_around(thing.points_m)
+    return SceneObject(
+        thing.id, thing.label, in_words(thing.caption, position, size, pose), position, size,
+        heading, thing.points_m, terrain.nearest_points(thing.points_m, regions, allowed),
+    )  # fmt: skip

@@ -1,0 +1,192 @@
+"""The ground: how high it is, which of it may be driven over, and where one gets to on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from edge.geometry import SE2, Grid
+from edge.tasks import scan_kernels as kernels
+from edge.tasks.scene import Region
+
+CELL_M = 0.5
+"""Side of a cell of the ground's height."""
+STEP_M, SLOPE = 0.08, 0.15
+"""Ground beside ground differs in height by `STEP_M` and this slope at most; a kerb is more."""
+GAP_M = 4.0
+"""Scan lines on the ground lie so far apart at most, where the ground is still followed."""
+FILL_M, FILL_SHARE = 1.5, 0.06
+"""Ground between scan lines is of the kind that is seen this near, and this share of its distance
+from the robot, since scan lines lie further apart there."""
+BLIND_M = 4.5
+"""So near, the robot's own body hides the ground: it stands on the kind of which most is seen
+within twice that."""
+LEAST_M2 = 3.0
+"""Smaller pieces are no regions."""
+ESCAPE_M = 3.0
+"""The robot does not see the ground that it stands on; where it can get to begins this near."""
+MOST_REGIONS = 255
+GROUND = "ground"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Height of the ground around the robot.
+
+    Attributes:
+        height_m: float32, in `map`; where none was seen, that of the ground nearest.
+        seen: bool, the same cells.
+    """
+
+    height_m: Grid
+    seen: Grid
+
+
+def ground_around(
+    points_m: np.ndarray, x_m: float, y_m: float, z_m: float, range_m: float
+) -> Ground:
+    """The ground, followed from where the robot stands through the lowest points of cells.
+
+    Args:
+        points_m: (n, 3) float32 in `map`.
+        x_m, y_m, z_m: where the robot touches the ground.
+        range_m: how far around it.
+    """
+    half = math.ceil(range_m / CELL_M)
+    origin = (math.floor(x_m / CELL_M) - half) * CELL_M, (math.floor(y_m / CELL_M) - half) * CELL_M
+    side = 2 * half + 1
+    low, height = np.empty((side, side), np.float32), np.empty((side, side), np.float32)
+    seen = np.empty((side, side), np.bool_)
+    kernels.lowest(points_m, *origin, CELL_M, low)
+    kernels.grow_ground(
+        low, half, half, z_m, STEP_M, SLOPE, CELL_M, round(GAP_M / CELL_M), height, seen
+    )
+    return Ground(Grid(height, origin, CELL_M), Grid(seen, origin, CELL_M))
+
+
+def height_above(ground: Ground, points_m: np.ndarray) -> np.ndarray:
+    """Of points over the ground: (n,) float32 metres; NaN outside of what is known of it."""
+    grid = ground.height_m
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(grid.of_metres(points_m[:, :2])).T
+        h, w = grid.cells.shape
+        inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    out = np.full(len(points_m), np.nan, np.float32)
+    at = row[inside].astype(np.intp), column[inside].astype(np.intp)
+    out[inside] = points_m[inside, 2] - grid.cells[at]
+    return out
+
+
+def reachable(occupancy: Grid, pose: SE2, radius_m: float) -> np.ndarray:
+    """Where the robot can drive to: (h, w) bool, free cells as far from what is occupied as its
+    radius, connected to the one nearest to it."""
+    cells = occupancy.cells
+    if cells.size == 0:
+        return np.zeros(cells.shape, np.bool_)
+    free = cells == 0
+    blocked = (cells > 0).astype(np.uint8)
+    if blocked.any():
+        apart = cv2.distanceTransform(1 - blocked, cv2.DIST_L2, 5)
+        free &= apart * occupancy.resolution_m >= radius_m
+    _, part = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    rows, columns = np.nonzero(free)
+    if not len(rows):
+        return free
+    away_m = np.linalg.norm(occupancy.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=1)
+    start = int(np.argmin(away_m))
+    if away_m[start] > ESCAPE_M:
+        return np.zeros(cells.shape, np.bool_)
+    return part == part[rows[start], columns[start]]
+
+
+def kinds_of_cells(
+    grid: Grid, pose: SE2, xy_m: np.ndarray, kind: np.ndarray, n_kinds: int
+) -> np.ndarray:
+    """What kind of ground each cell is, as most of its points have it.
+
+    Args:
+        grid: whose cells are meant; its free ones without points take the kind seen nearest.
+        pose: the robot's.
+        xy_m: (n, 2) points on the ground in `map`.
+        kind: (n,) integers from 1 to `n_kinds`; 0: not ground.
+
+    Returns:
+        (h, w) uint8; 0 where nothing is known, or most points are not ground.
+    """
+    h, w = grid.cells.shape
+    if h * w == 0:
+        return np.zeros((h, w), np.uint8)
+    column, row = np.floor(grid.of_metres(xy_m)).astype(np.int64).reshape(-1, 2).T
+    inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    flat = (row * w + column)[inside] * (n_kinds + 1) + kind[inside]
+    votes = np.bincount(flat, minlength=h * w * (n_kinds + 1)).reshape(h, w, n_kinds + 1)
+    out = np.argmax(votes, axis=2).astype(np.uint8)
+    if not out.any():
+        return out
+    away, nearest = cv2.distanceTransformWithLabels(
+        (out == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(nearest.max() + 1, np.uint8)
+    of_label[nearest[out > 0]] = out[out > 0]
+    rows, columns = np.mgrid[:h, :w]
+    from_robot_m = np.linalg.norm(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=2)
+    unseen = (votes.sum(axis=2) == 0) & (grid.cells == 0)
+    gap = unseen & (away * grid.resolution_m <= FILL_M + FILL_SHARE * from_robot_m)
+    near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
+    under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
+    return np.where(under, np.argmax(near), np.where(gap, of_label[nearest], out)).astype(np.uint8)
+
+
+def regions_of(
+    occupancy: Grid, kind: np.ndarray, labels: Sequence[str]
+) -> tuple[dict[int, Region], Grid]:
+    """The connected pieces of each kind of ground, without what is occupied, the largest first.
+
+    Args:
+        kind: (h, w) uint8, index into `labels` plus 1; 0: not to be driven over.
+
+    Returns:
+        At most `MOST_REGIONS`, by id, and which cells are whose.
+    """
+    found: list[tuple[int, str, np.ndarray]] = []
+    least = max(1.0, LEAST_M2 / occupancy.resolution_m**2)
+    for k, label in enumerate(labels if kind.size else (), start=1):  # OpenCV dies of no cells
+        here = ((kind == k) & (occupancy.cells <= 0)).astype(np.uint8)
+        n, part, stats, _ = cv2.connectedComponentsWithStats(here, connectivity=8)
+        for i in range(1, n):
+            area = int(stats[i, cv2.CC_STAT_AREA])
+            if area >= least:
+                found.append((area, label, part == i))
+    found.sort(key=lambda piece: -piece[0])
+    cells = np.zeros(kind.shape, np.uint8)
+    regions = {}
+    for i, (area, label, here) in enumerate(found[:MOST_REGIONS], start=1):
+        cells[here] = i
+        regions[i] = Region(i, label, area * occupancy.resolution_m**2)
+    return regions, replace(occupancy, cells=cells)
+
+
+def nearest_points(
+    points_m: np.ndarray, regions: Grid, allowed: np.ndarray
+) -> dict[int, tuple[float, float]]:
+    """The point of each region that is nearest to a thing, among allowed cells (OpenNav III-A2).
+
+    Args:
+        points_m: (n, 2 or more) of the thing, in `map`.
+        allowed: (h, w) bool, see `reachable`.
+
+    Returns:
+        By the region's id; without those that have no allowed cell.
+    """
+    if not len(points_m) or not regions.cells.size:
+        return {}
+    cells = np.unique(np.floor(regions.of_metres(points_m[:, :2])), axis=0) + 0.5
+    best, at = np.empty(MOST_REGIONS + 1), np.zeros((MOST_REGIONS + 1, 2), np.int64)
+    kernels.nearest_of_regions(regions.cells, allowed, cells, best, at)
+    found = np.flatnonzero(np.isfinite(best))
+    centres = regions.centres_m(at[found, 0], at[found, 1])
+    return {int(i): (float(x), float(y)) for i, (x, y) in zip(found, centres, strict=True)}

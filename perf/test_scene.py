@@ -1,0 +1,72 @@
+"""How long the projection of a scan into masks takes (OpenNav eq. 2), and a whole scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.geometry import CameraModel
+from edge.tasks.projection import BESIDE, GAP_M, GAP_SHARE, in_picture, points_of_masks
+from edge.types import MASK_SIDE
+
+CAMERA = CameraModel(1226, 370, 707.0, 707.0, 601.9, 183.1)
+POINTS, MASKS = 120_000, 20
+T_CAMERA_CLOUD = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+
+
+@pytest.fixture(scope="module")
+def scan():
+    """A scan of 64 rings all around, things at every distance, and boxes with round masks."""
+    random = np.random.default_rng(0)
+    elevation = np.radians(random.choice(np.linspace(2.0, -24.8, 64), POINTS))
+    azimuth = random.uniform(-np.pi, np.pi, POINTS)
+    range_m = random.choice([6.0, 12.0, 20.0, 35.0], POINTS) + random.uniform(0.0, 1.5, POINTS)
+    flat = range_m * np.cos(elevation)
+    cloud = np.stack(
+        (flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)), axis=1
+    ).astype(np.float32)
+    corner = random.uniform((0, 120), (1000, 220), (MASKS, 2))
+    boxes = np.hstack((corner, corner + random.uniform(40, 200, (MASKS, 2)))).astype(np.float32)
+    across = np.linspace(-1, 1, MASK_SIDE)
+    masks = np.repeat((across**2 + across[:, None] ** 2 < 1.0)[None], MASKS, axis=0)
+    return cloud, boxes, masks
+
+
+def by_numpy(cloud, boxes, masks):
+    """The same with NumPy: all points projected once, each mask looks at those of its window."""
+    at_px, shown = in_picture(cloud, T_CAMERA_CLOUD, CAMERA)
+    seen = np.flatnonzero(shown)
+    u, v = at_px[seen].T
+    depth = (cloud[seen] @ T_CAMERA_CLOUD[2, :3] + T_CAMERA_CLOUD[2, 3]).astype(np.float32)
+    out = []
+    for (x0, y0, x1, y1), mask in zip(boxes, masks, strict=True):
+        aside, above = BESIDE * (x1 - x0), BESIDE * (y1 - y0)
+        near = (u >= x0 - aside) & (u < x1 + aside) & (v >= y0 - above) & (v < y1 + above)
+        at = np.flatnonzero(near)
+        r = ((v[at] - y0) / (y1 - y0) * MASK_SIDE).astype(np.intp)
+        c = ((u[at] - x0) / (x1 - x0) * MASK_SIDE).astype(np.intp)
+        inside = (r >= 0) & (r < MASK_SIDE) & (c >= 0) & (c < MASK_SIDE)
+        inside &= (v[at] >= y0) & (u[at] >= x0)
+        on = np.zeros(len(at), np.bool_)
+        on[inside] = mask[r[inside], c[inside]]
+        order = np.argsort(depth[at])
+        at, on = at[order], on[order]
+        d = depth[at]
+        part = np.concatenate(([0], np.cumsum(np.diff(d) > GAP_M + GAP_SHARE * d[:-1])))
+        mine = np.bincount(part, on)
+        fit = mine / np.maximum(on.sum() + np.bincount(part, ~on), 1)
+        out.append(np.sort(seen[at[on & (part == np.argmax(fit))]]))
+    return out
+
+
+def test_points_of_masks(benchmark, scan, against):
+    benchmark.extra_info["budget"] = "project_120k_20_masks"
+    cloud, boxes, masks = scan
+    expected = by_numpy(*scan)
+    got = points_of_masks(cloud, T_CAMERA_CLOUD, CAMERA, boxes, masks)
+    assert sum(len(points) for points in got) > 1000
+    for mine, its in zip(got, expected, strict=True):
+        # On the edge of a mask's cell float32 and float64 may differ.
+        assert len(np.setxor1d(mine, its)) <= 0.01 * len(its) + 1
+    benchmark(points_of_masks, cloud, T_CAMERA_CLOUD, CAMERA, boxes, masks)
+    against(lambda: by_numpy(*scan))

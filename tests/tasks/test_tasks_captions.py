@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.geometry import SE2
+from edge.tasks.captions import COLOURS, colour_names, colour_of, composed, in_words, place_of
+from edge.types import MASK_SIDE, Detections, Observation
+
+COLOURED = {
+    "black": (20, 20, 20), "gray": (128, 128, 128), "white": (240, 240, 240), "red": (200, 20, 20),
+    "orange": (250, 130, 20), "yellow": (240, 220, 30), "green": (30, 160, 40),
+    "blue": (30, 60, 200), "purple": (120, 40, 200), "pink": (250, 90, 180), "brown": (110, 60, 20),
+}  # fmt: skip
+
+
+def painted(colour, h=20, w=30):
+    return np.full((h, w, 3), colour, np.uint8)
+
+
+def test_an_empty_picture_has_no_colours():
+    assert colour_of(np.zeros((0, 0, 3), np.uint8), np.zeros(4, np.float32)) == ""
+
+
+@pytest.mark.parametrize("name", COLOURS)
+def test_colours_have_their_names(name):
+    assert {COLOURS[i] for i in colour_names(painted(COLOURED[name])).ravel()} == {name}
+
+
+WHOLE = np.array([0, 0, 30, 20], np.float32)
+
+
+def test_a_box_outside_the_picture_has_no_colour():
+    assert colour_of(painted((200, 20, 20)), np.array([50, 5, 60, 10], np.float32)) == ""
+
+
+def test_the_mask_says_which_pixels_count():
+    rgb = painted(COLOURED["green"])
+    rgb[:, :15] = COLOURED["red"]
+    mask = np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)
+    mask[:, : MASK_SIDE // 2] = True
+    assert colour_of(rgb, WHOLE, mask) == "red"
+    assert colour_of(rgb, WHOLE, ~mask) == "green"
+
+
+def test_the_middle_of_a_box_counts_where_there_is_no_mask():
+    rgb = painted(COLOURED["green"])
+    rgb[4:16, 6:24] = COLOURED["blue"]
+    assert colour_of(rgb, WHOLE) == "blue"
+    assert colour_of(rgb, WHOLE, np.zeros((MASK_SIDE, MASK_SIDE), np.bool_)) == "blue"
+
+
+def test_what_has_every_colour_has_none():
+    rgb = np.array(list(COLOURED.values()), np.uint8)[np.arange(600).reshape(20, 30) % 11]
+    assert colour_of(rgb, WHOLE) == ""
+
+
+def detections(rgb):
+    observation = Observation(1, 0, np.eye(4), rgb=rgb)
+    return Detections(
+        observation, WHOLE[None], np.ones(1, np.float32), np.zeros(1, np.int32), ("car",)
+    )
+
+
+@pytest.mark.parametrize(
+    ("rgb", "caption"), [(painted((240, 240, 240)), "white car"), (None, "car")]
+)
+def test_colour_and_label_are_composed(rgb, caption):
+    assert composed(detections(rgb)) == (caption,)
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "yaw", "place"),
+    [
+        (0.0, 0.0, 0.0, "0 m ahead"),
+        (10.0, 0.4, 0.0, "10 m ahead"),
+        (-5.0, 0.0, 0.0, "5 m behind"),
+        (0.0, 3.0, 0.0, "3 m to the left"),
+        (0.0, 3.0, np.pi / 2, "3 m ahead"),
+        (4.0, 0.0, np.pi / 2, "4 m to the right"),
+        (8.0, -2.0, 0.0, "8 m ahead, 2 m to the right"),
+    ],
+)
+def test_places_are_as_the_robot_sees_them(x_m, y_m, yaw, place):
+    assert place_of(np.array([x_m, y_m, 0.0]), SE2(0.0, 0.0, yaw)) == place
+
+
+def test_words_say_colour_size_and_place():
+    said = in_words("white van", np.array([9, 4, 1]), np.array([5.04, 2, 2.5]), SE2(1.0, 0.0, 0.0))
+    assert said == "white van, 5.0 x 2.0 x 2.5 m, 8 m ahead, 4 m to the left"

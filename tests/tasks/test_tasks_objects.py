@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.geometry import wrap_angle
+from edge.tasks.objects import (
+    MOST_POINTS,
+    NEAR_M,
+    ObjectMap,
+    box_around,
+    clusters,
+    first_in_voxels,
+    main_cluster,
+    share_near,
+    thin,
+)
+
+NONE = np.zeros((0, 3), np.float32)
+
+
+def block(x_m=0.0, y_m=0.0, size=(2.0, 1.0, 1.0), heading=0.0, n=400, seed=0):
+    """Points in a box on the ground."""
+    local = (np.random.default_rng(seed).random((n, 3)) - (0.5, 0.5, 0.0)) * size
+    c, s = np.cos(heading), np.sin(heading)
+    xy = local[:, :2] @ np.array([[c, s], [-s, c]]) + (x_m, y_m)
+    return np.column_stack((xy, local[:, 2])).astype(np.float32)
+
+
+# All around the sides of a unit square, below and above.
+_TO = np.linspace(-0.5, 0.5, 21)
+_RIM = np.vstack([np.column_stack((a, b)) for h in (-0.5, 0.5)
+                  for a, b in ((_TO, 0 * _TO + h), (0 * _TO + h, _TO))])  # fmt: skip
+SIDES = np.vstack([np.column_stack((_RIM, np.full(len(_RIM), z))) for z in (0.0, 1.0)])
+
+
+@given(
+    st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-10, 10),
+    st.floats(0.3, 5.0), st.floats(0.1, 0.25), st.floats(0.1, 4.0),
+)  # fmt: skip
+def test_the_box_of_a_box_is_it(x_m, y_m, heading, along, across, up):
+    local = SIDES * (along, across, up)
+    c, s = np.cos(heading), np.sin(heading)
+    points = local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (x_m, y_m, 0.5)
+    position, size, turn = box_around(points)
+    np.testing.assert_allclose(position, [x_m, y_m, 0.5 + 0.5 * up], atol=0.02)
+    np.testing.assert_allclose(size, [along, across, up], atol=0.03)
+    assert -0.5 * np.pi <= turn < 0.5 * np.pi
+    if along > 1.2 * across:
+        assert abs(wrap_angle(2.0 * (turn - heading))) < 0.02  # either end may be the front
+
+
+@given(st.floats(-1.5, 1.5))
+def test_two_sides_tell_how_a_thing_stands(heading):
+    """A LiDAR sees an L, and the smallest rectangle around it is another."""
+    side = np.linspace(0, 1, 40)
+    local = np.vstack(
+        (np.column_stack((4 * side, 0 * side)), np.column_stack((0 * side, 1.8 * side)))
+    )
+    c, s = np.cos(heading), np.sin(heading)
+    points = np.column_stack((local @ np.array([[c, s], [-s, c]]), np.zeros(80)))
+    _, size, turn = box_around(points)
+    np.testing.assert_allclose(size, [4.0, 1.8, 0.0], atol=0.03)
+    assert abs(wrap_angle(2.0 * (turn - heading))) < 0.02
+
+
+def test_one_point_is_a_box_without_size():
+    position, size, _ = box_around(np.array([[1.0, 2.0, 3.0]]))
+    np.testing.assert_allclose(position, [1, 2, 3])
+    np.testing.assert_allclose(size, 0)
+
+
+def test_nothing_hangs_together_of_nothing():
+    assert len(main_cluster(NONE, np.zeros(3))) == 0
+    assert clusters(NONE, 1.0) == []
+    assert thin(NONE).shape == (0, 3)
+
+
+def test_strays_are_left_out():
+    points = np.vstack((block(10.0), block(10.0, 5.0, n=10)))
+    assert (main_cluster(points, np.zeros(3)) < 400).all()
+    assert [len(group) for group in clusters(points, 1.0)] == [400, 10]
+
+
+def test_far_things_have_wider_gaps():
+    pair = np.array([[0, 0, 0], [0.9, 0, 0], [0, 0.9, 0]], np.float32)
+    assert len(main_cluster(pair + np.array([100, 0, 0]), np.zeros(3))) == 3
+    assert len(main_cluster(pair + np.array([2, 0, 0]), np.zeros(3))) == 1
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 80))
+def test_voxels_hold_one_point_each(seed, n):
+    points = np.random.default_rng(seed).uniform(-1, 1, (n, 3))
+    first = first_in_voxels(points, np.full(3, 0.5))
+    voxels = [tuple(v) for v in np.floor(points / 0.5)]
+    assert first.tolist() == [i for i, v in enumerate(voxels) if v not in voxels[:i]]
+
+
+def test_no_more_points_than_there_is_room_for():
+    assert len(thin(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_shares_lie_between_those_of_two_radii(seed):
+    """Cubes beside one another hold all that is within one side, and nothing beyond two
+    diagonals."""
+    random = np.random.default_rng(seed)
+    a, b = random.uniform(-2, 2, (2, 30, 3))
+    apart = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
+    share = share_near(a, b)
+    assert (apart <= NEAR_M).mean() <= share <= (apart <= 2 * np.sqrt(3) * NEAR_M).mean()
+
+
+def test_of_nothing_no_share_is_near():
+    assert share_near(NONE, block()) == share_near(block(), NONE) == 0.0
+
+
+def test_the_map_begins_empty():
+    assert ObjectMap().objects == {}
+
+
+def test_too_few_points_are_no_thing():
+    things = ObjectMap()
+    assert things.add("car", NONE) is None
+    assert things.add("car", block(n=4)) is None
+    assert things.objects == {}
+
+
+MERGES = {
+    "the same again": (("car", 0.0), ("car", 0.0), 1),
+    "more of it": (("car", 0.0), ("car", 1.0), 1),
+    "by another word for it": (("trash can", 0.0), ("trash bin", 0.0), 1),
+    "by a wrong name": (("car", 0.0), ("truck", 0.0), 1),
+    "another beside it": (("car", 0.0), ("car", 3.5), 2),
+    "one thing touching another": (("car", 0.0), ("truck", 1.5), 2),
+}
+
+
+@pytest.mark.parametrize("case", MERGES)
+def test_what_is_seen_again_joins_what_was_seen(case):
+    (a, at_a), (b, at_b), n = MERGES[case]
+    things = ObjectMap()
+    one = things.add(a, block(at_a), score=0.9)
+    two = things.add(b, block(at_b, seed=1), score=0.5)
+    assert len(things.objects) == n
+    assert (one is two) == (n == 1)
+
+
+def test_a_thing_is_called_by_what_most_pictures_show():
+    things = ObjectMap()
+    things.add("truck", block(), "white truck", 0.5)
+    for score in (0.4, 0.4):
+        things.add("car", block(), "red car", score)
+    (thing,) = things.objects.values()
+    assert (thing.label, thing.caption, thing.hits, thing.score) == ("car", "red car", 3, 0.5)
+
+
+def test_without_captions_the_label_is_said():
+    assert ObjectMap().add("car", block()).caption == "car"
+
+
+def test_embeddings_are_averaged_over_pictures():
+    things = ObjectMap()
+    for value in (None, 1.0, 4.0):
+        embedding = None if value is None else np.array([value, 0.0], np.float32)
+        things.add("car", block(), embedding=embedding)
+    np.testing.assert_allclose(things.objects[1].embedding, [2.0, 0.0])
+
+
+def test_what_grows_together_becomes_one_and_numbers_are_not_given_twice():
+    things = ObjectMap()
+    for x_m in (0.0, 4.0):
+        things.add("hedge", block(x_m, size=(2, 1, 1)))
+    things.add("hedge", block(2.0, size=(4, 1, 1), n=1000))
+    assert list(things.objects) == [1]
+    assert things.add("hedge", block(50.0)).id == 3

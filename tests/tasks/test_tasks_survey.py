@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import GROUND, Box, found_in, street
+
+from edge import config
+from edge.geometry import SE2, CameraModel, se3, wrap_angle
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
+from edge.tasks.chain import Chain, boxes_alone
+from edge.tasks.survey import Survey, cloud_of, contours_of, scene_of_map
+from edge.types import MASK_SIDE, Instance, Observation
+
+MAP = config.Mapping(
+    input="cloud", resolution_m=0.2, extent_m=64.0, range_m=30.0, min_range_m=1.0,
+    inflation_m=0.2, obstacle_min_m=0.25, obstacle_max_m=2.0,
+)  # fmt: skip
+STREET = (
+    Box(12.0, 4.0, (4.2, 1.8, 1.5), 1.2, "car", (210, 20, 20)),
+    Box(9.0, -3.5, (1.0, 1.0, 1.2), 0.0, "trash can", (20, 40, 190)),
+    Box(24.0, 0.0, (1.0, 30.0, 6.0), 0.0, "building", (235, 235, 235)),
+)
+
+
+def perfect(boxes):
+    """A chain whose detector sees all boxes exactly."""
+    return Chain(
+        lambda observation: tuple(box.label for box in boxes),
+        lambda observation, tags: found_in(observation, boxes),
+        boxes_alone,
+    )
+
+
+def survey_of(boxes, *poses, kinds=None, labels=(), **more):
+    survey = Survey(perfect(boxes), MAP, ground_labels=labels, **more)
+    for i, T_map_base in enumerate(poses, start=1):
+        observation, hit = street(boxes, T_map_base, seq=i)
+        survey.add(observation, None if kinds is None else kinds(observation, hit))
+    return survey
+
+
+def test_no_frame_no_scene():
+    with pytest.raises(ValueError, match="no frames"):
+        Survey(perfect(()), MAP).scene()
+
+
+def test_an_empty_plane_is_one_region():
+    scene = survey_of((), np.eye(4)).scene()
+    assert scene.objects == scene.contours == {}
+    (region,) = scene.regions.values()
+    assert region.label == "ground"
+    assert region.area_m2 > 1000.0
+    assert scene.regions_grid.cells.shape == scene.occupancy.cells.shape
+    assert scene.stamp_ns == 100_000_000
+
+
+def test_things_lie_where_they_stand_and_are_as_large_as_what_is_seen_of_them():
+    scene = at_the_origin()
+    assert [o.label for o in scene.objects.values()] == ["car", "trash can", "building"]
+    car, can, building = scene.objects.values()
+    # The side that faces the robot is seen alone.
+    assert np.hypot(*(car.position_m[:2] - (12.0, 4.0))) < 1.0
+    np.testing.assert_allclose(car.size_m[[0, 2]], [4.2, 1.4], atol=0.4)
+    assert car.size_m[1] <= 1.9
+    assert abs(wrap_angle(2 * (car.heading_rad - 1.2))) < 0.2
+    assert np.hypot(*(can.position_m[:2] - (9.0, -3.5))) < 0.6
+    assert abs(building.position_m[0] - 23.5) < 0.5  # its front is seen alone
+    assert car.caption.startswith("red car, ")
+    assert can.caption.startswith("blue trash can, ")
+    assert (
+        "9 m ahead, 3 m to the right" in can.caption or "9 m ahead, 4 m to the right" in can.caption
+    )
+
+
+@cache
+def at_the_origin():
+    return survey_of(STREET, np.eye(4)).scene()
+
+
+@given(x_m=st.floats(-20, 20), y_m=st.floats(-20, 20), yaw=st.floats(-3.1, 3.1))
+@settings(max_examples=6)
+def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
+    """The same street around a robot elsewhere: every place is moved, what is said stays."""
+    T = se3(x_m, y_m, 0.0, yaw_rad=yaw)
+    here = at_the_origin()
+    c, s = np.cos(yaw), np.sin(yaw)
+    moved = tuple(
+        replace(box, x_m=x_m + c * box.x_m - s * box.y_m, y_m=y_m + s * box.x_m + c * box.y_m,
+                heading_rad=box.heading_rad + yaw)
+        for box in STREET
+    )  # fmt: skip
+    there = survey_of(moved, T).scene()
+    assert list(there.objects) == list(here.objects)
+    for i, thing in there.objects.items():
+        place = T[:3, :3] @ here.objects[i].position_m + T[:3, 3]
+        np.testing.assert_allclose(thing.position_m, place, atol=0.6)
+    assert there.contours.keys() == here.contours.keys()
+
+
+def test_nearest_points_can_be_reached_and_are_near():
+    scene = survey_of(STREET, np.eye(4), radius_m=0.5).scene()
+    for thing in scene.objects.values():
+        (x_m, y_m) = thing.nearest_m[1]
+        row, column = scene.regions_grid.cell_of(x_m, y_m)
+        assert scene.occupancy.cells[row, column] == 0
+        assert scene.regions_grid.cells[row, column] == 1
+        away_m = np.linalg.norm(thing.points_m[:, :2] - (x_m, y_m), axis=1).min()
+        assert 0.3 < away_m < 1.2
+
+
+def test_what_stands_there_is_occupied():
+    scene = at_the_origin()
+    row, column = scene.occupancy.cell_of(23.55, 2.0)
+    assert scene.occupancy.cells[row, column] == 100
+    assert scene.occupancy.cells[scene.occupancy.cell_of(6.0, 0.0)] == 0
+
+
+def test_behind_a_wall_nothing_is_known():
+    """Not even where the map keeps the robot away from the wall."""
+    scene = at_the_origin()
+    assert scene.occupancy.cells[scene.occupancy.cell_of(15.0, -1.0)] == 0
+    behind = scene.occupancy.cell_of(23.95, -2.0)
+    assert behind is None or scene.occupancy.cells[behind] == -1
+
+
+def test_frames_add_up_to_the_same_things():
+    """Driven past, a car is seen from both ends: still one, and better known."""
+    poses = [np.eye(4), se3(2.0, 0.0), se3(4.0, 0.2, 0.0, yaw_rad=0.05)]
+    survey = survey_of(STREET, *poses)
+    scene = survey.scene()
+    assert [o.label for o in scene.objects.values()] == ["car", "trash can", "building"]
+    assert [thing.hits for thing in survey.objects.objects.values()] == [3, 3, 3]
+    assert scene.pose == SE2(4.0, 0.2, pytest.approx(0.05))
+    assert set(scene.contours) == {1, 2, 3}
+    assert scene.rgb is not None
+
+
+def half_and_half(observation, hit):
+    """The right half of the ground is sidewalk."""
+    y_m = observation.cloud_m[:, 1]  # of the robot at the origin
+    return np.where(hit != GROUND, 0, np.where(y_m < -2.0, 2, 1)).astype(np.uint8)
+
+
+def test_regions_by_their_kind():
+    scene = survey_of(STREET, np.eye(4), kinds=half_and_half, labels=("road", "sidewalk")).scene()
+    at = {
+        scene.regions[scene.regions_grid.cells[scene.regions_grid.cell_of(x_m, y_m)]].label
+        for x_m, y_m in ((5.0, 3.0), (-6.0, 5.0), (0.0, 0.0))
+    }
+    assert at == {"road"}
+    right = scene.regions_grid.cells[scene.regions_grid.cell_of(5.0, -6.0)]
+    assert scene.regions[right].label == "sidewalk"
+    labels = {scene.regions[i].label for i in scene.objects[2].nearest_m}
+    assert labels == {"road", "sidewalk"}
+
+
+def test_kinds_are_for_all_points():
+    observation, _ = street(())
+    with pytest.raises(ValueError, match="kinds of ground of 3"):
+        Survey(perfect(()), MAP, ground_labels=("road",)).add(observation, np.zeros(3, np.uint8))
+
+
+def test_depth_is_a_cloud_too():
+    depth = np.full((60, 80), np.nan, np.float32)
+    depth[20:40, 30:50] = 2.0
+    observation = Observation(
+        1, 0, np.eye(4), depth_m=depth, camera=CameraModel.from_hfov(80, 60, 1.2)
+    )
+    cloud, T = cloud_of(observation)
+    assert len(cloud) == 400
+    assert (cloud[:, 2] == 2.0).all()
+    np.testing.assert_array_equal(T, observation.T_base_camera)
+
+
+@pytest.mark.parametrize("depth", [None, np.zeros((3, 4), np.float32)])
+def test_without_cloud_and_depth_there_are_no_points(depth):
+    with pytest.raises(ValueError, match="neither a cloud nor depth"):
+        cloud_of(Observation(1, 0, np.eye(4), depth_m=depth))
+
+
+def test_contours_are_the_masks_or_the_boxes():
+    observation, _ = street(STREET)
+    found = found_in(observation, STREET)
+    (square,) = contours_of(found, 0)
+    x0, y0, x1, y1 = found.xyxy_px[0]
+    assert square.tolist() == [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+    mask = np.zeros((len(found), MASK_SIDE, MASK_SIDE), np.bool_)
+    mask[0, :, : MASK_SIDE // 2] = True
+    (outline,) = contours_of(replace(found, mask=mask), 0)
+    assert outline[:, 0].max() <= 0.5 * (x0 + x1) + 1
+    assert outline[:, 0].min() == x0
+    assert len(contours_of(replace(found, mask=mask), 1)) == 1
+
+
+def of_service(instances, boxes=STREET, found=False):
+    observation, _ = street(boxes)
+    grid = RollingMap(MAP)
+    grid.update_cloud(
+        observation.cloud_m, observation.T_map_base @ observation.T_base_lidar, observation.pose
+    )
+    seen = found_in(observation, boxes) if found else None
+    return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
+
+
+def test_the_service_has_seen_nothing():
+    scene = of_service([], ())
+    assert scene.objects == scene.contours == {}
+    assert [r.label for r in scene.regions.values()] == ["floor"]
+
+
+def test_instances_of_the_service_are_objects():
+    points = np.array([[8.6, -3.5 + 0.02 * i, 0.1 * (i % 10)] for i in range(30)], np.float32)
+    instance = Instance(5, "trash can", np.median(points, 0), points, 0.8, 4, 0, 1)
+    scene = of_service([instance], found=True)
+    (thing,) = scene.objects.values()
+    assert (thing.id, thing.label) == (5, "trash can")
+    assert thing.caption.startswith("trash can, ")
+    assert set(scene.contours) == {5}
+    assert scene.contours[5][0].shape == (4, 2)
+    x_m, y_m = thing.nearest_m[1]
+    assert np.hypot(x_m - 8.6, y_m + 3.3) < 1.2

@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import LIDAR, Box, street
+
+from edge.geometry import SE2, Grid
+from edge.tasks import scan_kernels as kernels
+from edge.tasks import terrain
+from edge.tasks.terrain import CELL_M, SLOPE, STEP_M, Ground, height_above, reachable, regions_of
+
+NOWHERE = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.2)
+HERE = SE2(0.0, 0.0, 0.0)
+
+
+def grid(rows, resolution_m=0.5):
+    """Of text, the first line farthest to the left of the robot (largest y): # occupied, . free,
+    ? unknown; the middle of the first row and column is (0, 0)."""
+    table = {"#": 100, ".": 0, "?": -1}
+    cells = np.array([[table[c] for c in row] for row in reversed(rows)], np.int8)
+    return Grid(cells, (-resolution_m / 2, -resolution_m / 2), resolution_m)
+
+
+def around(observation, z_m=0.0):
+    T = observation.T_map_base @ LIDAR
+    points = (observation.cloud_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    pose = observation.pose
+    return terrain.ground_around(points, pose.x_m, pose.y_m, z_m, 40.0), points
+
+
+def test_no_points_no_ground():
+    ground = terrain.ground_around(np.zeros((0, 3), np.float32), 1.0, -2.0, 0.3, 5.0)
+    assert ground.seen.cells.sum() == 1  # where the robot stands
+    assert (ground.height_m.cells == np.float32(0.3)).all()
+    assert height_above(ground, np.zeros((0, 3), np.float32)).shape == (0,)
+
+
+def test_what_stands_on_the_plane_is_above_it():
+    observation, hit = street([Box(10.0, 2.0), Box(15.0, -4.0, (8.0, 3.0, 4.0), 0.4)])
+    ground, points = around(observation)
+    above = height_above(ground, points)
+    near = np.abs(points[:, :2]).max(axis=1) < 40.0
+    # The foot of a box is ground as far up as ground may rise within a cell.
+    np.testing.assert_allclose(above[near], points[near, 2], atol=STEP_M + SLOPE * CELL_M)
+    np.testing.assert_allclose(above[near & (hit < 0)], 0.0, atol=1e-5)
+    assert (above[near & (hit >= 0) & (points[:, 2] > 0.31)] > 0.15).all()
+
+
+def test_a_ramp_is_ground_and_a_wall_is_not():
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0, 20, 0.2), np.arange(-3, 3, 0.2)))
+    ramp = np.stack((x, y, 0.1 * x), axis=1)
+    wall = np.stack((np.full(50, 12.1), np.linspace(-2.4, 2.4, 50), np.full(50, 1.8)), axis=1)
+    ground = terrain.ground_around(np.vstack((ramp, wall)).astype(np.float32), 0.1, 0.0, 0.0, 25.0)
+    above = height_above(ground, np.vstack((ramp, wall)).astype(np.float32))
+    assert np.abs(above[: len(ramp)]).max() < 0.15
+    assert (above[len(ramp) :] > 0.4).all()
+
+
+def test_outside_and_without_number_nothing_is_known():
+    ground = Ground(
+        Grid(np.zeros((2, 2), np.float32), (0, 0), 1.0), Grid(np.ones((2, 2)), (0, 0), 1)
+    )
+    points = np.array([[0.5, 0.5, 1.0], [-0.1, 0, 0], [0, 2.5, 0], [np.nan, 0, 0]], np.float32)
+    np.testing.assert_array_equal(height_above(ground, points), [1.0, np.nan, np.nan, np.nan])
+
+
+REACH = {
+    "nothing": (NOWHERE, 0.1, 0),
+    "all free": (grid(["....", "...."]), 0.1, 8),
+    "beyond a wall": (grid([".#..", ".#..", ".#.."]), 0.1, 3),
+    "beyond the unknown": (grid([".?.."]), 0.1, 1),
+    "too narrow a gap": (grid([".#..", "....", ".#.."]), 0.6, 0),
+    "wide enough": (grid([".#..", "....", "....", "....", ".#.."]), 0.6, 5),
+}
+
+
+@pytest.mark.parametrize("case", REACH)
+def test_reachable(case):
+    occupancy, radius_m, cells = REACH[case]
+    allowed = reachable(occupancy, HERE, radius_m)
+    if case == "too narrow a gap":  # the gap is closed, and with it every cell beside the wall
+        assert not allowed[:, 1].any()
+    elif case == "wide enough":
+        assert allowed[2, 1]
+        assert allowed[:, 3].all()
+    else:
+        assert allowed.sum() == cells
+
+
+def test_far_from_all_free_ground_nothing_is_reachable():
+    assert not reachable(grid(["..."]), SE2(50.0, 0.0, 0.0), 0.1).any()
+
+
+def kinds(occupancy, xy_m, kind, pose=HERE, n=2):
+    return terrain.kinds_of_cells(
+        occupancy, pose, np.array(xy_m, np.float64).reshape(-1, 2), np.array(kind, np.int64), n
+    )
+
+
+def test_no_cells_and_no_points_have_no_kind():
+    assert kinds(NOWHERE, [], []).shape == (0, 0)
+    assert not kinds(grid(["..."]), [], []).any()
+
+
+def test_cells_are_of_the_kind_of_most_of_their_points():
+    far = SE2(-100.0, 0.0, 0.0)
+    row = grid(["....??" + "?" * 30])
+    got = kinds(row, [[0, 0], [0.1, 0], [-0.1, 0], [1.5, 0]], [1, 2, 2, 1], far)[0]
+    assert got[:4].tolist() == [2, 2, 1, 1], "between scan lines: the nearest"
+    assert not got[4:].any(), "unknown ground has none"
+
+
+def test_points_of_things_vote_against_ground():
+    got = kinds(grid(["...."]), [[0, 0], [0.1, 0], [0, 0.1]], [1, 0, 0], SE2(-100, 0, 0))
+    assert got[0, 0] == 0
+
+
+def test_the_robot_stands_on_what_is_most_around_it():
+    row = grid(["." * 20])
+    got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [1] * 7 + [2] * 2, SE2(1.0, 0, 0))
+    assert (got[0, :10] == 1).all()
+
+
+def test_no_ground_no_regions():
+    regions, cells = regions_of(NOWHERE, np.zeros((0, 0), np.uint8), ["road"])
+    assert regions == {}
+    assert cells.cells.shape == (0, 0)
+
+
+def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
+    occupancy = grid(["........"] * 3 + ["########"] + ["........"] * 4, 1.0)
+    kind = np.ones((8, 8), np.uint8)
+    kind[:, 6:] = 2
+    regions, cells = regions_of(occupancy, kind, ["road", "sidewalk"])
+    assert [(r.label, r.area_m2) for r in regions.values()] == [
+        ("road", 24.0), ("road", 18.0), ("sidewalk", 8.0), ("sidewalk", 6.0),
+    ]  # fmt: skip
+    assert list(regions) == [1, 2, 3, 4]
+    for i, region in regions.items():
+        assert (cells.cells == i).sum() == region.area_m2
+        assert set(kind[cells.cells == i]) == {["road", "sidewalk"].index(region.label) + 1}
+    assert not cells.cells[occupancy.cells == 100].any()
+
+
+def test_small_pieces_are_no_regions():
+    kind = np.array([[1, 0, 0, 1, 1, 1]], np.uint8)
+    regions, _ = regions_of(grid(["......"], 1.0), kind, ["road"])
+    assert [r.area_m2 for r in regions.values()] == [3.0]
+
+
+def nearest_twin(points, regions, allowed):
+    out = {}
+    for i in np.unique(regions.cells[regions.cells > 0]):
+        rows, columns = np.nonzero((regions.cells == i) & allowed)
+        if len(rows):
+            middles = regions.centres_m(rows, columns)
+            cells = np.floor(regions.of_metres(points[:, :2])) + 0.5
+            d = np.linalg.norm(middles[:, None] - regions.to_metres(cells)[None], axis=2).min(1)
+            out[int(i)] = d.min()
+    return out
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_nearest_points_agree_with_their_twin(seed):
+    random = np.random.default_rng(seed)
+    regions = Grid(random.integers(0, 4, (9, 12)).astype(np.uint8), (-1.0, 2.0), 0.5)
+    allowed = random.random((9, 12)) < 0.5
+    points = random.uniform(-4, 8, (5, 3))
+    got = terrain.nearest_points(points, regions, allowed)
+    expected = nearest_twin(points, regions, allowed)
+    assert set(got) == set(expected)
+    cells = regions.to_metres(np.floor(regions.of_metres(points[:, :2])) + 0.5)
+    for i, (x_m, y_m) in got.items():
+        row, column = regions.cell_of(x_m, y_m)
+        assert regions.cells[row, column] == i
+        assert allowed[row, column]
+        assert np.linalg.norm(cells - (x_m, y_m), axis=1).min() == pytest.approx(expected[i])
+
+
+def test_no_points_no_nearest():
+    regions = Grid(np.ones((2, 2), np.uint8), (0, 0), 1.0)
+    assert terrain.nearest_points(np.zeros((0, 3)), regions, np.ones((2, 2), np.bool_)) == {}
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_ground_agrees_with_its_twins(seed):
+    random = np.random.default_rng(seed)
+    points = random.uniform((-4, -4, -0.3), (4, 4, 0.6), (60, 3)).astype(np.float32)
+    points[random.random(60) < 0.1] = np.nan
+    low = np.empty((12, 10), np.float32)
+    kernels.lowest(points, -3.0, -3.0, CELL_M, low)
+    np.testing.assert_array_equal(low, lowest_twin(points, -3.0, -3.0, low.shape))
+    ground, known = np.empty_like(low), np.empty(low.shape, np.bool_)
+    kernels.grow_ground(low, 5, 4, 0.0, STEP_M, SLOPE, CELL_M, 2, ground, known)
+    for r, c in zip(*np.nonzero(known), strict=True):
+        if (r, c) != (5, 4):
+            assert ground[r, c] == low[r, c]
+            assert any(
+                continues(low, ground, known, r, c, y, x)
+                for y in range(max(r - 2, 0), min(r + 3, 12))
+                for x in range(max(c - 2, 0), min(c + 3, 10))
+            )
+    for r, c in zip(*np.nonzero(~known & np.isfinite(low)), strict=True):
+        assert not any(
+            continues(low, ground, known, r, c, y, x)
+            for y in range(max(r - 2, 0), min(r + 3, 12))
+            for x in range(max(c - 2, 0), min(c + 3, 10))
+        )
+    assert np.isin(ground, ground[known]).all(), "filled with heights of ground"
+
+
+def continues(low, ground, known, r, c, y, x):
+    """Whether cell (r, c) is ground beside the ground in (y, x)."""
+    if not known[y, x] or (y, x) == (r, c):
+        return False
+    away_m = CELL_M * np.hypot(y - r, x - c)
+    return abs(float(low[r, c]) - float(ground[y, x])) <= STEP_M + SLOPE * away_m
+
+
+def lowest_twin(points, x0_m, y0_m, shape):
+    out = np.full(shape, np.inf, np.float32)
+    for x, y, z in points[np.isfinite(points).all(axis=1)]:
+        c, r = (x - x0_m) / CELL_M, (y - y0_m) / CELL_M
+        if 0 <= c < shape[1] and 0 <= r < shape[0]:
+            out[int(r), int(c)] = min(out[int(r), int(c)], z)
+    return out
