@@ -13,10 +13,10 @@ from importlib import resources
 from typing import Any
 
 import cv2
-import numpy as np
 
 from edge.config import TrajectoryLimits
 from edge.tasks.functions import described
+from edge.tasks.picture import annotated
 from edge.tasks.scene import Scene
 from edge.text import one_line
 
@@ -24,7 +24,6 @@ MOST_OBJECTS = 80
 MOST_INSTRUCTION_CHARS = 2000
 MOST_SIDE_PX = 1280
 JPEG_QUALITY = 85
-_GOLDEN = 0.618034  # hues that far apart, of a full turn, stay apart however many there are
 
 
 @cache
@@ -97,38 +96,11 @@ def picture(scene: Scene) -> bytes | None:
     Returns:
         None where the scene has no picture.
     """
-    if scene.rgb is None:
+    image = annotated(scene, MOST_SIDE_PX)
+    if image is None:
         return None
-    bgr = cv2.cvtColor(scene.rgb, cv2.COLOR_RGB2BGR)
-    scale = min(1.0, MOST_SIDE_PX / max(bgr.shape[:2]))
-    if scale < 1.0:
-        bgr = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    for thing, polygons in scene.contours.items():
-        outlines = [np.rint(polygon * scale).astype(np.int32) for polygon in polygons]
-        cv2.polylines(bgr, outlines, True, _colour(thing), 2, cv2.LINE_AA)
-    for thing, polygons in scene.contours.items():  # above every line
-        if polygons:
-            _number(bgr, thing, max(polygons, key=cv2.contourArea) * scale)
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     ok, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not ok:
-        raise ValueError(f"the picture, {scene.rgb.shape}, cannot be written as JPEG")
+        raise ValueError(f"the picture, {image.shape}, cannot be written as JPEG")
     return jpeg.tobytes()
-
-
-def _number(bgr: np.ndarray, number: int, outline: np.ndarray) -> None:
-    """Draws an object's number on a plate above its outline, inside the picture."""
-    font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1
-    (w, h), _ = cv2.getTextSize(str(number), font, size, thick)
-    height, width = bgr.shape[:2]
-    (x0, y0), (x1, _) = outline.min(axis=0), outline.max(axis=0)
-    left = int(np.clip((x0 + x1 - w) / 2, 2, max(width - w - 2, 2)))
-    bottom = int(np.clip(y0 - 5, h + 2, max(height - 3, h + 2)))
-    cv2.rectangle(bgr, (left - 2, bottom - h - 2), (left + w + 2, bottom + 3), (0, 0, 0), -1)
-    cv2.putText(bgr, str(number), (left, bottom), font, size, _colour(number), thick, cv2.LINE_AA)
-
-
-def _colour(number: int) -> tuple[int, int, int]:
-    """A bright colour (BGR) of an object's own."""
-    hsv = np.array([[[int(180 * (number * _GOLDEN % 1.0)), 200, 255]]], np.uint8)
-    blue, green, red = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].tolist()
-    return blue, green, red
