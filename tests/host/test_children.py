@@ -11,6 +11,7 @@ from edge.errors import UserError
 from edge.host import children
 from edge.host.children import python_module
 from edge.models.bench import compare
+from edge.models.bench.alone import run_alone
 from edge.perception.process import link
 
 
@@ -43,6 +44,8 @@ def test_every_child_is_started_so(monkeypatch):
         launch.children(settings, threading.Event(), ("motion",)),
     ):
         raise AssertionError
+    with pytest.raises(OSError, match="No such file"):
+        run_alone(compare.MEASURE, None, 1.0)
     assert tuple(started[0][:5]) == python_module("edge.cli")
+    assert tuple(started[1][:5]) == python_module(compare.MEASURE)
     assert python_module("edge.perception.process.serve") == link.PROGRAM
-    assert python_module("edge.models.bench.measure") == compare.MEASURE
