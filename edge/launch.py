@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import BinaryIO
@@ -26,6 +26,7 @@ from edge.host.children import python_module
 from edge.host.interruptible import raise_if_stopped, unless_stopped
 from edge.host.memory import trimmed
 from edge.host.ports import free_port
+from edge.host.repeated import repeated
 from edge.loop import requests
 from edge.loop.keeper import Keeper
 from edge.loop.result import Sink
@@ -249,24 +250,16 @@ def _in_memory(config: Config) -> BinaryIO:
     return file
 
 
-@contextmanager
-def _watched(started: list[subprocess.Popen[bytes]], stop: threading.Event) -> Iterator[None]:
+def _watched(
+    started: list[subprocess.Popen[bytes]], stop: threading.Event
+) -> AbstractContextManager[None]:
     """Sets `stop` as soon as one of the processes ends."""
-    over = threading.Event()
 
-    def watch() -> None:
-        while not over.wait(_CHILD_LOOK_S):
-            if any(child.poll() is not None for child in started):
-                stop.set()
-                return
+    def look() -> None:
+        if any(child.poll() is not None for child in started):
+            stop.set()
 
-    thread = threading.Thread(target=watch, name="children", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return repeated("children", _CHILD_LOOK_S, look)
 
 
 def _check(names: list[str], started: list[subprocess.Popen[bytes]]) -> None:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+
+from edge.host.repeated import repeated
 
 EVERY_S = 60.0
 
 
-@contextmanager
-def trimmed(every_s: float = EVERY_S) -> Iterator[None]:
+def trimmed(every_s: float = EVERY_S) -> AbstractContextManager[None]:
     """While the block lasts, memory that was freed goes back to the system now and then.
 
     glibc keeps what is freed between blocks that are still in use, and lets ever larger blocks
@@ -20,19 +20,4 @@ def trimmed(every_s: float = EVERY_S) -> Iterator[None]:
     `malloc_trim`: nothing is done there.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is None:
-        yield
-        return
-    over = threading.Event()
-
-    def again() -> None:
-        while not over.wait(every_s):
-            trim(0)
-
-    thread = threading.Thread(target=again, name="memory", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return nullcontext() if trim is None else repeated("memory", every_s, partial(trim, 0))

@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+import threading
+
+from patience import eventually
+
+from edge.host.repeated import repeated
+
+
+def test_a_block_that_is_over_before_the_first_time_does_nothing():
+    done = []
+    with repeated("work", 1e6, lambda: done.append(1)):
+        pass
+    assert not done
+
+
+def test_it_is_done_again_and_again_until_the_block_ends():
+    done = []
+    with repeated("work", 1e-4, lambda: done.append(threading.current_thread().name)):
+        eventually(lambda: len(done) >= 3)
+    assert set(done) == {"work"}
+    assert "work" not in {thread.name for thread in threading.enumerate()}
