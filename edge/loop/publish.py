@@ -107,6 +107,7 @@ class Publisher:
             inputs=tuple(self._journal.pending),
             detections=self.detections,
             mission=cache(partial(facts_of, mission)),
+            task=lambda: None,
             instances=cache(
                 lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
             ),

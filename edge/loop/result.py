@@ -16,6 +16,7 @@ from edge.mission.planning.plan import Knowledge, Plan
 from edge.mission.run import MissionRun
 from edge.perception.choice.question import Choice
 from edge.policies.base import Candidates
+from edge.tasks.facts import TaskFacts
 from edge.types import Detections, Goal, GoalStatus, Instance, MissionStatus, Observation, Step
 
 VALUE_LAYER = "value of "
@@ -91,7 +92,7 @@ class TickResult:
     """All that a sink may know of a tick, or of a moment in which there was nothing to see.
 
     What is dear to gather is to be called for, in `Sink.tick` or after the loop's end: `mission`,
-    `instances`, `frontiers`, `candidates` and `way` say the same from their first call on;
+    `task`, `instances`, `frontiers`, `candidates` and `way` say the same from their first call on;
     `known_m2`, `snapshot`, `layers`, `latency`, `spans` and `health` tell how things stand at each.
     Only `snapshot`, `latency`, `spans` and what `layers` holds may be called at other times, by
     another thread.
@@ -108,6 +109,7 @@ class TickResult:
         inputs: what came into the loop from beside it, likewise.
         detections: what came in, with its frame, valid until `Sink.tick` returns; None: nothing.
         mission: the mission's state, plan and story.
+        task: how a task's trajectory came about, and how far it is driven; None: there is no task.
         instances: those of all targets that are worth driving to, best first a target; one that
             answers to two targets stands twice. They are copies, whose arrays nobody writes to.
         frontiers: (n, 2) float32 in `map`, a copy.
@@ -135,6 +137,7 @@ class TickResult:
     inputs: tuple[Input, ...]
     detections: Detections | None
     mission: Callable[[], MissionFacts]
+    task: Callable[[], TaskFacts | None]
     instances: Callable[[], list[Instance]]
     frontiers: Callable[[], np.ndarray]
     candidates: Callable[[], ScoredCandidates]
