@@ -33,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         action.add_argument("config", help="YAML file, or the name of a ready configuration")
         if verb == "new":
             action.add_argument("text", help="an instruction for mission.translator")
-            action.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+            kind = action.add_mutually_exclusive_group()
+            kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+            kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
         action.add_argument(
             "--timeout", type=_seconds, metavar="S", default=NEW_S if verb == "new" else ANSWER_S,
             help="how long to wait for the answer; default: %(default)g",
@@ -56,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
     settings = load(args.config).zenoh
     request = {"do": args.do}
     if args.do == "new":
-        request["formula" if args.formula else "instruction"] = args.text
+        kind = "formula" if args.formula else "task" if args.task else "instruction"
+        request[kind] = args.text
     key = settings.key(topics.MISSION_REQUEST)
     with client.connect(settings, args.timeout, "mission") as session:
         answer = client.ask(session, key, request, args.timeout, "mission")
