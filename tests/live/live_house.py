@@ -25,7 +25,7 @@ from edge.loop import requests
 from edge.loop.result import TickResult
 from edge.loop.runner import Running, loop
 from edge.loop.vitals import PROBES, Vitals
-from edge.mission.brief import prepare
+from edge.tasks.brief import prepared
 from edge.tasks.facts import TaskFacts
 from edge.types import GoalStatus, Observation
 
@@ -129,7 +129,7 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     queues = {
         key: RequestQueue(key, verbs, handle)
         for key, (verbs, handle) in requests.served(
-            closed.service, partial(prepare, config.mission)
+            closed.service, partial(prepared, config)
         ).items()
     }
     known = None if token is None else Token(token.encode())
