@@ -5,7 +5,7 @@ rule where the paper has them drawn by hand.
 |---|---|
 | go to A, stop at A | to where one stops at A: of the points from which nothing stands before A and that are about as near to it as the nearest (`ABOUT_M`), the one nearest to where one comes from |
 | drive past the left of A, then stop at B | by a point abeam of A, on the side that the robot sees to the left of A as it stands at first; then as to B |
-| go around the left of A, then stop at B | along an arc from that side of A to behind it; then as to B |
+| go around the left of A, then stop at B, where B is behind A or on its other side | along an arc past that side of A, until B is abeam; then as to B |
 | go to A, then stop at B | as to A, then as to B |
 
 Beside A means `ASIDE_M` between it and the robot. From point to point it is the cheapest way for one
@@ -51,8 +51,11 @@ ESCAPE_M = 1.0
 _AHEAD_RAD = math.radians(60.0)  # how far aside a task's things are
 _ASIDE_RAD = math.radians(8.0)  # nearer to straight ahead, nobody says left or right
 _APART_M = 1.0  # in distance, of things that are counted
-_PAST_RAD, _AROUND_RAD = (90.0,), (60.0, 90.0, 120.0, 150.0, 180.0)  # degrees, see `_beside`
+_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # where what comes next is, see `_beside`
 _ORDER = ("nearest", "second", "third")
+# Who looks at a thing has its left to his left: clockwise as the thing looks back.
+_TURN = {"left": -1.0, "right": 1.0}
 _LEAST_LEG_M = 3.0
 _OWN_CELLS = 1.5  # how far the map may have a thing beyond its outline
 
@@ -230,11 +233,16 @@ def _segments(
         way = [_stop(place, last, here)]
     elif kind == "then":
         way = [_stop(place, first, here)]
-    elif kind == "past" and _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
-        return ()
+    elif kind == "past":
+        if _seen(place, last)[1] < _seen(place, first)[1] + _LEAST_LEG_M:
+            return ()
+        way = [_beside(place, first, side, math.pi / 2)[None]]
     else:
-        degrees = _PAST_RAD if kind == "past" else _AROUND_RAD
-        way = [np.array([_beside(place, first, side, math.radians(d)) for d in degrees])]
+        until_rad = _turn_rad(place, first, side, last.at_m)
+        if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
+            return ()
+        angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
+        way = [np.array([_beside(place, first, side, angle) for angle in angles_rad])]
     if kind != "to" and way[0] is not None:
         way.append(_stop(place, last, way[0][-1]))
     if any(points is None for points in way):
@@ -247,12 +255,21 @@ def _segments(
 def _beside(place: Place, thing: Thing, side: str, angle_rad: float) -> np.ndarray:
     """A point `ASIDE_M` off a thing; seen from it, it lies at an angle from the robot: 0 before it,
     a right angle on its side, pi behind it."""
-    back = math.atan2(*(np.array([place.pose.y_m, place.pose.x_m]) - thing.at_m[::-1]))
-    # Who looks at the thing has its left to his left: clockwise as the thing looks back.
-    toward = back - angle_rad if side == "left" else back + angle_rad
+    toward = _back_rad(place, thing) + _TURN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
     reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
     return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
+
+
+def _turn_rad(place: Place, thing: Thing, side: str, at_m: np.ndarray) -> float:
+    """The angle of `_beside` at which a point lies, in [0, 2 pi)."""
+    toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
+    return (_TURN[side] * (toward - _back_rad(place, thing))) % math.tau
+
+
+def _back_rad(place: Place, thing: Thing) -> float:
+    """The direction from a thing to where the robot stands at first."""
+    return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
 
 
 def _stop(place: Place, thing: Thing, from_m: np.ndarray) -> np.ndarray | None:
