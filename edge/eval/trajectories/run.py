@@ -1,4 +1,4 @@
-"""`edge eval trajectories`: methods on the same episodes; what is there already is not run again."""
+"""`edge eval trajectories`: methods on the same episodes; what is there is not run again."""
 
 from __future__ import annotations
 
