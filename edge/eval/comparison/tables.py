@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
@@ -47,6 +47,19 @@ class Table(NamedTuple):
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+
+
+class Shown(NamedTuple):
+    """What a section of a document shows.
+
+    Attributes:
+        words: how much was run.
+        images: by the plot's name, what it shows and the content of its PNG.
+    """
+
+    words: str
+    tables: Sequence[Table]
+    images: Mapping[str, tuple[str, bytes]]
 
 
 def tables(comparison: Comparison) -> list[Table]:

@@ -24,6 +24,7 @@ from edge.geometry import Grid
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance of the points of a path that is kept
 _OUTLINE_M = 0.1
+_FINER = 4  # outlines lead through the middles of cells, which are so many times smaller for it
 _MARGIN_M = 4.0  # around a reference, what stands there is kept
 
 Polyline = list[list[float]]
@@ -200,13 +201,11 @@ def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
     shape = grid.cells.shape[::-1]
     x0, y0 = np.clip(np.floor(grid.of_metres(low)), 0, shape).astype(int)
     x1, y1 = np.clip(np.ceil(grid.of_metres(high)), 0, shape).astype(int)
-    cells = np.pad((grid.cells[y0:y1, x0:x1] > 0).astype(np.uint8), 1)
+    cells = np.kron(grid.cells[y0:y1, x0:x1] > 0, np.ones((_FINER, _FINER), np.uint8))
     lines, _ = cv2.findContours(cells, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    tolerance = _OUTLINE_M / grid.resolution_m
-    return [
-        grid.to_metres(cv2.approxPolyDP(line, tolerance, True)[:, 0] + (x0 - 0.5, y0 - 0.5))
-        for line in lines
-    ]
+    tolerance = _FINER * _OUTLINE_M / grid.resolution_m
+    rounded = (cv2.approxPolyDP(line, tolerance, True)[:, 0] for line in lines)
+    return [grid.to_metres((line + 0.5) / _FINER + (x0, y0)) for line in rounded]
 
 
 def _plain(points_m: np.ndarray | Sequence) -> Polyline:
