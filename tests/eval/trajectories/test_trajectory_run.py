@@ -15,7 +15,7 @@ from edge.errors import UnavailableError, UserError
 from edge.eval.trajectories import methods
 from edge.eval.trajectories.episodes import episodes
 from edge.eval.trajectories.methods import METHODS, make, methods_of
-from edge.eval.trajectories.outcomes import Folder, gather
+from edge.eval.trajectories.outcomes import Folder, gather, outcome_of
 from edge.eval.trajectories.run import run_all
 
 RULES = Tasks()
@@ -53,16 +53,11 @@ def test_each_method_does_what_it_is_told():
 
 
 def test_without_a_map_ways_lead_through_things():
-    made = make(episode("go to the gate"), ["vlt_code", "ours"], RULES)
-    outcome = {name: methods_outcome(name, one) for name, one in made.items()}
-    assert outcome["vlt_code"].contacts > 0
-    assert outcome["ours"].contacts == 0
-
-
-def methods_outcome(name, made):
-    from edge.eval.trajectories.outcomes import outcome_of
-
-    return outcome_of(episode("go to the gate"), name, "rules", made)
+    there = episode("go to the gate")
+    made = make(there, ["vlt_code", "ours"], RULES)
+    straight, ours = (outcome_of(there, name, "rules", one) for name, one in made.items())
+    assert straight.contacts > 0
+    assert ours.contacts == 0
 
 
 def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
@@ -110,7 +105,7 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
 
 def test_a_server_that_is_not_there_ends_it(tmp_path):
     config = Tasks(planner=WriterModel(url="http://127.0.0.1:9/v1"))
-    with pytest.raises(UnavailableError, match="127.0.0.1:9"):
+    with pytest.raises(UnavailableError, match=r"127\.0\.0\.1:9"):
         run_all([episode(PAST)], ["ours"], config, Folder(tmp_path))
     assert Folder(tmp_path).outcomes == {}
 
@@ -138,7 +133,7 @@ def test_places_that_are_none_are_told_in_a_line(spec, words):
         (["--methods", "our"], "no 'our' (there are: ours; "),
         (["--methods", "llm_tg"], "the rules see no picture"),
         (["--model", "x"], "say with --url"),
-        (["--url", "nonsense"], "url"),
+        (["--url", "nonsense"], "not the URL of a chat server"),
     ],
 )
 def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, words):
