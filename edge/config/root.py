@@ -18,6 +18,7 @@ from edge.config.robot import Motion, Robot, Sensors
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim
+from edge.config.tasks import Tasks
 from edge.config.yaml_text import parse_yaml, read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
@@ -49,6 +50,7 @@ class Config(Section):
     perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
+    tasks: Tasks = Tasks()
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
