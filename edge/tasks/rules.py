@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -108,7 +108,7 @@ def carry_out(instruction: str, functions: Functions) -> str:
     return "; ".join(map(str, steps))
 
 
-def read(instruction: str, scene: Scene) -> list[Step]:
+def read(instruction: str, scene: Scene | _Unseen) -> list[Step]:
     """The steps of an instruction, at least one.
 
     Raises:
@@ -139,7 +139,41 @@ def read(instruction: str, scene: Scene) -> list[Step]:
     return steps[:-1]
 
 
-def _step(reader: Reader, scene: Scene, before: Sequence[Step]) -> Step:
+def named(instruction: str) -> tuple[str, ...]:
+    """What an instruction names, before anything of it was seen: its grammar alone is read.
+
+    Returns:
+        Names as they are said, in the singular, each thing once: of words before a noun that is
+        known, which only describe, nothing is left.
+
+    Raises:
+        TranslationError: it is not understood; it names the part.
+    """
+    unseen = _Unseen()
+    read(instruction, unseen)
+    return tuple(unseen.names.values())
+
+
+@dataclass(frozen=True, slots=True)
+class _Unseen:
+    """In the place of a scene: each name that is read stands for one thing.
+
+    Attributes:
+        names: those that were read, by the one name of what they stand for.
+    """
+
+    names: dict[str, str] = field(default_factory=dict)
+
+    def thing(self, words: Sequence[Token] = ()) -> SceneObject:
+        """What words stand for; without any, whatever has some number."""
+        if words:
+            nouns = list(names.head_nouns(" ".join(token.text for token in words)))
+            noun = names.singular(next(filter(names.is_known, nouns), nouns[0]))
+            self.names.setdefault(names.canonical(noun), noun)
+        return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
+
+
+def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
     verb = reader.take("go", "pass", "stop")
     reader.skip("first", "filler")
     if verb is None and not (before and reader.sees(*_RELATIONS)):
@@ -182,7 +216,7 @@ _RELATIONS = (
 )  # fmt: skip
 
 
-def _passing(reader: Reader, scene: Scene, before: Sequence[Step], kind: Kind) -> Step:
+def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kind: Kind) -> Step:
     """`past the left of the van`, `around the van on its left`, `past the van`."""
     side = reader.take("left of", "right of")
     thing = _thing(reader, scene, before)
@@ -190,7 +224,7 @@ def _passing(reader: Reader, scene: Scene, before: Sequence[Step], kind: Kind) -
     return Step(kind, (thing,), _SIDE_OF[side.kind] if side else "")
 
 
-def _two(reader: Reader, scene: Scene, before: Sequence[Step]) -> tuple[SceneObject, ...]:
+def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tuple[SceneObject, ...]:
     """`the van and the tree`, `the two cars`, `the cars`."""
     start = reader.peek()
     if reader.sees("article") and reader.sees("number", ahead=1) and reader.peek(1).text == "2":
@@ -200,7 +234,7 @@ def _two(reader: Reader, scene: Scene, before: Sequence[Step]) -> tuple[SceneObj
         found = [_only(found, reader, start), _thing(reader, scene, before)]
         if found[0] is found[1]:
             reader.refuse("it is the same thing twice", start)
-    if len(found) != 2:
+    if len(found) != 2 and isinstance(scene, Scene):
         reader.refuse(f"there are {len(found)} of them; name two: 'between … and …'", start)
     return tuple(found)
 
@@ -214,7 +248,7 @@ def _metres(reader: Reader) -> float:
     return float(token.text)
 
 
-def _thing(reader: Reader, scene: Scene, before: Sequence[Step]) -> SceneObject:
+def _thing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> SceneObject:
     """The one thing that the noun phrase here names."""
     start = reader.peek()
     return _only(_things(reader, scene, before), reader, start)
@@ -228,7 +262,7 @@ def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject
     return found[0]
 
 
-def _things(reader: Reader, scene: Scene, before: Sequence[Step]) -> list[SceneObject]:
+def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> list[SceneObject]:
     """What the noun phrase here may mean, at least one thing."""
     start = reader.peek()
     if token := reader.take("pronoun"):
@@ -243,6 +277,12 @@ def _things(reader: Reader, scene: Scene, before: Sequence[Step]) -> list[SceneO
         (words if token.kind == "word" else which).append(token)
     if not words:
         reader.refuse("expected the name of a thing", start)
+    if isinstance(scene, _Unseen):
+        found = [scene.thing(words)]
+        while token := reader.take(*_PLACES, "at"):
+            if token.kind == "at":
+                _thing(reader, scene, before)
+        return found
     found = _described(_named(reader, scene, words), reader, words)
     while token := reader.take(*_PLACES, "at"):
         if token.kind == "at":
@@ -257,8 +297,10 @@ def _things(reader: Reader, scene: Scene, before: Sequence[Step]) -> list[SceneO
     return found
 
 
-def _by_id(reader: Reader, scene: Scene, start: Token) -> SceneObject:
+def _by_id(reader: Reader, scene: Scene | _Unseen, start: Token) -> SceneObject:
     token = reader.take("number")
+    if isinstance(scene, _Unseen):
+        return scene.thing() if token else reader.refuse("say its number", start)
     thing = scene.objects.get(int(token.text)) if token and token.text.isdecimal() else None
     if thing is None:
         reader.refuse(f"no object has that number; there are {_listed(scene)}", start)

@@ -16,7 +16,7 @@ from edge.mission.language.words import TranslationError
 from edge.tasks.functions import Functions
 from edge.tasks.ground import ground_of
 from edge.tasks.phrases import PHRASES, tokenise
-from edge.tasks.rules import REACH_M, carry_out, read
+from edge.tasks.rules import REACH_M, carry_out, named, read
 from edge.tasks.trajectory import TrajectoryError
 
 LIMITS = TrajectoryLimits()
@@ -35,6 +35,48 @@ def driven(instruction, scene=SCENE):
 def test_nothing_is_no_instruction(instruction):
     with pytest.raises(TranslationError, match=r"^instruction, character "):
         read(instruction, SCENE)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "things"),
+    [
+        ("go straight for 3 metres", ()),
+        ("go to object 3", ()),
+        ("go around the left of the sofa, then stop at the desk", ("sofa", "desk")),
+        ("drive past the left of the red van and stop at it", ("red van",)),
+        ("go to the red car near the old office chair", ("car", "office chair")),
+        ("go between the two cars, then to the couch on the left and past the sofas",
+         ("car", "couch")),
+        ("go to the second TV set, then stop behind the nearest television", ("tv set",)),
+    ],
+)  # fmt: skip
+def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
+    assert named(instruction) == things
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    ["", "stop", "dance", "go by the van", "go to the", "go to it", "go to object", "go to 3",
+     "go to the van then", "stop at the van, then go to the gate", "go between the van and"],
+)  # fmt: skip
+def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
+    with pytest.raises(TranslationError, match=r"^instruction, character "):
+        named(instruction)
+
+
+@given(
+    st.lists(
+        st.sampled_from([*(x for v in PHRASES.values() for x in v.split("|")), "van", "3", ","]),
+        max_size=8,
+    ).map(" ".join)
+)
+def test_what_is_understood_in_a_scene_is_understood_before(instruction):
+    try:
+        steps = read(instruction, SCENE)
+    except TranslationError:
+        return
+    assert len(steps) >= 1
+    assert set(named(instruction)) <= {"van"}
 
 
 @pytest.mark.parametrize(
