@@ -7,7 +7,8 @@ import numpy as np
 from edge.bus.wire.transforms import encode_path
 from edge.geometry import SE2, Grid
 from edge.motion.pursuit import index_ahead, nearest_index
-from edge.tasks.refine import ESCAPE_M, Refined
+from edge.tasks.ground import ESCAPE_M
+from edge.tasks.refine import Refined
 from edge.tasks.value_map import closed_cells
 
 LOST_M = 3.0

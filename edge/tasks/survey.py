@@ -18,9 +18,11 @@ from edge.mapping.view import MapView
 from edge.tasks import terrain
 from edge.tasks.captions import in_words
 from edge.tasks.chain import Chain, see
+from edge.tasks.ground import reachable
 from edge.tasks.objects import MapObject, ObjectMap, box_around, first_in_voxels, main_cluster
 from edge.tasks.projection import points_of_masks
 from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import open_cells
 from edge.types import Detections, Instance, Observation
 
 OFF_GROUND_M = 0.15
@@ -44,7 +46,7 @@ class Survey:
 
     Args:
         mapping: of the occupancy map.
-        radius_m: the robot's; it gets no nearer to what is occupied.
+        radius_m: the robot's, or more: the clearance that its trajectories will have.
         ground_labels: kinds of ground that may be driven over, where semantics tell them; empty:
             free ground that is connected to the robot.
 
@@ -114,7 +116,7 @@ class Survey:
         """
         if self._newest is None:
             raise ValueError("a scene of no frames")
-        occupancy = as_seen(self.map)
+        occupancy = terrain.with_blind_spot(as_seen(self.map), self._newest.pose)
         kind, labels = None, self._ground_labels
         if labels:
             xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
@@ -147,7 +149,7 @@ def scene_of_map(
 
     Args:
         instances: become the objects, under their own ids.
-        radius_m: the robot's.
+        radius_m: see `Survey`.
         found: boxes of the same picture; those around an instance's middle are its contours.
         floor: what free ground is called.
     """
@@ -157,7 +159,7 @@ def scene_of_map(
         if len(one.points_m)
     ]
     contours = {} if found is None else _boxed(objects, found)
-    occupancy = as_seen(view)
+    occupancy = terrain.with_blind_spot(as_seen(view), observation.pose)
     return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
 
 
@@ -247,9 +249,9 @@ def _scene(
     gets nearest to each object."""
     pose = seen.pose
     if kind is None:
-        kind = terrain.reachable(occupancy, pose, 0.0).astype(np.uint8)
+        kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
     regions, cells = terrain.regions_of(occupancy, kind, labels)
-    allowed = terrain.reachable(occupancy, pose, radius_m)
+    allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
     described = {thing.id: _described(thing, pose, cells, allowed) for thing in objects}
     pictured = seen.rgb is not None and seen.camera is not None
     return Scene(
