@@ -240,7 +240,7 @@ def scene_of(
     """The scene of some frames, as it stands at the last.
 
     Args:
-        radius_m: of the robot that is to drive there.
+        radius_m: see `Survey`, of the robot that is to drive there.
         by_labels: see `kitti_scene`.
     """
     survey = Survey(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())

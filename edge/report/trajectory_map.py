@@ -29,7 +29,7 @@ _VALUES = {
     TUBE: ("around what was written", "#8ce99a"),
     DRIVABLE: ("ground that was chosen", "#d3f9d8"),
     HIGH: ("other ground", "#ffe8cc"),
-    0: ("closed", "#4a5361"),
+    0: ("closed: too near, or not seen", "#4a5361"),
 }
 _Box = tuple[float, float, float, float]
 

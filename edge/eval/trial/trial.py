@@ -80,7 +80,7 @@ def carry_out(instruction: str, view: View, config: Config) -> tuple[Outcome, Us
     try:
         written = write(instruction, view.scene, config.tasks, rounds.append)
         outcome = replace(outcome, written=written)
-        body = Body(max(config.robot.radius_m, config.tasks.trajectory.clearance_m))
+        body = Body(config.tasks.trajectory.clearance_m)
         limits = MotionLimits.of(config.robot)
         if (asked := written.coarse.speed_mps) is not None:
             limits = replace(limits, speed_mps=min(asked, limits.speed_mps))

@@ -69,12 +69,12 @@ def kitti_view(
             listed = ", ".join(map(str, there))
             raise ViewError(f"{folder}: no frame {number} with image, scan and labels ({listed})")
     frames = kitti.read_frames(folder, numbers)
-    radius_m = config.robot.radius_m
+    clearance_m = config.tasks.trajectory.clearance_m
     if words is None:
-        scene, by = kitti.scene_of(frames, kitti.oracle(frames), radius_m), "the labels"
+        scene, by = kitti.scene_of(frames, kitti.oracle(frames), clearance_m), "the labels"
     else:
         with _detector(config, words) as (chain, by):
-            scene = kitti.scene_of(frames, chain, radius_m)
+            scene = kitti.scene_of(frames, chain, clearance_m)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
@@ -111,7 +111,8 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
     truth = Segmentation(camera.ids, labels)
 
     def look(chain: Chain) -> Scene:
-        survey = Survey(chain, config.mapping, config.robot.radius_m, kinds)
+        clearance_m = config.tasks.trajectory.clearance_m
+        survey = Survey(chain, config.mapping, clearance_m, kinds)
         survey.add(seen, _ground_kind(drawn, kinds, cloud_m))
         return survey.scene()
 
