@@ -6,7 +6,6 @@ import argparse
 import os
 import re
 
-from edge import names
 from edge.chat import client_of
 from edge.config import Config, WriterModel, load
 from edge.eval.trial.files import Folder
@@ -14,11 +13,11 @@ from edge.eval.trial.trial import Outcome, carry_out
 from edge.eval.trial.views import View, ViewError, kitti_view, street_view
 from edge.host import resources
 from edge.tasks import rules
+from edge.tasks.brief import known_names
 from edge.tasks.write import check_instruction
 from edge.text import aligned, one_line
 
 _STREET = re.compile(r"street:(\d{1,9})")
-_LONGEST_NAME = 3
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,14 +73,7 @@ def _words(instruction: str, config: Config) -> tuple[str, ...]:
     known as the name of a thing."""
     if not isinstance(config.tasks.planner, WriterModel):
         return rules.named(instruction)
-    said = re.findall(r"[^\W\d_]+", instruction.lower())
-    phrases = (
-        " ".join(said[k : k + n])
-        for n in range(_LONGEST_NAME, 0, -1)
-        for k in range(len(said) - n + 1)
-    )
-    return tuple(dict.fromkeys(names.canonical(phrase) for phrase in phrases
-                               if names.is_known(phrase)))  # fmt: skip
+    return known_names(instruction)
 
 
 def _config(args: argparse.Namespace) -> Config:

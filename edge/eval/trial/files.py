@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import io
 import json
@@ -20,7 +19,7 @@ from edge.report import camera_picture, trajectory_map
 from edge.report.recorder import machine
 from edge.report.view3d import Line, coarse_and_refined, scene_page
 from edge.tasks.picture import annotated
-from edge.tasks.prompt import messages
+from edge.tasks.prompt import picture, prompt, words
 from edge.text import one_line
 
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
@@ -68,10 +67,10 @@ class Folder:
             half_m = outcome.config.robot.radius_m
             self._picture(CAMERA, camera_picture.drawn(scene, laid_m, poses_m, half_m))
         self._write(MAP, trajectory_map.png(scene, coarse_m, refined, outcome.costmap))
-        self._write(PAGE, _page(outcome, laid_m).encode("utf-8", errors="replace"))
+        self._write(PAGE, _bytes(_page(outcome, laid_m)))
         if refined is not None:
             text = json.dumps(as_json(outcome), indent=1, ensure_ascii=False)
-            self._write(JSON, text.encode("utf-8", errors="replace"))
+            self._write(JSON, _bytes(text))
             self._write(CSV, _csv(outcome).encode())
         if isinstance(outcome.config.tasks.planner, WriterModel):
             for name, content in _of_the_model(outcome).items():
@@ -142,28 +141,24 @@ def _page(outcome: Outcome, laid_m: np.ndarray | None) -> str:
 
 def _of_the_model(outcome: Outcome) -> dict[str, bytes]:
     """What the model was told and shown, and each of its answers, by file name."""
-    tasks = outcome.config.tasks
+    tasks, scene = outcome.config.tasks, outcome.view.scene
     assert isinstance(tasks.planner, WriterModel)
-    files: dict[str, bytes] = {}
-    told = []
-    talk = messages(
-        outcome.instruction, outcome.view.scene, tasks.trajectory, tasks.planner.picture
-    )
-    for message in talk:
-        content = message["content"]
-        for part in [{"text": content}] if isinstance(content, str) else content:
-            if "image_url" in part:
-                jpeg = part["image_url"]["url"].partition(",")[2]
-                files["picture.jpg"] = base64.b64decode(jpeg)
-            else:
-                told.append(f"{message['role'].upper()}\n\n{part['text']}")
-    files["prompt.txt"] = "\n\n".join(told).encode("utf-8", errors="replace")
+    told = words(outcome.instruction, scene, tasks.trajectory)
+    files = {"prompt.txt": _bytes(f"{prompt()}\n\n{told}\n")}
+    jpeg = picture(scene) if tasks.planner.picture else None
+    if jpeg is not None:
+        files["picture.jpg"] = jpeg
     for k, round in enumerate(outcome.rounds, start=1):
         kinds = {"answer": "txt", "code": "py", "printed": "txt", "error": "txt"}
         for name, text in asdict(round).items():
             if text:
-                files[f"round-{k}-{name}.{kinds[name]}"] = text.encode("utf-8", errors="replace")
+                files[f"round-{k}-{name}.{kinds[name]}"] = _bytes(text)
     return files
+
+
+def _bytes(text: str) -> bytes:
+    """Of a text that may hold what UTF-8 has not: a model's answer, a command line."""
+    return text.encode("utf-8", errors="replace")
 
 
 def _rounded(values: np.ndarray) -> list:
