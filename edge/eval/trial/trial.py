@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from edge.config import Config, WriterModel
@@ -105,11 +106,23 @@ def laid_down(refined: Refined, view: View) -> Refined:
 
 def ground_heights_m(view: View, xy_m: np.ndarray) -> np.ndarray:
     """(n,) float64 of the ground in `map` at points (n, 2), as the LiDAR saw it around the robot;
-    where it did not, of what is nearest to there."""
-    pose = view.scene.pose
+    where it did not, of what is nearest to there.
+
+    Only ground that nothing stands on counts: the ground of `terrain` may climb a bonnet.
+    """
+    scene, pose = view.scene, view.scene.pose
     ground = terrain.ground_around(
         view.cloud_m, pose.x_m, pose.y_m, view.base_z_m, GROUND_RANGE_M
-    ).height_m
-    column, row = np.floor(ground.of_metres(xy_m)).astype(np.int64).T
-    h, w = ground.cells.shape
-    return ground.cells[row.clip(0, h - 1), column.clip(0, w - 1)].astype(np.float64)
+    )  # fmt: skip
+    rows, columns = np.nonzero(ground.seen.cells)
+    centres_m = ground.seen.centres_m(rows, columns)
+    at = np.floor(scene.occupancy.of_metres(centres_m)).astype(np.int64)
+    h, w = scene.occupancy.cells.shape
+    inside = ((at >= 0) & (at < (w, h))).all(axis=1)
+    near = cv2.dilate((scene.occupancy.cells > 0).astype(np.uint8), np.ones((7, 7), np.uint8))
+    inside[inside] = near[at[inside, 1], at[inside, 0]] == 0
+    if not inside.any():
+        return np.full(len(xy_m), view.base_z_m)
+    known_m, height_m = centres_m[inside], ground.height_m.cells[rows, columns][inside]
+    nearest = [int(np.argmin(((known_m - point) ** 2).sum(axis=1))) for point in xy_m]
+    return height_m[nearest].astype(np.float64)
