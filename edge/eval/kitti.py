@@ -230,13 +230,31 @@ def kitti_scene(
     Raises:
         KittiError: see `read_frame`; `numbers` is empty.
     """
+    frames = read_frames(folder, numbers)
+    return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
+
+
+def read_frames(folder: Path, numbers: Sequence[int]) -> list[Frame]:
+    """Some frames of a sequence.
+
+    Raises:
+        KittiError: see `read_frame`; `numbers` is empty.
+    """
     if not numbers:
         raise KittiError(f"{folder}: no frame chosen (there are {frames_in(folder)})")
-    frames = [read_frame(folder, number) for number in numbers]
-    survey = Survey(
-        oracle(frames) if chain is None else chain, OUTDOORS, CAR_RADIUS_M,
-        GROUND_LABELS if by_labels else (),
-    )  # fmt: skip
+    return [read_frame(folder, number) for number in numbers]
+
+
+def scene_of(
+    frames: Sequence[Frame], chain: Chain, radius_m: float, by_labels: bool = True
+) -> Scene:
+    """The scene of some frames, as it stands at the last.
+
+    Args:
+        radius_m: see `Survey`, of the robot that is to drive there.
+        by_labels: see `kitti_scene`.
+    """
+    survey = Survey(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         survey.add(frame.observation, frame.ground_kind if by_labels else None)
     return survey.scene()

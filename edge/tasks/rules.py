@@ -29,7 +29,8 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2
 from edge.mission.language.words import Reader, Token
-from edge.tasks.functions import BESIDE_M, SIDES_RAD, CallError, Functions, Point, beside
+from edge.tasks.functions import BESIDE_M, SIDES_RAD, CallError, Functions, Point
+from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.trajectory import TrajectoryError
@@ -39,12 +40,8 @@ ASIDE_RAD = math.radians(5)
 """What is nearer to straight ahead is neither on the left nor on the right."""
 AHEAD_RAD = math.radians(45)
 NEAR_M = 3.0
-REACH_M = 5.0
-"""Who is told to go to a thing must get so near to its outline."""
 SNAP_M = 1.0
 """How far a point of a way may be moved to where the robot can be."""
-OUTLINE_CELLS = 1.5
-"""How far the map may have a thing beyond its outline."""
 BEYOND_RAD = math.radians(45)
 """A thing is past when it is so far behind the side that the robot passes it on."""
 
@@ -104,8 +101,16 @@ def carry_out(instruction: str, functions: Functions) -> str:
         if (x0, y0) != (x1, y1):
             heading_rad = math.atan2(y1 - y0, x1 - x0)
     regions = {functions.region_at(at) for segment in segments for at in segment} - {0}
-    functions.give_trajectory(segments, sorted(regions))
+    functions.give_trajectory(segments, sorted(regions), heading_rad=_facing(steps[-1], here))
     return "; ".join(map(str, steps))
+
+
+def _facing(last: Step, at: Point) -> float | None:
+    """The direction in which the robot looks at the end: at what it was sent to."""
+    if last.kind not in ("to", "beside") or at == _centre(last.things[0]):
+        return None
+    (x, y), (tx, ty) = at, _centre(last.things[0])
+    return math.atan2(ty - y, tx - x)
 
 
 def read(instruction: str, scene: Scene | _Unseen) -> list[Step]:
@@ -205,7 +210,6 @@ def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Ste
     )
 
 
-_ALL_ROUND_RAD = tuple(math.radians(15) * k for k in range(24))
 _OF = {"left": " of", "right": " of"}
 _SIDE_OF = {
     "left of": "left", "its left": "left", "right of": "right", "its right": "right",
@@ -287,7 +291,7 @@ def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> l
     while token := reader.take(*_PLACES, "at"):
         if token.kind == "at":
             other = _thing(reader, scene, before)
-            found = _kept(found, lambda t, o=other: t is not o and _gap_m(t, o) <= NEAR_M)
+            found = _kept(found, lambda t, o=other: t is not o and _gap_m(scene, t, o) <= NEAR_M)
         else:
             found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
@@ -371,11 +375,11 @@ def _segment(
                 raise CallError(f"the way straight on is blocked after {gone_m:.1f} m")
             return [way]
         case "to":
-            points = [_nearest_to(step.things[0], functions)]
+            points = [functions.stopping_point(step.things[0].id, at)]
         case "beside":
             points = [_beside(step.things[0], step.side, at, functions)]
         case "between":
-            middle = functions.ground.nearest(*_middle(*step.things), within_m=SNAP_M)
+            middle = functions.ground.nearest(*_middle(step, functions), within_m=SNAP_M)
             if middle is None:
                 raise CallError(f"{step} is no room for the robot")
             points = [middle]
@@ -423,7 +427,7 @@ def _beside_points(
         if step.kind == "past" and behind_rad < math.pi / 2 - BEYOND_RAD - 1e-6:
             break
         snapped = functions.ground.nearest(*point, within_m=SNAP_M)
-        if snapped is not None and _faces(thing, snapped, functions):
+        if snapped is not None and functions.ground.faces(thing, snapped):
             points.append(snapped)
     return points
 
@@ -436,24 +440,6 @@ def _through(at: Point, points: Sequence[Point], functions: Functions) -> list[P
     return way
 
 
-def _nearest_to(thing: SceneObject, functions: Functions) -> Point:
-    """Where the robot gets nearest to a thing: on drivable ground as the scene tells it, else round
-    its outline; where nothing is in between, if there is such a place."""
-    ground, centre = functions.ground, _centre(thing)
-    known = [at for at in thing.nearest_m.values() if ground.is_free(*at)]
-    if not known:
-        ring = (beside(thing, angle_rad, 0.0) for angle_rad in _ALL_ROUND_RAD)
-        known = [at for near in ring if (at := ground.nearest(*near, within_m=REACH_M))]
-    if not known:
-        raise CallError(f"the robot gets no nearer to {_called(thing)} than {REACH_M:g} m")
-    facing = [at for at in known if _faces(thing, at, functions)]
-    found = min(facing or known, key=lambda at: math.dist(at, centre))
-    gap_m = math.dist(found, beside(thing, functions.heading(centre, found), 0.0))
-    if gap_m > REACH_M:
-        raise CallError(f"the robot gets no nearer to {_called(thing)} than {gap_m:.1f} m")
-    return found
-
-
 def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Functions) -> Point:
     """Where the robot can be on a side of a thing, with nothing in between: at `BESIDE_M` from it,
     or nearer."""
@@ -461,31 +447,19 @@ def _beside(thing: SceneObject, side: str, seen_from: Point, functions: Function
     for distance_m in (BESIDE_M, 0.6 * BESIDE_M, 0.3 * BESIDE_M):
         wanted = functions.offset(thing.id, side, distance_m, seen_from)
         found = functions.ground.nearest(*wanted, within_m=SNAP_M)
-        if found is not None and _faces(thing, found, functions):
+        if found is not None and functions.ground.faces(thing, found):
             away = SE2(*_centre(thing), looking_rad + SIDES_RAD[side])
             if abs(away.bearing_to(*found)) < math.pi / 2:
                 return found
     raise CallError(f"there is no room for the robot {side}{_OF.get(side, '')} {_called(thing)}")
 
 
-def _faces(thing: SceneObject, at: Point, functions: Functions) -> bool:
-    """Whether nothing stands between a point and a thing's outline."""
-    margin_m = OUTLINE_CELLS * functions.ground.scene.occupancy.resolution_m
-    centre = np.array(_centre(thing))
-    c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
-    along, across = np.array([[c, s], [-s, c]]) @ (at - centre)
-    half_m = 0.5 * thing.size_m[:2] + margin_m
-    boxes = max(abs(along) / half_m[0], abs(across) / half_m[1])  # 1 on the outline
-    if boxes <= 1.0:
-        return True
-    return functions.ground.sees(at, tuple(centre + (at - centre) / boxes))
-
-
-def _middle(a: SceneObject, b: SceneObject) -> Point:
+def _middle(step: Step, functions: Functions) -> Point:
     """Half way between the outlines of two things."""
-    (ax, ay), (bx, by) = _centre(a), _centre(b)
-    angle_rad = math.atan2(by - ay, bx - ax)
-    (px, py), (qx, qy) = beside(a, angle_rad, 0.0), beside(b, angle_rad + math.pi, 0.0)
+    a, b = step.things
+    angle_rad = functions.heading(_centre(a), _centre(b))
+    (px, py) = functions.ground.outline(a).beside(angle_rad, 0.0)
+    (qx, qy) = functions.ground.outline(b).beside(angle_rad + math.pi, 0.0)
     return 0.5 * (px + qx), 0.5 * (py + qy)
 
 
@@ -506,13 +480,10 @@ def _bearing_rad(scene: Scene, thing: SceneObject) -> float:
     return scene.pose.bearing_to(*_centre(thing))
 
 
-def _gap_m(a: SceneObject, b: SceneObject) -> float:
-    """Between the outlines of two things, on the line through their middles."""
-    (ax, ay), (bx, by) = _centre(a), _centre(b)
-    angle_rad = math.atan2(by - ay, bx - ax)
-    reach_m = math.dist((ax, ay), beside(a, angle_rad, 0.0))
-    reach_m += math.dist((bx, by), beside(b, angle_rad, 0.0))
-    return math.dist((ax, ay), (bx, by)) - reach_m
+def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
+    """Between the outlines of two things."""
+    cells_m = outline_of(b, scene.occupancy).cells_m
+    return float(outline_of(a, scene.occupancy).gaps_m(cells_m).min())
 
 
 def _kept(found: list[SceneObject], keep: Callable[[SceneObject], bool]) -> list[SceneObject]:

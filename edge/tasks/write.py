@@ -94,13 +94,7 @@ def write(
         UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
             `TrajectoryError`, `ChatError` (the server), `UnavailableError` (the interpreter).
     """
-    if not instruction.strip():
-        raise WriteError("the instruction is empty; say where to go")
-    if len(instruction) > MOST_INSTRUCTION_CHARS:
-        raise WriteError(
-            f"the instruction has {len(instruction)} characters, at most {MOST_INSTRUCTION_CHARS} "
-            "are taken"
-        )
+    check_instruction(instruction)
     ground = ground_of(scene, config.trajectory.clearance_m)
     if not ground.reachable.any():
         raise WriteError("nothing around the robot is known to be free; drive it to open ground")
@@ -112,6 +106,21 @@ def write(
     understood = rules.carry_out(instruction, functions)
     assert functions.given is not None
     return Written(instruction, functions.given, ground, understood)
+
+
+def check_instruction(instruction: str) -> None:
+    """See that there is an instruction, of a length that is taken.
+
+    Raises:
+        WriteError: there is none.
+    """
+    if not instruction.strip():
+        raise WriteError("the instruction is empty; say where to go")
+    if len(instruction) > MOST_INSTRUCTION_CHARS:
+        raise WriteError(
+            f"the instruction has {len(instruction)} characters, at most {MOST_INSTRUCTION_CHARS} "
+            "are taken"
+        )
 
 
 def _ask(
