@@ -106,6 +106,8 @@ def _what(command: argparse.ArgumentParser) -> None:
     what.add_argument("--target", help=_TARGET)
     what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
     what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
+    text = "a way in words, as 'go around the left of the sofa, then stop at the desk'"
+    what.add_argument("--task", metavar="WORDS", help=text)
 
 
 def _trust(command: argparse.ArgumentParser) -> None:
