@@ -85,7 +85,7 @@ def parse_answer(text: str, objects: Sequence[str]) -> int:
 
 
 class LlmPlanner:
-    """The LLM-planner in the loop: `mission.planner.kind` `edge.eval.planning.llm_planner:LlmPlanner`.
+    """The LLM-planner in the loop: a `mission.planner.kind` of its own.
 
     The model is asked anew when what is seen, reached or failed has changed, and the tick waits for
     its answer: for evaluations, in lockstep. What it says is done, even if it breaks the mission.
