@@ -53,6 +53,7 @@ def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start):
     beside = np.array([sofa.distance_m(x, y) <= BESIDE_M for x, y in driven_m])
     bearing = np.unwrap(np.arctan2(*(driven_m - sofa.center_m[:2]).T[::-1]))
     turned = (bearing - bearing[0])[beside]
-    # Its left is a quarter turn clockwise about it from where the robot was, its right the other.
-    assert turned.min() <= -math.radians(80)
+    # Its left is a quarter turn clockwise about it from where the robot was, its right the other;
+    # a way that only leads to the desk turns neither way. A corner may be cut by a third.
+    assert turned.min() <= -math.radians(60)
     assert turned.max() <= math.radians(30)
