@@ -61,7 +61,9 @@ def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float 
     return float(along_m[np.argmax(blocked)]) if blocked.any() else None
 
 
-def path_message(trajectory: Refined, stamp_ns: int, frame_id: str = "map") -> bytes:
-    """nav_msgs/Path."""
+def path_message(trajectory: Refined | None, stamp_ns: int, frame_id: str = "map") -> bytes:
+    """nav_msgs/Path; without a trajectory an empty one."""
+    if trajectory is None:
+        return encode_path(stamp_ns, frame_id, np.empty((0, 3)))
     x_m, y_m, z_m, heading_rad = trajectory.poses.T
     return encode_path(stamp_ns, frame_id, np.column_stack([x_m, y_m, heading_rad]), z_m)
