@@ -8,8 +8,10 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from edge.geometry import SE2, Grid
 from edge.tasks.scene import Scene
-from edge.trajectory.astar import Plan, Workspace, nearest_open, plan
+from edge.tasks.value_map import open_cells
+from edge.trajectory.astar import Plan, Workspace, plan
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
 from edge.trajectory.smoothing import line_is_free, smooth
 
@@ -23,7 +25,7 @@ ASIDE = 5
 class Ground:
     """The ground of a scene for a robot of some size.
 
-    Open is what was seen free or belongs to a region, and is far enough from what is occupied.
+    Open is what `edge.tasks.value_map.open_cells` says.
 
     Attributes:
         costmap: closed cells have weight 0; costs grow towards obstacles.
@@ -109,29 +111,33 @@ def ground_of(scene: Scene, clearance_m: float) -> Ground:
     """The ground of a scene.
 
     Args:
-        clearance_m: of an open cell's centre from every occupied cell's: the robot's radius, and
-            what is left beside it.
+        clearance_m: see `edge.tasks.value_map.closed_cells`.
     """
-    occupancy, regions = scene.occupancy, scene.regions_grid
-    # LiDAR leaves cells between its rings that nothing hit; a region reaches over them.
-    known = np.where((occupancy.cells < 0) & (regions.cells > 0), np.int8(0), occupancy.cells)
-    grid = replace(occupancy, cells=known)
-    costmap = from_occupancy(grid, clearance_m=clearance_m, unknown_cost=None)
-    unoccupied = from_weights(replace(grid, cells=(known < OCCUPIED).astype(np.uint8)))
-    reachable = _reachable(costmap, scene.pose.x_m, scene.pose.y_m)
-    return Ground(scene, costmap, unoccupied, reachable)
+    occupancy = scene.occupancy
+    is_open = open_cells(occupancy, scene.regions_grid, clearance_m)
+    cells = np.where(is_open, np.int8(0), np.int8(OCCUPIED))
+    costmap = from_occupancy(replace(occupancy, cells=cells))
+    solid = (occupancy.cells < OCCUPIED).astype(np.uint8)
+    unoccupied = from_weights(replace(occupancy, cells=solid))
+    return Ground(scene, costmap, unoccupied, reachable(is_open, occupancy, scene.pose))
 
 
-def _reachable(costmap: CostMap, x_m: float, y_m: float) -> np.ndarray:
-    """(h, w) bool: open and connected with a point; all False where nothing near it is open."""
-    cell = costmap.cell_of(x_m, y_m)
-    begin = None if cell is None else nearest_open(costmap, cell, (x_m, y_m), ESCAPE_M)
-    if begin is None:
-        return np.zeros(costmap.grid.cells.shape, bool)
+def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
+    """(h, w) bool: open cells that are connected with the robot's, or, where that is closed, with
+    the nearest open one within `ESCAPE_M`.
+
+    Args:
+        is_open: (h, w) bool, the cells of `grid`.
+    """
+    rows, columns = np.nonzero(is_open)
+    away_m = np.hypot(*(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m)).T)
+    cell = grid.cell_of(pose.x_m, pose.y_m)
+    if cell is None or not len(away_m) or not (is_open[cell] or away_m.min() <= ESCAPE_M):
+        return np.zeros(is_open.shape, bool)
+    begin = cell if is_open[cell] else (rows[np.argmin(away_m)], columns[np.argmin(away_m)])
     # A* cuts no corner, so what it reaches is connected by sides.
-    opened = (costmap.weight != 0).view(np.uint8)
-    _, parts = cv2.connectedComponents(opened, connectivity=4, ltype=cv2.CV_32S)
-    return (parts == parts[begin])[1:-1, 1:-1]
+    _, parts = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    return parts == parts[begin]
 
 
 def footprint_m(half_m: np.ndarray, heading_rad: float, angle_rad: float) -> float:

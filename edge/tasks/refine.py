@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from edge.motion.pursuit import MotionLimits
+from edge.tasks.ground import ESCAPE_M
 from edge.tasks.legs import Leg, RefineError, cut
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
@@ -21,8 +22,6 @@ from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1
 """Points of a refined trajectory are at most as far apart."""
-ESCAPE_M = 0.6
-"""A robot that stands in closed cells is led out of them over this distance."""
 CONTROL_M = (2.0, 1.0, 0.5, 0.25)
 """Distances of a spline's control points, the smoothest first."""
 DEARER = 1.05
@@ -43,7 +42,7 @@ class Refined:
         cost_m: of the path in metres of the tube's ground (`value_map`).
         control_m: distance of the spline's control points; 0: the path is A*'s own, since every
             spline of `CONTROL_M` entered a closed cell or was too dear (`DEARER`).
-        off_region_m: how much of it leads over ground that was not chosen, or not seen.
+        off_region_m: how much of it leads over ground that was not chosen.
         notes: what became otherwise than it was asked for, a line each.
     """
 
