@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from edge.geometry import SE2, Grid
-from edge.tasks.scene import Scene
+from edge.tasks.outline import Outline, outline_of
+from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.trajectory.astar import Plan, Workspace, plan
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
@@ -17,6 +18,12 @@ from edge.trajectory.smoothing import line_is_free, smooth
 
 ESCAPE_M = 0.6
 """A robot that stands closer to something than it may drive begins at the nearest cell so near."""
+REACH_M = 5.0
+"""A thing that the robot gets no nearer to is not gone to."""
+ABOUT_M = 0.5
+"""Points that are farther from a thing by less are about as near to it."""
+OWN_CELLS = 2.0
+"""So many cells before a thing's own, what is occupied is of the thing."""
 ASIDE = 5
 """Ground outside the regions that were chosen costs so many times as much as within them."""
 
@@ -38,6 +45,7 @@ class Ground:
     unoccupied: CostMap
     reachable: np.ndarray
     _costmaps: dict[frozenset[int], CostMap] = field(default_factory=dict)
+    _outlines: dict[int, Outline] = field(default_factory=dict)
     _workspace: Workspace = field(default_factory=Workspace)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
@@ -77,6 +85,63 @@ class Ground:
         k = int(np.argmin(distance_m))
         x, y = centres_m[k].tolist()
         return (x, y) if distance_m[k] <= within_m else None
+
+    def outline(self, thing: SceneObject) -> Outline:
+        """What of a thing stands in the way."""
+        if thing.id not in self._outlines:
+            self._outlines[thing.id] = outline_of(thing, self.scene.occupancy)
+        return self._outlines[thing.id]
+
+    def faces(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
+        """Whether nothing stands between a point and a thing."""
+        near_m = self.outline(thing).nearest(at_m)
+        margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
+        share = 1.0 - margin_m / max(math.dist(at_m, near_m), margin_m)
+        (x, y), (nx, ny) = at_m, near_m
+        return self.sees(at_m, (x + share * (nx - x), y + share * (ny - y)))
+
+    def stop(
+        self, thing: SceneObject, from_m: tuple[float, float]
+    ) -> tuple[tuple[float, float] | None, float]:
+        """Where one who comes from a point stops at a thing.
+
+        Of the reachable points from which nothing stands before it and that are about as near to it
+        as the nearest (`ABOUT_M`), the one nearest to where one comes from. Drivable regions go
+        before other ground.
+
+        Returns:
+            (x_m, y_m), None where there is none within `REACH_M`; and how near to the thing one
+            gets, inf where one gets nowhere.
+        """
+        regions = self.scene.regions_grid.cells > 0
+        on_region = self._stop(thing, from_m, self.reachable & regions)
+        return on_region if on_region[0] else self._stop(thing, from_m, self.reachable)
+
+    def _stop(
+        self, thing: SceneObject, from_m: tuple[float, float], among: np.ndarray
+    ) -> tuple[tuple[float, float] | None, float]:
+        """`stop`, among cells (h, w) bool."""
+        centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
+        if not len(centres_m):
+            return None, math.inf
+        gaps_m = self.outline(thing).gaps_m(centres_m)
+        near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
+        nearest = self._first_facing(thing, centres_m, near[np.argsort(gaps_m[near])])
+        if nearest is None or gaps_m[nearest] > REACH_M:
+            return None, float(gaps_m.min())
+        near = near[gaps_m[near] <= gaps_m[nearest] + ABOUT_M]
+        away_m = np.hypot(*(centres_m[near] - from_m).T)
+        first = self._first_facing(thing, centres_m, near[np.argsort(away_m, kind="stable")])
+        assert first is not None  # the nearest is one of them
+        x_m, y_m = centres_m[first].tolist()
+        return (x_m, y_m), float(gaps_m[nearest])
+
+    def _first_facing(
+        self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray
+    ) -> int | None:
+        """The first of some indices whose point faces a thing."""
+        at_m = ((int(k), tuple(points_m[k].tolist())) for k in order)
+        return next((k for k, (x_m, y_m) in at_m if self.faces(thing, (x_m, y_m))), None)
 
     def plan(
         self,
@@ -138,13 +203,3 @@ def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
     # A* cuts no corner, so what it reaches is connected by sides.
     _, parts = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     return parts == parts[begin]
-
-
-def footprint_m(half_m: np.ndarray, heading_rad: float, angle_rad: float) -> float:
-    """How far a box reaches from its middle in a direction: its support function.
-
-    Args:
-        half_m: (2,) half its length and width.
-    """
-    turn = angle_rad - heading_rad
-    return abs(math.cos(turn)) * float(half_m[0]) + abs(math.sin(turn)) * float(half_m[1])

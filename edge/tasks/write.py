@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.chat import CutOffError, client_of
-from edge.config import ScriptLimits, Tasks, WriterModel
+from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import Functions
@@ -81,16 +81,38 @@ def write(
     config: Tasks,
     told: Callable[[Round], None] = lambda round: None,
     why: str = "",
+    make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
 ) -> Written:
     """The trajectory that an instruction asks for, checked, by the writer that is configured.
 
     Args:
         told: each round of a model as it ends, for who watches.
         why: another one is needed than was written before, for a model.
+        make: what the writer may call; evaluations take some of it away.
 
     Raises:
         UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
             `TrajectoryError`, `ChatError` (the server), `UnavailableError` (the interpreter).
+    """
+    check_instruction(instruction)
+    ground = ground_of(scene, config.trajectory.clearance_m)
+    if not ground.reachable.any():
+        raise WriteError("nothing around the robot is known to be free; drive it to open ground")
+    functions = make(ground, config.trajectory)
+    if isinstance(config.planner, WriterModel):
+        rounds = _ask(instruction, functions, config.planner, config.script, told, why)
+        assert functions.given is not None
+        return Written(instruction, functions.given, ground, "", rounds, version())
+    understood = rules.carry_out(instruction, functions)
+    assert functions.given is not None
+    return Written(instruction, functions.given, ground, understood)
+
+
+def check_instruction(instruction: str) -> None:
+    """See that there is an instruction, of a length that is taken.
+
+    Raises:
+        WriteError: there is none.
     """
     if not instruction.strip():
         raise WriteError("the instruction is empty; say where to go")
@@ -99,17 +121,6 @@ def write(
             f"the instruction has {len(instruction)} characters, at most {MOST_INSTRUCTION_CHARS} "
             "are taken"
         )
-    ground = ground_of(scene, config.trajectory.clearance_m)
-    if not ground.reachable.any():
-        raise WriteError("nothing around the robot is known to be free; drive it to open ground")
-    functions = Functions(ground, config.trajectory)
-    if isinstance(config.planner, WriterModel):
-        rounds = _ask(instruction, functions, config.planner, config.script, told, why)
-        assert functions.given is not None
-        return Written(instruction, functions.given, ground, "", rounds, version())
-    understood = rules.carry_out(instruction, functions)
-    assert functions.given is not None
-    return Written(instruction, functions.given, ground, understood)
 
 
 def _ask(

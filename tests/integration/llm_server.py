@@ -27,7 +27,7 @@ def main() -> None:
     params.model.path = str(model())
     params.hostnames = ["127.0.0.1"]
     params.port = 0
-    params.n_ctx, params.n_parallel = 4096, 1
+    params.n_ctx, params.n_parallel = 8192, 1
     # The server's threads spin while they wait for each other: on a loaded machine, fewer are
     # faster.
     params.cpuparams.n_threads = 1

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, street
 
 from edge.geometry import SE2
-from edge.tasks.ground import ESCAPE_M, footprint_m, ground_of
+from edge.tasks.ground import ESCAPE_M, ground_of
 from edge.tasks.value_map import Body, value_map
 
 CLEAR_M = 0.3
@@ -100,12 +100,3 @@ def test_a_way_keeps_to_the_regions_that_are_chosen():
     assert by_any.path_m[:, 1].max() > 12.0
     assert by_road.path_m[:, 1].min() < -8.0
     assert ground.plan((0.0, 9.0), (10.0, 9.0)).path_m.tolist() == by_any.path_m.tolist()
-
-
-@given(st.tuples(*[st.floats(0.1, 5.0)] * 2), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
-def test_a_footprint_reaches_as_far_as_its_furthest_corner(half_m, heading_rad, angle_rad):
-    corners = np.array([(sx * half_m[0], sy * half_m[1]) for sx in (-1, 1) for sy in (-1, 1)])
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
-    turned = corners @ np.array([[c, s], [-s, c]])
-    reach_m = (turned @ (math.cos(angle_rad), math.sin(angle_rad))).max()
-    assert footprint_m(np.array(half_m), heading_rad, angle_rad) == pytest.approx(reach_m)
