@@ -129,7 +129,7 @@ def _conclude(record: RunRecord, report: str | None) -> int:
     if report is not None:
         from edge.report.page import write_report
 
-        for path in write_report(record, Path(report)):
+        for path in filter(None, write_report(record, Path(report))):
             print(path)
     return FAILED if record.mission.phase == "failed" else os.EX_OK
 

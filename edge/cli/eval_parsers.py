@@ -14,6 +14,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     _episodes(kinds)
     _tasks(kinds)
     _translate(kinds)
+    _trajectories(kinds)
     _compare(kinds)
     _results(kinds)
 
@@ -134,6 +135,39 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+
+
+def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
+    trajectories = kinds.add_parser(
+        "trajectories", help="trajectories by language against what was meant (OpenNav IV)"
+    )
+    option = trajectories.add_argument
+    option(
+        "places", nargs="*", default=["streets[0:200]"], metavar="PLACES",
+        help="streets[0:200] (of these 0-99 are for tuning), kitti:FOLDER of a SemanticKITTI "
+        "sequence, house:CONFIG (default: streets[0:200])",
+    )  # fmt: skip
+    option(
+        "--methods", metavar="NAME;NAME;…",
+        help="ours; ours, not refined; vlt_code; a_star; with --url llm_tg too (default: all)",
+    )  # fmt: skip
+    option("--limit", type=count, metavar="N", help="the first N episodes of each place only")
+    option("--url", help="of an OpenAI-compatible server, whose model writes instead of the rules")
+    option("--model", help="its model")
+    option(
+        "--rounds", type=count, default=4, metavar="N",
+        help="answers that the model may give an episode (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--time-limit", type=count, default=120, metavar="S",
+        help="seconds for all of them (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--out", type=Path, default=Path("trajectories"), metavar="DIR",
+        help="for outcomes.jsonl, episodes.jsonl and pictures; what it has is not run again "
+        "(default: ./%(default)s)",
+    )  # fmt: skip
+    trajectories.set_defaults(handler=lazy("edge.eval.trajectories.run", "run"))
 
 
 def _compare(kinds) -> None:  # type: ignore[no-untyped-def]

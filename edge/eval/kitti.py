@@ -7,7 +7,7 @@ no `Tr`. `map` has its origin on the road under the LiDAR at the first pose, x f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -182,19 +182,30 @@ def oracle(frames: Sequence[Frame]) -> Chain:
     return Chain(lambda observation: words, boxes, lambda found: found)
 
 
-def true_boxes(frame: Frame) -> Detections:
-    """What of the labelled things is in the picture, with the masks that their returns make."""
+def things_shown(frame: Frame) -> list[tuple[str, np.ndarray]]:
+    """Of `things_in` those that are in the picture."""
+    return [(name, points) for name, points, _, _ in _in_picture(frame)]
+
+
+def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    """(name, points, (k, 2) pixels of those that are in the picture, the box around these)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     at_px, shown = in_picture(seen.cloud_m, T, seen.camera)
-    boxes, names, masks = [], [], []
     for name, points in things_in(frame):
         dots = at_px[points[shown[points]]]
         if len(dots) < LEAST_POINTS:
             continue
         box = np.concatenate((np.floor(dots.min(axis=0)), np.ceil(dots.max(axis=0) + 1e-3)))
-        if min(box[2:] - box[:2]) < LEAST_PX:
-            continue
+        if min(box[2:] - box[:2]) >= LEAST_PX:
+            yield name, points, dots, box
+
+
+def true_boxes(frame: Frame) -> Detections:
+    """What of the labelled things is in the picture, with the masks that their returns make."""
+    seen = frame.observation
+    boxes, names, masks = [], [], []
+    for name, _, dots, box in _in_picture(frame):
         boxes.append(box)
         names.append(name)
         masks.append(_mask(dots, box))

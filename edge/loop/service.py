@@ -290,7 +290,7 @@ class Service:
         if not mission.started:
             mission.start(now_ns)
         mission.observe(pose, now_ns, looking=task is None or task.looking)
-        if task is None or task.looking:
+        if task is None or task.phase == "looking":
             mission.see(self._newest_ids(), now_ns)
         if self._surveyor is not None and task is None:
             self._surveyor.step(mission, self.map.grid, self.map.tracker, pose, now_ns)

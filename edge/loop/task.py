@@ -27,10 +27,11 @@ from edge.mission.run import MissionRun
 from edge.motion.pursuit import MotionLimits
 from edge.tasks.facts import TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
+from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import prompt, words
 from edge.tasks.refine import Refined, refine, refine_again
 from edge.tasks.scene import Scene
-from edge.tasks.survey import scene_of_map
+from edge.tasks.survey import add_found, scene_of_map
 from edge.tasks.value_map import Body
 from edge.tasks.write import Round, write
 from edge.text import one_line
@@ -71,6 +72,15 @@ class Draft:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """A picture with boxes, whose frame is held, for an object map."""
+
+    found: Detections
+    objects: ObjectMap
+    range_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Order:
     """What the worker is to do, with all that it needs: the loop goes on.
 
@@ -86,6 +96,7 @@ class _Order:
     view: MapView
     observation: Observation
     instances: Sequence[Instance]
+    objects: ObjectMap
     found: Detections | None
     before: Draft | None = None
     index: int = 0
@@ -108,8 +119,10 @@ class TaskRun:
     def __init__(self, mission: MissionRun, config: Config, journal: Journal) -> None:
         self.config = config
         self._mission = mission
-        worker = Worker("task", _done, inline=config.loop.lockstep)
-        self._worker: Any = journal.beside(TASK, worker)
+        self._side: Worker[_Look | _Order, Draft] = Worker(
+            "task", _done, inline=config.loop.lockstep, drop=_let_go
+        )
+        self._worker: Any = journal.beside(TASK, self._side)
         self._begin()
 
     def _begin(self) -> None:
@@ -117,6 +130,7 @@ class TaskRun:
         self._turns = TURNS if self._by_model else 0
         self._turning: SE2 | None = None
         self._draft = Draft()
+        self._objects = ObjectMap()  # the worker's
         self._index = self._refinements = 0
         self._order: _Order | None = None  # that the worker is at
         self._why = ""  # a trajectory before this one could not be driven on
@@ -150,6 +164,8 @@ class TaskRun:
             stuck: the robot was to drive and stands still.
         """
         pose = observation.pose
+        if detections is not None:
+            self._see(detections)
         if (draft := self._worker.poll()) is not None and self._order is not None:
             self._take(draft, self._order, now_ns)
         if self.phase == "looking" and not self.looking:
@@ -217,6 +233,15 @@ class TaskRun:
         else:
             self._turning, self.phase = None, "writing"
 
+    def _see(self, found: Detections) -> None:
+        """What the targets look like all round is gathered beside the loop."""
+        perception, seen = self.config.perception, found.observation
+        found = found.above(perception.tau_det)
+        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        if len(found) and ranged and seen.camera is not None:
+            seen.hold()
+            self._side.submit(_Look(found, self._objects, perception.lift_max_range_m), _Look)
+
     def _ask(
         self,
         map: SemanticMap,
@@ -243,6 +268,7 @@ class TaskRun:
             map.view,
             still,
             tuple(instances.values()),
+            self._objects,
             None if found is None else replace(found, observation=still),
             before,
             self._index,
@@ -335,8 +361,14 @@ def _line(text: str) -> str:
 # -- beside the loop ------------------------------------------------------------------------------
 
 
-def _done(order: _Order) -> Draft:
+def _done(order: _Look | _Order) -> Draft | None:
     """What comes of an order, whatever goes wrong: a task waits for it."""
+    if isinstance(order, _Look):
+        try:
+            add_found(order.objects, order.found, order.range_m)
+        finally:
+            _let_go(order)
+        return None
     try:
         return _refined(order) if order.before is not None else _written(order)
     except UserError as error:
@@ -344,6 +376,11 @@ def _done(order: _Order) -> Draft:
     except Exception as error:
         log.exception("writing a trajectory")
         return Draft(error=f"a fault of edge itself: {type(error).__name__}: {error}")
+
+
+def _let_go(item: _Look | _Order) -> None:
+    if isinstance(item, _Look):
+        item.found.observation.release()
 
 
 def _written(order: _Order) -> Draft:
@@ -376,8 +413,10 @@ def _refined(order: _Order) -> Draft:
 
 
 def _scene(order: _Order) -> Scene:
-    radius_m = order.config.robot.radius_m
-    return scene_of_map(order.view, order.observation, order.instances, radius_m, order.found)
+    radius_m, seen = _body(order.config).clearance_m, order.objects.objects.values()
+    return scene_of_map(
+        order.view, order.observation, order.instances, radius_m, order.found, seen=seen
+    )
 
 
 def _body(config: Config) -> Body:

@@ -45,7 +45,7 @@ def plots(
 
     figure = Figure(size_in, dpi, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    every = list(figure.subplots(rows, columns, squeeze=False).flat)
+    every = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for axes in every:
         axes.grid(color=palette.UNKNOWN, linewidth=0.7)
         axes.set_axisbelow(True)

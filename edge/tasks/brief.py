@@ -66,7 +66,7 @@ def known_names(text: str) -> tuple[str, ...]:
         ends = range(min(at + _MOST_WORDS, len(words)), at, -1)
         end = next((end for end in ends if names.is_known(" ".join(words[at:end]))), None)
         if end is not None:
-            found.append(names.singular(" ".join(words[at:end])))
+            found.append(names.singular(names.normalise(" ".join(words[at:end]))))
         at = at + 1 if end is None else end
     first: dict[str, str] = {}
     for name in found:

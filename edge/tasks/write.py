@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.chat import CutOffError, client_of
-from edge.config import ScriptLimits, Tasks, WriterModel
+from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import Functions
@@ -81,12 +81,14 @@ def write(
     config: Tasks,
     told: Callable[[Round], None] = lambda round: None,
     why: str = "",
+    make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
 ) -> Written:
     """The trajectory that an instruction asks for, checked, by the writer that is configured.
 
     Args:
         told: each round of a model as it ends, for who watches.
         why: another one is needed than was written before, for a model.
+        make: what the writer may call; evaluations take some of it away.
 
     Raises:
         UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
@@ -96,7 +98,7 @@ def write(
     ground = ground_of(scene, config.trajectory.clearance_m)
     if not ground.reachable.any():
         raise WriteError("nothing around the robot is known to be free; drive it to open ground")
-    functions = Functions(ground, config.trajectory)
+    functions = make(ground, config.trajectory)
     if isinstance(config.planner, WriterModel):
         rounds = _ask(instruction, functions, config.planner, config.script, told, why)
         assert functions.given is not None

@@ -58,7 +58,7 @@ def test_a_request(verbs, data, more):
         (b'{"do": "pause", "formula": "F a"}', "'formula': not taken with do: pause"),
         (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not taken with do: new"),
         (b'{"do": "new"}', "either an instruction, a formula or a task"),
-        (b'{"do": "new", "formula": "a", "instruction": "b"}', "either an instruction or a"),
+        (b'{"do": "new", "formula": "a", "instruction": "b"}', "either an instruction, a"),
         (b'{"do": "new", "id": "a"}', "either an instruction, a formula or a task"),
         (b'{"do": "new", "formula": "a", "id": 3}', "id: expected text, got 3"),
         (b'{"do": "new", "formula": "a", "id": "-a"}', "id: expected letters, digits and"),

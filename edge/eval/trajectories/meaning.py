@@ -103,15 +103,23 @@ class Place:
         return from_occupancy(grid, near_m=COMFORT_M, unknown_cost=None)
 
     @cached_property
-    def reachable_m(self) -> np.ndarray:
-        """(n, 2): middles of the cells that it gets to."""
+    def reachable(self) -> np.ndarray:
+        """(h, w) bool: where it gets to."""
+        is_open = self.costmap.weight[1:-1, 1:-1] != 0
         begin = self.begin_m
         if begin is None:
-            return np.empty((0, 2))
-        is_open = (self.costmap.weight != 0).view(np.uint8)
-        _, part = cv2.connectedComponents(is_open, connectivity=4)
-        mine = (part == part[self.costmap.cell_of(*begin)])[1:-1, 1:-1]
-        return self.occupancy.centres_m(*np.nonzero(mine))
+            return np.zeros_like(is_open)
+        _, part = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4)
+        return part == part[self.occupancy.cell_of(*begin)]
+
+    @cached_property
+    def stops_m(self) -> dict[int, np.ndarray]:
+        """By thing, (n, 2) each: where one may be said to stop at it; of those that are named."""
+        return {}
+
+    def gets_to(self, at_m: np.ndarray) -> bool:
+        cell = self.occupancy.cell_of(*at_m)
+        return cell is not None and bool(self.reachable[cell])
 
     @cached_property
     def begin_m(self) -> tuple[float, float] | None:
@@ -274,25 +282,29 @@ def _back_rad(place: Place, thing: Thing) -> float:
 
 def _stop(place: Place, thing: Thing, from_m: np.ndarray) -> np.ndarray | None:
     """(1, 2): where one who comes from a point stops at a thing; None: nowhere near it."""
-    centres = place.reachable_m
+    if thing.id not in place.stops_m:
+        place.stops_m[thing.id] = _stops(place, thing)
+    near = place.stops_m[thing.id]
+    return near[np.argmin(np.hypot(*(near - from_m).T))][None] if len(near) else None
+
+
+def _stops(place: Place, thing: Thing) -> np.ndarray:
+    """(n, 2): from where nothing stands before a thing, about as near to it as the nearest."""
+    centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
     within = FARTHEST_STOP_M + ABOUT_M
     low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
     centres = centres[((centres > low) & (centres < high)).all(axis=1)]
-    if not len(centres):
-        return None
-    gaps_m, nearest = cKDTree(thing.outline_m).query(centres)
+    gaps_m, nearest = cKDTree(thing.outline_m).query(centres.reshape(-1, 2))
     others = _others(place, thing)
-    order = np.argsort(gaps_m, kind="stable")
 
     def faces(k: int) -> bool:
         return smoothing.line_is_free(others, centres[k], thing.outline_m[nearest[k]])
 
-    least = next((k for k in order if faces(k)), None)
+    least = next((k for k in np.argsort(gaps_m, kind="stable") if faces(k)), None)
     if least is None or gaps_m[least] > FARTHEST_STOP_M:
-        return None
+        return np.empty((0, 2))
     near = np.flatnonzero(gaps_m <= gaps_m[least] + ABOUT_M)
-    away_m = np.hypot(*(centres[near] - from_m).T)
-    return next(centres[k][None] for k in near[np.argsort(away_m, kind="stable")] if faces(k))
+    return centres[[k for k in near if faces(k)]]
 
 
 def _others(place: Place, thing: Thing) -> CostMap:
@@ -314,7 +326,7 @@ def _way(place: Place, segments: Sequence[np.ndarray]) -> np.ndarray | None:
     if begin is None:
         return None
     points = np.concatenate([[begin], *segments])
-    if not all(costmap.is_free(*point) for point in points.tolist()):
+    if not all(map(place.gets_to, points)):
         return None
     pieces: list[np.ndarray] = []
     workspace = astar.Workspace()
