@@ -331,7 +331,8 @@ def _draft(d: Draft) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m), "speed_mps": d.speed_mps,
-        "understood": d.understood, "prompt": d.prompt, "rounds": [asdict(r) for r in d.rounds],
+        "stops_at": d.stops_at, "understood": d.understood, "prompt": d.prompt,
+        "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
 
 
@@ -340,8 +341,8 @@ def draft_of(said: dict[str, Any]) -> Draft:
     refined, coarse_m = said["refined"], said["coarse_m"]
     return Draft(
         None if refined is None else _refined_of(refined), said["error"],
-        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["understood"],
-        said["prompt"], tuple(Round(**r) for r in said["rounds"]),
+        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
+        said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
     )  # fmt: skip
 
 
