@@ -94,7 +94,7 @@ class Unmapped(Functions):
     def give_trajectory(
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
     ) -> None:
-        """Hand over the trajectory."""
+        """Hand over the trajectory, whatever it is."""
         self.given = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
 
 
