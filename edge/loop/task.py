@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import Config, WriterModel
+from edge.config import Config, Tasks, WriterModel
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.host.worker import Worker
@@ -48,6 +48,8 @@ TURNS = 3
 """On the spot, in which a model's robot comes round once before the trajectory is written."""
 SAME_PLACE_M = 0.5
 """A robot that is held up twice within this distance is not helped by the same trajectory."""
+NEARER_M = 0.15
+"""Getting less near to a thing is not worth starting again."""
 _REASON_CHARS = 300
 
 
@@ -59,6 +61,7 @@ class Draft:
         refined: the trajectory; None: there is none, and `error` says why in one line.
         coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
         speed_mps: that was asked for; None: none was.
+        stops_at: see `edge.tasks.write.Written`.
         understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
     """
 
@@ -66,6 +69,7 @@ class Draft:
     error: str = ""
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
+    stops_at: int | None = None
     understood: str = ""
     prompt: str = ""
     rounds: tuple[Round, ...] = ()
@@ -88,6 +92,8 @@ class _Order:
         before: what was written before; its trajectory is to be refined again, from `index` on.
             None: one has to be written.
         why: another one has to be written; "" where it is the first.
+        nearer_to: the thing that the robot stopped at, which may be got nearer to on the map that
+            there is by now; None: it is under way.
         rounds: a model's, as they end.
     """
 
@@ -101,6 +107,7 @@ class _Order:
     before: Draft | None = None
     index: int = 0
     why: str = ""
+    nearer_to: int | None = None
     rounds: list[Round] = field(default_factory=list)
 
 
@@ -248,8 +255,9 @@ class TaskRun:
         seen: Observation,
         found: Detections | None,
         before: Draft | None = None,
+        nearer_to: int | None = None,
     ) -> None:
-        """Have a trajectory written, or `before`'s refined again.
+        """Have a trajectory written, or `before`'s refined again; see `_Order`.
 
         A copy of the picture costs less than a frame that is held while a model is asked.
         """
@@ -273,6 +281,7 @@ class TaskRun:
             before,
             self._index,
             self._why,
+            nearer_to,
         )
         self._worker.submit(self._order)
 
@@ -283,10 +292,14 @@ class TaskRun:
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
         if draft.refined is not None:
+            if order.nearer_to is not None:  # the task's trajectory is still the one before
+                draft = replace(self._draft, refined=draft.refined, stops_at=None)
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
             self.phase = "driving"
-            mission.tell(_line(_told(draft, again=order.before is not None)), now_ns)
+            mission.tell(_line(_told(draft, order)), now_ns)
+        elif order.nearer_to is not None:
+            mission.complete("driven to its end", now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
         else:
@@ -307,8 +320,10 @@ class TaskRun:
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
         if state == "reached" and goal is not None and _is_end(goal.pose, refined):
-            driven_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
-            self._mission.complete(f"driven to its end, {driven_m:.1f} m", now_ns)
+            if (thing := self._draft.stops_at) is None:
+                self._mission.complete("driven to its end", now_ns)
+            else:
+                self._ask(map, observation, None, nearer_to=thing)
         elif stuck or state == "failed":
             why = "the robot is held up"
             if not stuck:
@@ -345,11 +360,15 @@ def _is_end(pose: SE2, refined: Refined) -> bool:
     return pose == SE2(x_m, y_m, yaw_rad)
 
 
-def _told(draft: Draft, again: bool) -> str:
+def _told(draft: Draft, order: _Order) -> str:
     """A trajectory, for the story."""
     refined = draft.refined
     length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
-    what = "refined again" if again else draft.understood or "written by the model"
+    what = draft.understood or "written by the model"
+    if order.before is not None:
+        what = "refined again"
+    elif order.nearer_to is not None:
+        what = "nearer to where it ends"
     notes = "".join(f"; {note}" for note in refined.notes)
     return f"trajectory of {length_m:.1f} m: {what}{notes}"
 
@@ -370,6 +389,8 @@ def _done(order: _Look | _Order) -> Draft | None:
             _let_go(order)
         return None
     try:
+        if order.nearer_to is not None:
+            return _nearer(order, order.nearer_to)
         return _refined(order) if order.before is not None else _written(order)
     except UserError as error:
         return Draft(error=str(error))
@@ -385,21 +406,22 @@ def _let_go(item: _Look | _Order) -> None:
 
 def _written(order: _Order) -> Draft:
     config, scene = order.config, _scene(order)
-    limits, instruction = config.tasks.trajectory, order.instruction
+    limits, instruction = _tasks(config).trajectory, order.instruction
     told = ""
     if isinstance(config.tasks.planner, WriterModel):
         told = f"{prompt()}\n\n{words(instruction, scene, limits, order.why)}"
     draft = Draft(prompt=told)
     try:
-        written = write(instruction, scene, config.tasks, order.rounds.append, order.why)
+        written = write(instruction, scene, _tasks(config), order.rounds.append, order.why)
         coarse = written.coarse
         draft = replace(
             draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
-            understood=written.understood,
+            understood=written.understood, stops_at=written.stops_at,
         )  # fmt: skip
         refined = refine(
-            scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft)
-        )
+            scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),
+            heading_rad=coarse.heading_rad,
+        )  # fmt: skip
     except UserError as error:
         return replace(draft, error=str(error), rounds=tuple(order.rounds))
     return replace(draft, refined=refined, rounds=tuple(order.rounds))
@@ -412,6 +434,20 @@ def _refined(order: _Order) -> Draft:
     return replace(before, refined=refined)
 
 
+def _nearer(order: _Order, thing: int) -> Draft:
+    """The rest of the way to a thing that was far off, or hidden, when the trajectory was written;
+    none where that is hardly any."""
+    draft = _written(replace(order, instruction=f"go to object {thing}"))
+    if draft.refined is None:
+        return draft
+    points_m = _scene(order).objects[thing].points_m[:, :2]
+    pose, end_m = order.observation.pose, draft.refined.poses[-1, :2]
+    gaps_m = [float(np.hypot(*(points_m - at).T).min()) for at in ((pose.x_m, pose.y_m), end_m)]
+    if gaps_m[0] - gaps_m[1] < NEARER_M:
+        return Draft()
+    return draft
+
+
 def _scene(order: _Order) -> Scene:
     radius_m, seen = _body(order.config).clearance_m, order.objects.objects.values()
     return scene_of_map(
@@ -419,9 +455,16 @@ def _scene(order: _Order) -> Scene:
     )
 
 
-def _body(config: Config) -> Body:
+def _tasks(config: Config) -> Tasks:
     """No nearer to anything than the map inflates it by: there, the way counts as blocked."""
-    return Body(max(config.tasks.trajectory.clearance_m, config.mapping.inflation_m))
+    tasks, trajectory = config.tasks, config.tasks.trajectory
+    clearance_m = max(trajectory.clearance_m, config.mapping.inflation_m)
+    trajectory = trajectory.model_copy(update={"clearance_m": clearance_m})
+    return tasks.model_copy(update={"trajectory": trajectory})
+
+
+def _body(config: Config) -> Body:
+    return Body(_tasks(config).trajectory.clearance_m)
 
 
 def _limits(config: Config, draft: Draft) -> MotionLimits:

@@ -53,6 +53,8 @@ class Written:
         rounds: of a model; the last one gave the trajectory.
         prompt: version of the model's prompt; "" of the rules.
         ground: what the trajectory was checked on.
+        stops_at: number of the thing that the rules read it to end at, wherever one gets nearest;
+            None: it ends elsewhere, or a model wrote it.
     """
 
     instruction: str
@@ -61,6 +63,7 @@ class Written:
     understood: str = ""
     rounds: tuple[Round, ...] = ()
     prompt: str = ""
+    stops_at: int | None = None
 
 
 class WriteError(UserError):
@@ -105,7 +108,9 @@ def write(
         return Written(instruction, functions.given, ground, "", rounds, version())
     understood = rules.carry_out(instruction, functions)
     assert functions.given is not None
-    return Written(instruction, functions.given, ground, understood)
+    last = rules.read(instruction, scene)[-1]
+    stops_at = last.things[0].id if last.kind == "to" else None
+    return Written(instruction, functions.given, ground, understood, stops_at=stops_at)
 
 
 def check_instruction(instruction: str) -> None:

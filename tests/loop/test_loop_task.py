@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 
 import pytest
+from chat_server import ChatServer, saying, serving
 from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.eval.closed_loop import ClosedLoop
+from edge.loop.keeper import Keeper
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.loop.status import status_of
+from edge.mission.run import MissionRun
 from edge.tasks.brief import prepared
 
 STRAIGHT = "go straight for 2 metres"
@@ -63,7 +66,9 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
     mission = loop.service.mission
     assert loop.service.status.phase == "reached", loop.notes.events
     assert mission.reached == ()
-    assert [s.kind for s in mission.steps] == ["start", "target", "seen", "trajectory", "end"]
+    kinds = [step.kind for step in mission.steps]
+    assert kinds[:4] == ["start", "target", "seen", "trajectory"]
+    assert kinds[-1] == "end"
     assert loop.distance_m("table") <= 1.0
     assert loop.drive.motion.collisions == 0
     assert json.dumps(status_of(loop.service.result()))
@@ -86,7 +91,7 @@ def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
     loop = closed(None).run(0.2)
     answer = ask(loop, "new", task=STRAIGHT, id="7")
     assert (answer["instruction"], answer["id"]) == (STRAIGHT, "7")
-    until(loop, "driving")
+    until(loop, "driving").step()
     assert ask(loop, "new", task=STRAIGHT, id="7")["phase"] == "approaching"
     ask(loop, "new", formula="F bed")
     assert loop.service.result().task() is None
@@ -151,3 +156,57 @@ def test_what_blocks_the_way_is_driven_around():
     assert loop.service.status.phase == "reached", loop.notes.events
     assert facts.refinements >= 2
     assert any("is in the way" in event for event in loop.notes.events)
+
+
+def by_model(server: ChatServer, **planner: object) -> ClosedLoop:
+    planner = {"kind": "model", "url": server.url, **planner}
+    return closed("Drive a little way.", tasks={"planner": planner})
+
+
+def test_a_model_writes_once_the_robot_has_turned_round():
+    script = (
+        "```python\nr = robot()['position']\ngive_trajectory([line(r, (r[0] + 1.0, r[1]))])\n```"
+    )
+    with serving(saying("no code", script)) as server:
+        loop = by_model(server).run(60)
+    facts = loop.service.result().task()
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert [bool(said.error) for said in facts.rounds] == [True, False]
+    assert "Drive a little way." in facts.prompt
+    assert facts.writer == f"default at {server.url}"
+    assert [g.kind for g in loop.notes.goals[:3]] == ["trajectory"] * 3
+    assert any(event.startswith("answer 1 of the model: ") for event in loop.notes.events)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("REFUSED: no.", "the model refused: no."),
+        ("What?", "no trajectory in 2 answers"),
+        ("", "the answer is empty"),
+    ],
+)
+def test_a_model_that_writes_none_ends_the_task_in_one_line(answer, said):
+    with serving(saying(answer, answer)) as server:
+        loop = by_model(server, rounds=2).run(60)
+    status = loop.service.status
+    assert status.phase == "failed"
+    assert said in status.reason
+    assert "\n" not in status.reason
+    assert loop.drive.motion.path_m < 0.2
+
+
+def test_after_a_restart_a_task_is_read_again_and_begins_anew(tmp_path):
+    config = simulated({"mission": {"checkpoint": str(tmp_path / "c")}})
+    loop = until(closed(TO_THE_TABLE), "driving")
+    service = loop.service
+    service.keeper = Keeper(config, tmp_path / "c", TO_THE_TABLE)
+    loop.step()
+    service.keeper.close()
+    again = Keeper(config, tmp_path / "c", None)
+    brief = again.brief()
+    assert (brief.to_see, brief.translation.instruction) == (("table",), TO_THE_TABLE)
+    mission = MissionRun(brief, config.mission)
+    again.resume(mission)
+    assert mission.elapsed_s > 1.0
+    again.close()

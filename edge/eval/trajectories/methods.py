@@ -91,9 +91,11 @@ class Unmapped(Functions):
         """A straight line."""
         return self.line(start, end)
 
-    def give_trajectory(self, segments: Any, regions: Any = (), speed_mps: Any = None) -> None:
-        """Hand over the trajectory."""
-        self.given = coarse_of(segments, regions, speed_mps, self.limits)
+    def give_trajectory(
+        self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
+    ) -> None:
+        """Hand over the trajectory, whatever it is."""
+        self.given = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
 
 
 def _refined(episode: Episode, written: Written) -> np.ndarray:
