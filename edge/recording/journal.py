@@ -311,7 +311,7 @@ def _refined(r: Refined) -> dict[str, Any]:
         "poses": _array(r.poses), "speeds_mps": _array(r.speeds_mps), "times_s": _array(r.times_s),
         "leg": _array(r.leg),
         "legs": [{"points_m": _array(x.points_m), "ends_segment": x.ends_segment} for x in r.legs],
-        "drivable": sorted(r.drivable), "cost_m": float(r.cost_m),
+        "drivable": sorted(r.drivable), "heading_rad": r.heading_rad, "cost_m": float(r.cost_m),
         "control_m": float(r.control_m), "off_region_m": float(r.off_region_m),
         "notes": list(r.notes),
     }  # fmt: skip
@@ -320,7 +320,7 @@ def _refined(r: Refined) -> dict[str, Any]:
 def _refined_of(said: dict[str, Any]) -> Refined:
     arrays = {name: _array_of(said[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
     legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in said["legs"])
-    numbers = {name: said[name] for name in ("cost_m", "control_m", "off_region_m")}
+    numbers = {name: said[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")}
     drivable, notes = frozenset(said["drivable"]), tuple(said["notes"])
     return Refined(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
 
@@ -328,7 +328,8 @@ def _refined_of(said: dict[str, Any]) -> Refined:
 def _draft(d: Draft) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m), "speed_mps": d.speed_mps,
+        "hopeless": d.hopeless, "speed_mps": d.speed_mps,
+        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
         "stops_at": d.stops_at, "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
@@ -339,6 +340,7 @@ def draft_of(said: dict[str, Any]) -> Draft:
     refined, coarse_m = said["refined"], said["coarse_m"]
     return Draft(
         None if refined is None else _refined_of(refined), said["error"],
+        said["hopeless"],
         None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
         said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
     )  # fmt: skip
