@@ -105,10 +105,10 @@ def _what(command: argparse.ArgumentParser) -> None:
     """What the mission is; nothing: as the configuration (or its checkpoint) says."""
     what = command.add_mutually_exclusive_group()
     what.add_argument("--target", metavar="NAME", help=_TARGET)
-    what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
+    what.add_argument("--mission", metavar="TEXT", help="an instruction in words")
     what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
     text = "a way in words, as 'go around the left of the sofa, then stop at the desk'"
-    what.add_argument("--task", metavar="WAY", help=text)
+    what.add_argument("--task", metavar="TEXT", help=text)
 
 
 def _trust(command: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ MOST_POSES = 200
 MOST_ROUNDS = 4
 """Of a model's answers, the newest: they may be long, and the status goes out each second."""
 _MOST_LINES = 20
-_CODE_CHARS, _PRINTED_CHARS = 4000, 1000
+_CODE_CHARS, _PRINTED_CHARS = 2000, 500
 
 
 def status_of(result: TickResult) -> dict[str, object]:
@@ -185,7 +185,7 @@ def task_of(task: TaskFacts | None) -> dict[str, object] | None:
         "rounds": [
             {
                 "code": some_lines(round.code, _CODE_CHARS),
-                "error": one_line(round.error, _PRINTED_CHARS),
+                "error": one_line(round.error),
                 "printed": some_lines(round.printed, _PRINTED_CHARS),
             }
             for round in task.rounds[-MOST_ROUNDS:]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.config import Config, WriterModel
+from edge.config import Config, Tasks, WriterModel
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.host.worker import Worker
@@ -441,13 +441,13 @@ def _let_go(item: _Look | _Order) -> None:
 
 def _written(order: _Order) -> Draft:
     config, scene = order.config, _scene(order)
-    limits, instruction = config.tasks.trajectory, order.instruction
+    limits, instruction = _tasks(config).trajectory, order.instruction
     told = ""
     if isinstance(config.tasks.planner, WriterModel):
         told = f"{prompt()}\n\n{words(instruction, scene, limits, order.why)}"
     draft = Draft(prompt=told)
     try:
-        written = write(instruction, scene, config.tasks, order.rounds.append, order.why)
+        written = write(instruction, scene, _tasks(config), order.rounds.append, order.why)
         coarse = written.coarse
         draft = replace(
             draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
@@ -491,9 +491,16 @@ def _scene(order: _Order) -> Scene:
     )
 
 
-def _body(config: Config) -> Body:
+def _tasks(config: Config) -> Tasks:
     """No nearer to anything than the map inflates it by: there, the way counts as blocked."""
-    return Body(max(config.tasks.trajectory.clearance_m, config.mapping.inflation_m))
+    tasks, trajectory = config.tasks, config.tasks.trajectory
+    clearance_m = max(trajectory.clearance_m, config.mapping.inflation_m)
+    trajectory = trajectory.model_copy(update={"clearance_m": clearance_m})
+    return tasks.model_copy(update={"trajectory": trajectory})
+
+
+def _body(config: Config) -> Body:
+    return Body(_tasks(config).trajectory.clearance_m)
 
 
 def _limits(config: Config, draft: Draft) -> MotionLimits:

@@ -311,7 +311,9 @@ def _refined(r: Refined) -> dict[str, Any]:
         "poses": _array(r.poses), "speeds_mps": _array(r.speeds_mps), "times_s": _array(r.times_s),
         "leg": _array(r.leg),
         "legs": [{"points_m": _array(x.points_m), "ends_segment": x.ends_segment} for x in r.legs],
-        "drivable": sorted(r.drivable), "heading_rad": r.heading_rad, "cost_m": float(r.cost_m),
+        "drivable": sorted(r.drivable),
+        "heading_rad": None if r.heading_rad is None else float(r.heading_rad),
+        "cost_m": float(r.cost_m),
         "control_m": float(r.control_m), "off_region_m": float(r.off_region_m),
         "notes": list(r.notes),
     }  # fmt: skip

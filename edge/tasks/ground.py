@@ -106,8 +106,8 @@ class Ground:
         """Where one who comes from a point stops at a thing.
 
         Of the reachable points from which nothing stands before it and that are about as near to it
-        as the nearest (`ABOUT_M`), the one nearest to where one comes from. Drivable regions go
-        before other ground.
+        as the nearest (`ABOUT_M`), the one nearest to where one comes from; where something stands
+        before it everywhere, of all that are near. Drivable regions go before other ground.
 
         Returns:
             (x_m, y_m), None where there is none within `REACH_M`; and how near to the thing one
@@ -126,22 +126,27 @@ class Ground:
             return None, math.inf
         gaps_m = self.outline(thing).gaps_m(centres_m)
         near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
-        nearest = self._first_facing(thing, centres_m, near[np.argsort(gaps_m[near])])
+        by_gap = near[np.argsort(gaps_m[near], kind="stable")]
+        nearest = self._first_facing(thing, centres_m, by_gap)
         if nearest is None or gaps_m[nearest] > REACH_M:
             return None, float(gaps_m.min())
-        near = near[gaps_m[near] <= gaps_m[nearest] + ABOUT_M]
-        away_m = np.hypot(*(centres_m[near] - from_m).T)
-        first = self._first_facing(thing, centres_m, near[np.argsort(away_m, kind="stable")])
-        assert first is not None  # the nearest is one of them
+        about = near[gaps_m[near] <= gaps_m[nearest] + ABOUT_M]
+        away_m = np.hypot(*(centres_m[about] - from_m).T)
+        first = self._first_facing(thing, centres_m, about[np.argsort(away_m, kind="stable")])
+        assert first is not None  # about is not empty
         x_m, y_m = centres_m[first].tolist()
         return (x_m, y_m), float(gaps_m[nearest])
 
     def _first_facing(
         self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray
     ) -> int | None:
-        """The first of some indices whose point faces a thing."""
-        at_m = ((int(k), tuple(points_m[k].tolist())) for k in order)
-        return next((k for k, (x_m, y_m) in at_m if self.faces(thing, (x_m, y_m))), None)
+        """The first of some indices whose point faces a thing; where none does, the first: a thing
+        may stand beyond the map, or behind what hides its foot."""
+        for k in order.tolist():
+            x_m, y_m = points_m[k].tolist()
+            if self.faces(thing, (x_m, y_m)):
+                return k
+        return int(order[0]) if len(order) else None
 
     def plan(
         self,

@@ -192,6 +192,13 @@ def test_one_stops_where_one_comes_from(functions):
         assert functions.is_free((x, y))
 
 
+def test_one_stops_before_a_thing_beyond_the_map():
+    scene = street(Thing("gate", 23.0, 0.0, (0.4, 3.0)))
+    x, y = Functions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
+    assert x > 19.0
+    assert abs(y) < 1.8
+
+
 def test_one_does_not_stop_far_from_a_thing():
     far = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=((12.0, 12.4, -20.0, 20.0),))
     functions = Functions(ground_of(far, 0.3), LIMITS)

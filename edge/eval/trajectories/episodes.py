@@ -32,8 +32,10 @@ from edge.sim.base import World, WorldObject, free_poses
 from edge.sim.generator.draws import Dice
 from edge.tasks import terrain
 from edge.tasks.captions import place_of
+from edge.tasks.ground import reachable
 from edge.tasks.objects import box_around
 from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import open_cells
 from edge.text import one_line
 
 STREETS = "streets[0:200]"
@@ -62,7 +64,7 @@ class Episode:
         source: "streets", "kitti" or "house".
         world: the street, the frame or the start: episodes of one are not independent.
         scene: all that methods get besides the instruction.
-        truth: int8, 100 where something is: what a trajectory may run into.
+        truth: int8, 100 where something is, whether or not the scene tells.
         robot_m: the robot's radius.
         things: of the place, for pictures.
     """
@@ -193,9 +195,9 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
     """What stands on the floor in view of a camera that looks all round, on the floor plan."""
     plan = world.plan.grid
     occupancy = Grid((plan.cells > 0).astype(np.int8) * 100, plan.origin_xy_m, plan.resolution_m)
-    floor = terrain.reachable(occupancy, pose, 0.0).astype(np.uint8)
+    floor = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
     regions, cells = terrain.regions_of(occupancy, floor, ("floor",))
-    allowed = terrain.reachable(occupancy, pose, radius_m)
+    allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
     shown = _in_view(world, pose)
     items = [
         item

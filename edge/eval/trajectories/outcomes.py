@@ -18,7 +18,7 @@ from edge.eval.outcome import MAX_BYTES, NAME
 from edge.eval.trajectories.episodes import Episode
 from edge.eval.trajectories.meaning import CATEGORIES
 from edge.eval.trajectories.methods import Made
-from edge.eval.trajectory_metrics import evenly, likeness
+from edge.eval.trajectory_metrics import contacts, evenly, likeness
 from edge.geometry import Grid
 
 EPISODES_NAME = "episodes.jsonl"
@@ -57,7 +57,9 @@ class Outcome:
 
     Attributes:
         writer: "rules", or a model's name.
-        error_m, frechet_m, ndtw, contacts: see `edge.eval.trajectory_metrics.Likeness`.
+        error_m, frechet_m, ndtw, contacts: see `edge.eval.trajectory_metrics.Likeness`; contacts
+            with what the scene tells, as OpenNav counts them.
+        true_contacts: with what truly is there.
         refused: of `methods.REFUSALS`, "" for none; `reason`: one line.
         seconds: of writing and refining.
     """
@@ -70,6 +72,7 @@ class Outcome:
     frechet_m: float
     ndtw: float
     contacts: int
+    true_contacts: int
     length_m: float
     refused: str
     reason: str
@@ -98,13 +101,16 @@ def facts_of(episode: Episode) -> Facts:
 def outcome_of(episode: Episode, method: str, writer: str, made: Made) -> Outcome:
     """What a method made, held against the reference and the truth."""
     path_m = made.path_m
-    like = likeness(path_m, episode.task.reference_m, episode.truth, episode.robot_m)
+    told, robot_m = episode.scene.occupancy, episode.robot_m
+    like = likeness(path_m, episode.task.reference_m, told, robot_m)
+    true_contacts = contacts(path_m, episode.truth, robot_m)
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     numbers = (like.error_m, like.frechet_m, like.ndtw)
     return Outcome(
         episode.id, method, writer, like.success and not made.refused,
-        *(round(x, 4) for x in numbers), like.contacts, round(length_m, 2), made.refused,
-        made.reason, round(made.seconds, 4), _plain(evenly(path_m, _DRAWN_M)),
+        *(round(x, 4) for x in numbers), like.contacts, true_contacts,
+        round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
+        _plain(evenly(path_m, _DRAWN_M)),
     )  # fmt: skip
 
 
@@ -140,8 +146,8 @@ class Results:
         methods: their names, with the writer's where there are several; `bare`: without.
         facts: of each episode.
         ran: (M, E) bool.
-        numbers: success, error_m, frechet_m, ndtw, collided, refused, seconds: (M, E) float64, NaN
-            where nothing ran.
+        numbers: success, error_m, frechet_m, ndtw, collided, truly collided, refused, seconds:
+            (M, E) float64, NaN where nothing ran.
         outcomes: by their indices.
     """
 
@@ -186,6 +192,7 @@ _NUMBERS = {
     "frechet_m": lambda o: o.frechet_m,
     "ndtw": lambda o: o.ndtw,
     "collided": lambda o: float(o.contacts > 0),
+    "truly collided": lambda o: float(o.true_contacts > 0),
     "refused": lambda o: float(bool(o.refused)),
     "seconds": lambda o: o.seconds,
 }

@@ -81,27 +81,29 @@ def by_task(results: Results) -> Table:
 
 def shapes(results: Results) -> Table:
     """A method a row: how alike its trajectories are to the references (table II)."""
-    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "refused", "SR, %", "NE, m",
-            "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
+    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "with the truth", "refused", "SR, %",
+            "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
     rows = []
     for m, name in enumerate(results.methods):
         ran = results.ran[m]
         n = int(ran.sum())
         counts = {key: int(results.numbers[key][m, ran].sum())
-                  for key in ("success", "collided", "refused")}  # fmt: skip
+                  for key in ("success", "collided", "truly collided", "refused")}  # fmt: skip
         paper = PAPER_SHAPES.get(results.bare[m])
         rows.append([
             one_line(name), str(n),
             bounded(_means(results, "frechet_m", m, ran), 2),
             bounded(_means(results, "ndtw", m, ran), 2),
-            f"{counts['collided']}/{n}", f"{counts['refused']}/{n}",
+            f"{counts['collided']}/{n}", f"{counts['truly collided']}/{n}",
+            f"{counts['refused']}/{n}",
             bounded(wilson(counts["success"], n), 0, 100.0),
             bounded(_means(results, "error_m", m, ran), 2),
             f"{np.median(results.numbers['seconds'][m, ran]):.2f}",
             *((f"{paper[0]:.2f}", f"{paper[1]:.2f}", paper[2]) if paper else (DASH,) * 3),
         ])  # fmt: skip
     note = (
-        "Collided: trajectories that come nearer to something than the robot's radius. Of a robot "
+        "Collided: trajectories that come nearer to something than the robot's radius, in the map "
+        "that they were made on, and in truth, which knows what the scene does not. Of a robot "
         "that was refused a trajectory, the place where it stands is the trajectory. Time: median, "
         "of writing and refining. " + _unit_words(results)
     )

@@ -56,16 +56,21 @@ class Outcome:
             return 0.0
         return float(np.hypot(*np.diff(self.refined.poses[:, :2], axis=0).T).sum())
 
-    def named(self) -> list[SceneObject]:
-        """The objects that the instruction names, as the rules read it; of a model none is told."""
+    def steps(self) -> list[rules.Step]:
+        """Of the instruction, as the rules read it; of a model none is told."""
         if self.written is None or isinstance(self.config.tasks.planner, WriterModel):
             return []
-        steps = rules.read(self.instruction, self.view.scene)
-        return list({thing.id: thing for step in steps for thing in step.things}.values())
+        return rules.read(self.instruction, self.view.scene)
+
+    def named(self) -> list[SceneObject]:
+        """The objects that the rules find named."""
+        return list({thing.id: thing for step in self.steps() for thing in step.things}.values())
 
     def ends_at(self) -> tuple[SceneObject, float] | None:
-        """The object nearest to where the trajectory ends, and how far its points are."""
-        things = [thing for thing in self.view.scene.objects.values() if len(thing.points_m)]
+        """The object that the last step names, else the one nearest to where the trajectory ends,
+        and how far its points are from there."""
+        last = [thing for step in self.steps()[-1:] for thing in step.things]
+        things = [t for t in last or self.view.scene.objects.values() if len(t.points_m)]
         if self.refined is None or not things:
             return None
         end = self.refined.poses[-1, :2]

@@ -47,7 +47,8 @@ def facts(number: int, category: str = "specific", kind: str = "to", world: str 
 
 
 def outcome(number: int, method: str = "ours", error_m: float = 0.5, **changed) -> Outcome:
-    numbers = {"writer": "rules", "frechet_m": 2.0, "ndtw": 0.5, "contacts": 0, "length_m": 5.0}
+    numbers = {"writer": "rules", "frechet_m": 2.0, "ndtw": 0.5, "contacts": 0, "length_m": 5.0,
+               "true_contacts": 0}  # fmt: skip
     more = {"refused": "", "reason": "", "seconds": 0.1, "path": [[0.0, 0.0], [5.0, error_m]]}
     return Outcome(
         f"e{number}", method, success=error_m <= 1.0, error_m=error_m,

@@ -51,8 +51,8 @@ def test_a_task_a_row_beside_the_paper():
 
 def test_a_method_a_row_beside_the_paper():
     ours, a_star = table("shapes", OURS + A_STAR)
-    assert (ours[0], ours[4], ours[11]) == ("ours", "0/12", "2/30")
-    assert (a_star[0], a_star[4], a_star[9]) == ("a_star", "6/12", "24.20")
+    assert (ours[0], ours[4], ours[12]) == ("ours", "0/12", "2/30")
+    assert (a_star[0], a_star[4], a_star[10]) == ("a_star", "6/12", "24.20")
     assert a_star[2] == "6.00 [6.00, 6.00]"
 
 

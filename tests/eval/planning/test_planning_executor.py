@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.eval.executor import (
+from edge.eval.planning.executor import (
     COMPLETE,
     DONE,
     GAVE_UP,
@@ -22,7 +22,7 @@ from edge.eval.executor import (
     draws_of,
     run_episode,
 )
-from edge.eval.lifted import lift
+from edge.eval.planning.lifted import lift
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from edge.eval.executor import Problem, Situation, draws_of, run_episode
-from edge.eval.lifted import compiled, lift
-from edge.eval.task_planners import PLANNERS
-from edge.eval.task_runs import Settings, run_tasks
-from edge.eval.task_templates import generate
+from edge.eval.planning.executor import Problem, Situation, draws_of, run_episode
+from edge.eval.planning.lifted import compiled, lift
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.sweep import Settings, run_tasks
+from edge.eval.planning.templates import generate
 from edge.mission.ltl import parse
 
 P_OBS = tuple(i / 10 for i in range(1, 11))
@@ -30,7 +30,7 @@ def tasks():
 @pytest.mark.parametrize("planner", ["vitl", "expected"])
 def test_tasks_sample(benchmark, tasks, planner):
     """A tenth of the benchmark, automata compiled, plans made anew in every round."""
-    benchmark.extra_info["budget"] = f"eval_tasks_{SAMPLE}_{planner}"
+    benchmark.extra_info["budget"] = f"eval_planning_{SAMPLE}_{planner}"
     settings = Settings((planner,), P_OBS)
     results = benchmark.pedantic(run_tasks, args=(tasks, settings), rounds=5, warmup_rounds=1)
     assert results.complete.all()
@@ -38,7 +38,7 @@ def test_tasks_sample(benchmark, tasks, planner):
 
 def test_task_episode(benchmark):
     """One run of case study 2 with the plans already made."""
-    benchmark.extra_info["budget"] = "eval_tasks_episode"
+    benchmark.extra_info["budget"] = "eval_planning_episode"
     lifted = lift(parse(CASE_2))
     problem = Problem.of(lifted.automaton, lifted.others)
     choose = PLANNERS["vitl"].make(problem)(0.5)
@@ -55,7 +55,7 @@ def test_task_episode(benchmark):
 
 def test_optimal_policy(benchmark):
     """The exact optimum of case study 2 at one p_obs: 32 states, 64 sets of known objects."""
-    benchmark.extra_info["budget"] = "eval_tasks_optimum"
+    benchmark.extra_info["budget"] = "eval_planning_optimum"
     problem = Problem.of(compiled(lift(parse(CASE_2)).formula), 0)
     optimum = PLANNERS["optimal"].make(problem)
     optimum(0.5)(Situation(0))
@@ -65,7 +65,7 @@ def test_optimal_policy(benchmark):
 @pytest.mark.slow
 def test_tasks_whole(benchmark):
     """Everything for one planner on one core: tasks, automata, plans and 20,000 runs."""
-    benchmark.extra_info["budget"] = "eval_tasks_2000_vitl"
+    benchmark.extra_info["budget"] = "eval_planning_2000_vitl"
 
     def whole():
         compiled.cache_clear()

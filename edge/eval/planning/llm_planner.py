@@ -13,7 +13,7 @@ import numpy as np
 
 from edge import names
 from edge.chat import ChatClient, ChatError, CutOffError
-from edge.eval.executor import (
+from edge.eval.planning.executor import (
     DONE,
     INVALID,
     Choose,
@@ -23,10 +23,10 @@ from edge.eval.executor import (
     draws_of,
     run_episode,
 )
-from edge.eval.lifted import lift, world_of
-from edge.eval.task_report import LLM
-from edge.eval.task_runs import Results, Settings, empty_results
-from edge.eval.task_templates import SPOKEN, Task
+from edge.eval.planning.lifted import lift, world_of
+from edge.eval.planning.report import LLM
+from edge.eval.planning.sweep import Results, Settings, empty_results
+from edge.eval.planning.templates import SPOKEN, Task
 from edge.mission.automaton import Automaton
 from edge.mission.planner import Knowledge, Plan
 from edge.mission.planning.plan import ACCEPTED, DEAD
@@ -85,7 +85,7 @@ def parse_answer(text: str, objects: Sequence[str]) -> int:
 
 
 class LlmPlanner:
-    """The LLM-planner in the loop (`mission.planner.kind: edge.eval.llm_planner:LlmPlanner`).
+    """The LLM-planner in the loop: a `mission.planner.kind` of its own.
 
     The model is asked anew when what is seen, reached or failed has changed, and the tick waits for
     its answer: for evaluations, in lockstep. What it says is done, even if it breaks the mission.

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from edge.eval.executor import COMPLETE, VIOLATED
-from edge.eval.task_report import legend, rows_of, summary, table, tasks_line, to_json
-from edge.eval.task_runs import NOT_RUN, Results, Settings
-from edge.eval.task_templates import generate
+from edge.eval.planning.executor import COMPLETE, VIOLATED
+from edge.eval.planning.report import legend, rows_of, summary, table, tasks_line, to_json
+from edge.eval.planning.sweep import NOT_RUN, Results, Settings
+from edge.eval.planning.templates import generate
 
 
 def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> Results:

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from edge.errors import FileError
-from edge.eval.task_file import TaskFileError, read_tasks, write_tasks
-from edge.eval.task_templates import generate
+from edge.eval.planning.file import TaskFileError, read_tasks, write_tasks
+from edge.eval.planning.templates import generate
 
 GOOD = {
     "id": 0,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from edge import names
 from edge.errors import UserError
-from edge.eval.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
-from edge.eval.task_templates import Task
+from edge.eval.planning.lifted import MAX_OBJECTS, lift, with_canonical_names, world_of
+from edge.eval.planning.templates import Task
 from edge.host.files import read_regular, save
 from edge.mission.ltl import parse, propositions, to_text
 from edge.text import read_json_object

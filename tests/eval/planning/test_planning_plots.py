@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from edge.eval.intervals import Interval
-from edge.eval.task_planners import PLANNERS
-from edge.eval.task_plots import STYLES, write_plots
-from edge.eval.task_report import LLM, Row
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.plots import STYLES, write_plots
+from edge.eval.planning.report import LLM, Row
 
 NAN = Interval(float("nan"), float("nan"), float("nan"))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from edge.eval.intervals import Interval
-from edge.eval.task_report import Row
+from edge.eval.planning.report import Row
 from edge.host.files import write_atomically
 from edge.report import canvas, palette
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.errors import UserError
-from edge.eval.executor import COMPLETE, Problem, draws_of, run_episode
-from edge.eval.lifted import lift
-from edge.eval.task_planners import PLANNERS, solvable
-from edge.eval.task_templates import Task
+from edge.eval.planning.executor import COMPLETE, Problem, draws_of, run_episode
+from edge.eval.planning.lifted import lift
+from edge.eval.planning.planners import PLANNERS, solvable
+from edge.eval.planning.templates import Task
 
 BATCH_EPISODES = 20
 """Of one planner at one p_obs, between two looks at whether to stop."""

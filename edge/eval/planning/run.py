@@ -14,33 +14,33 @@ from typing import TYPE_CHECKING
 from edge.errors import FileError, UserError
 
 if TYPE_CHECKING:
-    from edge.eval.task_runs import Results, Settings
-    from edge.eval.task_templates import Task
+    from edge.eval.planning.sweep import Results, Settings
+    from edge.eval.planning.templates import Task
 
 JSON_NAME = "results.json"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge eval tasks`.
+    """Handle `edge eval planning`.
 
     Raises:
         UserError: bad options or tasks; nothing can be written to `--out`; the language model's
             server failed. What ends the language model's runs, Ctrl-C too, is raised after the
             results until then have been printed and written.
     """
-    from edge.eval import task_file, task_report
-    from edge.eval.task_runs import Settings
+    from edge.eval.planning import file, report
+    from edge.eval.planning.sweep import Settings
 
     began_s = time.monotonic()
     settings = Settings(_planners(args.planners), args.p_obs, args.episodes, args.seed)
     client = _client(args)
-    tasks = task_file.read_tasks(args.tasks) if args.tasks else _generate(args.n, args.seed)
+    tasks = file.read_tasks(args.tasks) if args.tasks else _generate(args.n, args.seed)
     if args.export:
-        task_file.write_tasks(args.export, tasks)
+        file.write_tasks(args.export, tasks)
         print(f"{len(tasks)} tasks in {args.export}")
         return 0
     out = _writable(args.out)
-    print(task_report.tasks_line(tasks), flush=True)
+    print(report.tasks_line(tasks), flush=True)
     results = _run_offline(tasks, settings, args.jobs)
     failure = None
     if client is not None:
@@ -55,17 +55,17 @@ def _report(
     results: Results, tasks: list[Task], settings: Settings, out: Path, began_s: float
 ) -> None:
     """Print the figures, write them and the plots."""
-    from edge.eval import task_report
-    from edge.eval.task_plots import write_plots
+    from edge.eval.planning import report
+    from edge.eval.planning.plots import write_plots
     from edge.host.files import write_atomically
 
-    rows = task_report.rows_of(results)
-    print(task_report.legend(results.planners), end="\n\n")
-    print(task_report.table(rows), end="\n\n")
-    print(task_report.summary(rows), end="\n\n")
+    rows = report.rows_of(results)
+    print(report.legend(results.planners), end="\n\n")
+    print(report.table(rows), end="\n\n")
+    print(report.summary(rows), end="\n\n")
     seconds = time.monotonic() - began_s
     try:
-        content = task_report.to_json(rows, tasks, settings, seconds)
+        content = report.to_json(rows, tasks, settings, seconds)
         write_atomically(out / JSON_NAME, content)
         paths = [out / JSON_NAME, *write_plots(rows, out)]
     except OSError as error:
@@ -91,13 +91,13 @@ def _writable(directory: Path) -> Path:
 
 
 def _generate(n: int, seed: int) -> list[Task]:
-    from edge.eval.task_templates import generate
+    from edge.eval.planning.templates import generate
 
     return generate(n, seed)
 
 
 def _run_offline(tasks: list[Task], settings: Settings, jobs: int) -> Results:
-    from edge.eval.task_runs import run_tasks
+    from edge.eval.planning.sweep import run_tasks
     from edge.host.bars import Bar
 
     with Bar("tasks", len(tasks)) as bar:
@@ -108,7 +108,7 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
     """The results with the language model's, and what ended its runs early."""
     import numpy as np
 
-    from edge.eval.llm_planner import merged, run_llm
+    from edge.eval.planning.llm_planner import merged, run_llm
     from edge.host.bars import Bar
 
     n = min(args.llm_tasks, len(tasks))
@@ -134,7 +134,7 @@ def _planners(text: str | None) -> tuple[str, ...]:
     Raises:
         UserError: an unknown name; lists what there is.
     """
-    from edge.eval.task_planners import PLANNERS
+    from edge.eval.planning.planners import PLANNERS
 
     if text is None:
         return tuple(PLANNERS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.config import PlannerExpected
-from edge.eval.executor import (
+from edge.eval.planning.executor import (
     COMPLETE,
     DONE,
     MAX_DECISIONS,
@@ -18,10 +18,10 @@ from edge.eval.executor import (
     draws_of,
     run_episode,
 )
-from edge.eval.lifted import lift, world_of
-from edge.eval.task_planners import DIRECT_COST, PLANNERS, least_explorations, valid_targets
-from edge.eval.task_runs import Settings, run_tasks
-from edge.eval.task_templates import generate
+from edge.eval.planning.lifted import lift, world_of
+from edge.eval.planning.planners import DIRECT_COST, PLANNERS, least_explorations, valid_targets
+from edge.eval.planning.sweep import Settings, run_tasks
+from edge.eval.planning.templates import generate
 from edge.mission.ltl import parse, propositions
 from edge.mission.planner import Knowledge, make_planner
 

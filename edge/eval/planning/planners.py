@@ -1,7 +1,7 @@
-"""The planners that `edge eval tasks` compares, behind one interface.
+"""The planners that `edge eval planning` compares, behind one interface.
 
 A planner is made for a problem, then for a p_obs, and then answers situations
-(`edge.eval.executor.Choose`). Only `expected` and `optimal` make use of p_obs.
+(`edge.eval.planning.executor.Choose`). Only `expected` and `optimal` make use of p_obs.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import PlannerExpected, PlannerInOrder, PlannerVitl
-from edge.eval.executor import DONE, NOTHING, Choose, Problem, Situation
-from edge.eval.lifted import MAX_OBJECTS
+from edge.eval.planning.executor import DONE, NOTHING, Choose, Problem, Situation
+from edge.eval.planning.lifted import MAX_OBJECTS
 from edge.mission.planner import Knowledge, Planner, PlannerError, make_planner
 
 OTHERS = tuple(f"other object {i}" for i in range(MAX_OBJECTS))
@@ -102,7 +102,7 @@ def least_explorations(problem: Problem) -> Callable[[float], Choose]:
     only break ties.
 
     Targets are the formula's own objects, as for every planner. At p_obs < 1/6 one that explored
-    on behalf of objects that the task does not name would gain (see `edge.eval.executor`).
+    on behalf of objects that the task does not name would gain (see `edge.eval.planning.executor`).
     """
     return expected(problem, w_det=DIRECT_COST)
 

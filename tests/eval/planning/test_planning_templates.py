@@ -8,8 +8,15 @@ from collections import Counter
 import pytest
 
 from edge import names
-from edge.eval.lifted import HM3D_OBJECTS, lift, world_of
-from edge.eval.task_templates import FAMILIES, JOINTS, Template, formula_of, generate, sentence_of
+from edge.eval.planning.lifted import HM3D_OBJECTS, lift, world_of
+from edge.eval.planning.templates import (
+    FAMILIES,
+    JOINTS,
+    Template,
+    formula_of,
+    generate,
+    sentence_of,
+)
 from edge.mission.ltl import parse, propositions, to_text
 
 DIGEST = "21de6270f80f429f"

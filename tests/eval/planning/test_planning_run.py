@@ -1,4 +1,4 @@
-"""`edge eval tasks` from its options to its files."""
+"""`edge eval planning` from its options to its files."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from patience import PATIENCE_S
 
 from edge.cli.parsers import make_parser
 from edge.errors import UserError
-from edge.eval import tasks as command
-from edge.eval.task_file import read_tasks
-from edge.eval.task_planners import PLANNERS
-from edge.eval.task_templates import generate
+from edge.eval.planning import run as command
+from edge.eval.planning.file import read_tasks
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.templates import generate
 
 
 def parsed(*argv: str) -> argparse.Namespace:
-    return make_parser("", {}).parse_args(["eval", "tasks", *argv])
+    return make_parser("", {}).parse_args(["eval", "planning", *argv])
 
 
 def test_defaults_are_the_papers_benchmark():
@@ -30,7 +30,7 @@ def test_defaults_are_the_papers_benchmark():
     assert (args.n, args.seed, args.tasks, args.llm) == (2000, 0, None, None)
     assert args.p_obs == tuple(i / 10 for i in range(1, 11))
     assert args.jobs >= 1
-    assert str(args.out) == "tasks-report"
+    assert str(args.out) == "planning-report"
 
 
 def test_runs_and_writes(tmp_path, capsys):
@@ -127,7 +127,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
         textwrap.dedent("""
         import signal, sys, time
         from edge.cli.parsers import make_parser
-        from edge.eval import tasks
+        from edge.eval.planning import run as command
         from edge.host import bars
         def reach(bar, done):
             print("working", flush=True)
@@ -136,9 +136,9 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
             bars.Bar.reach = reach
             # Who was started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            args = make_parser("", {}).parse_args(["eval", "tasks", *sys.argv[1:]])
+            args = make_parser("", {}).parse_args(["eval", "planning", *sys.argv[1:]])
             try:
-                tasks.run(args)
+                command.run(args)
             except KeyboardInterrupt:
                 sys.exit(130)
         """)

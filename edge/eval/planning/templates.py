@@ -15,7 +15,7 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from edge.eval.lifted import HM3D_OBJECTS, lift
+from edge.eval.planning.lifted import HM3D_OBJECTS, lift
 from edge.mission.ltl import (
     Formula,
     always,

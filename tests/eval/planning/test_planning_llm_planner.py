@@ -14,7 +14,7 @@ from edge.chat import ChatError, CutOffError
 from edge.eval.columns import make_columns
 from edge.eval.drive import in_process, run_episode
 from edge.eval.episodes import make_episode, sensing_of
-from edge.eval.executor import (
+from edge.eval.planning.executor import (
     COMPLETE,
     DONE,
     GAVE_UP,
@@ -24,8 +24,8 @@ from edge.eval.executor import (
     Problem,
     Situation,
 )
-from edge.eval.lifted import compiled, lift
-from edge.eval.llm_planner import (
+from edge.eval.planning.lifted import compiled, lift
+from edge.eval.planning.llm_planner import (
     MAX_QUESTIONS,
     LlmPlanner,
     llm_chooser,
@@ -34,9 +34,9 @@ from edge.eval.llm_planner import (
     prompt,
     run_llm,
 )
-from edge.eval.task_planners import PLANNERS
-from edge.eval.task_runs import NOT_RUN, Settings, run_tasks
-from edge.eval.task_templates import SPOKEN, Task, generate
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.sweep import NOT_RUN, Settings, run_tasks
+from edge.eval.planning.templates import SPOKEN, Task, generate
 from edge.host.ports import free_port
 from edge.mission.ltl import parse, propositions
 from edge.mission.planner import Knowledge
@@ -286,7 +286,10 @@ def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_n
 def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success, reason):
     config = small_house(tmp_path, mission={"time_limit_s": 90.0})
     with planning(*rules) as (_, server):
-        planner = {"kind": "edge.eval.llm_planner:LlmPlanner", "options": {"url": server.url}}
+        planner = {
+            "kind": "edge.eval.planning.llm_planner:LlmPlanner",
+            "options": {"url": server.url},
+        }
         (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
         start = (1.0, 2.0, 0.0)
         world = config.sim.world.model_dump(mode="json")
@@ -298,7 +301,7 @@ def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success
 def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
     config = small_house(tmp_path)
     options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
-    planner = {"kind": "edge.eval.llm_planner:LlmPlanner", "options": options}
+    planner = {"kind": "edge.eval.planning.llm_planner:LlmPlanner", "options": options}
     (column,) = make_columns(config, {"llm": {"mission": {"planner": planner}}})
     world = config.sim.world.model_dump(mode="json")
     episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, {}, instruction=MISSION)

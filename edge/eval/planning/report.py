@@ -19,12 +19,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from edge.eval.executor import OUTCOMES
 from edge.eval.intervals import Interval, ratio, wilson
-from edge.eval.lifted import lift
-from edge.eval.task_planners import PLANNERS
-from edge.eval.task_runs import NOT_RUN, Results, Settings
-from edge.eval.task_templates import Task
+from edge.eval.planning.executor import OUTCOMES
+from edge.eval.planning.lifted import lift
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.sweep import NOT_RUN, Results, Settings
+from edge.eval.planning.templates import Task
 
 LLM, LLM_WORDS = "llm", "a language model, asked for every next target (the paper's prompt)"
 

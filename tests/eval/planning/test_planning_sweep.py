@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.eval import task_runs
-from edge.eval.task_runs import NOT_RUN, Settings, run_tasks
-from edge.eval.task_templates import generate
+from edge.eval.planning import sweep
+from edge.eval.planning.sweep import NOT_RUN, Settings, run_tasks
+from edge.eval.planning.templates import generate
 from edge.mission.planning import expected
 
 SETTINGS = Settings(("vitl", "random-valid", "optimal"), (0.3, 1.0), episodes=2)
@@ -39,7 +39,7 @@ def test_processes_give_the_same_results():
 def test_batches_and_company_make_no_difference(monkeypatch):
     tasks = generate(60)
     whole = run_tasks(tasks, SETTINGS)
-    monkeypatch.setattr(task_runs, "BATCH_EPISODES", 1)
+    monkeypatch.setattr(sweep, "BATCH_EPISODES", 1)
     assert same(run_tasks(tasks, SETTINGS), whole)
     one = run_tasks(tasks[7:8], SETTINGS._replace(planners=("vitl",)))
     np.testing.assert_array_equal(one.explorations[0, :, 0], whole.explorations[0, :, 7])
