@@ -34,7 +34,6 @@ from edge.loop.runner import Running
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
 from edge.loop.warmup import warm_up
-from edge.mission.brief import prepare
 from edge.perception.cards import ModelError
 from edge.perception.detector import Detector, Health, log_progress
 from edge.perception.factory import make_detector
@@ -45,6 +44,7 @@ from edge.policies import find_policy
 from edge.sinks import find_sinks
 from edge.sources import find_source
 from edge.sources.truth import make_truth
+from edge.tasks.brief import prepared
 
 _SWITCH_S = 2e-4
 _CHILD_STOP_S = 5.0
@@ -65,6 +65,7 @@ def open_service(
     sinks: Sequence[Sink],
     asked: str | None = None,
     formula: str | None = None,
+    task: str | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[str], None] = lambda what: None,
     amiss: Callable[[], Sequence[str]] = tuple,
@@ -77,8 +78,9 @@ def open_service(
     Args:
         sinks: take the results besides those that the configuration names.
         asked: the configuration's mission, where the command line named it.
-        formula: the mission, in place of the configuration's. With neither, a checkpoint's
-            unfinished mission goes on, whatever the configuration says.
+        formula: the mission, in place of the configuration's; so `task` (`edge.tasks.brief`).
+            With none of them a checkpoint's unfinished mission goes on, whatever the configuration
+            says.
         stop: once set, the start is broken off. What cannot be, as compiling, is left to a thread
             (`edge.host.interruptible`).
         progress: told what is begun, by any thread: each takes minutes at most, and what takes
@@ -100,14 +102,14 @@ def open_service(
     with ExitStack() as stack:
         mission, keeper, brief = config.mission, None, None
         if mission.checkpoint is not None:
-            named = asked if formula is None else formula
+            named = next((text for text in (task, formula, asked) if text is not None), None)
             keeper = Keeper(config, resources.expand(mission.checkpoint), named)
             stack.callback(keeper.close)
             brief = keeper.brief()
-        idle = mission.on_request and brief is None and asked is None and formula is None
+        idle = mission.on_request and brief is None and {asked, formula, task} == {None}
         if brief is None:
             progress("understanding the mission")
-            brief = prepare(mission, formula=formula)
+            brief = prepared(config, task, formula=formula)
         raise_if_stopped(stop)
         session = stack.enter_context(
             zenoh_session(
@@ -154,7 +156,7 @@ def open_service(
             idle,
         )  # fmt: skip
         stack.callback(service.close)
-        served = requests.served(service, partial(prepare, mission), amiss)
+        served = requests.served(service, partial(prepared, config), amiss)
         for key, (verbs, handle) in served.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

@@ -57,6 +57,17 @@ def printable_lines(text: object) -> str:
     return "\n".join(map(_printable, str(text).splitlines()))
 
 
+def some_lines(text: str, limit: int) -> str:
+    """The lines of a text from outside without control characters, of at most `limit` characters;
+    what is too long ends in `…`.
+
+    >>> some_lines("a = 1\\nb\\x1b[2J = 2", 11)
+    'a = 1\\nb [2…'
+    """
+    cut = printable_lines(text[:limit].replace("\t", "    "))
+    return cut if len(text) <= limit and len(cut) <= limit else cut[: limit - 1] + "…"
+
+
 def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 

@@ -201,8 +201,9 @@ class Instance:
 
 
 # "look": there was nothing to go to, so the robot turns on the spot, or goes to where the camera
-# sees what it saw badly before.
-CandidateKind = Literal["frontier", "instance", "look"]
+# sees what it saw badly before. "trajectory": a task's, which moves ahead of the robot, or its turn
+# on the spot.
+CandidateKind = Literal["frontier", "instance", "look", "trajectory"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +265,9 @@ class MissionStatus:
         return self.phase in ("reached", "failed")
 
 
-StepKind = Literal["start", "target", "seen", "reached", "failed", "nothing", "warning", "end"]
+StepKind = Literal[
+    "start", "target", "seen", "reached", "failed", "nothing", "warning", "trajectory", "end"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +277,8 @@ class Step:
     Attributes:
         kind: `target`: the plan now goes to `label`; `seen`, `reached`, `failed`: what became of
             it; `nothing`: a step in which nothing is reached, as the formula asks; `warning`: the
-            robot is about to stop beside something that must not be reached now.
+            robot is about to stop beside something that must not be reached now; `trajectory`: of
+            a task, how its trajectory comes about.
         state: of the automaton, after it.
         text: for people.
     """

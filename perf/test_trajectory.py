@@ -123,7 +123,7 @@ def test_value_map(benchmark, against):
     free = (cells != 100).astype(np.uint8)
     against(lambda: cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
     benchmark.extra_info["budget"] = "value_map_1000"
-    arguments = (Grid(cells, *place), Grid(regions, *place), {1, 2}, coarse_m, Body())
+    arguments = (Grid(cells, *place), Grid(regions, *place), {1, 2}, coarse_m, Body(0.4))
     benchmark.pedantic(value_map, arguments, rounds=30, warmup_rounds=3)
 
 

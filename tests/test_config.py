@@ -307,6 +307,13 @@ OVERRIDES = [
         lambda c: c.mapping.inflation_m,
         0.3,
     ),
+    ({"EDGE__ROBOT__RADIUS_M": "0.5"}, lambda c: c.tasks.trajectory.clearance_m, 0.6),
+    ({"EDGE__ROBOT__RADIUS_M": "0.1"}, lambda c: c.tasks.trajectory.clearance_m, 0.3),
+    (
+        {"EDGE__ROBOT__RADIUS_M": "0.5", "EDGE__TASKS__TRAJECTORY__CLEARANCE_M": "0.5"},
+        lambda c: c.tasks.trajectory.clearance_m,
+        0.5,
+    ),
     ({"EDGE__POLICY__KIND": "nearest_frontier"}, lambda c: c.policy.kind, "nearest_frontier"),
     ({"EDGE__LOOP__LOCKSTEP": "true"}, lambda c: c.loop.lockstep, True),
     ({"EDGE__SENSORS__CAMERA__WIDTH_PX": "64"}, lambda c: c.sensors.camera.width_px, 64),

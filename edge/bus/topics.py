@@ -49,6 +49,7 @@ MAP = Topic("map", "nav_msgs/OccupancyGrid", "drop", 2, "service")
 STATUS = Topic("status", "json", "drop", 1, "service")
 LATENCY = Topic("latency", "json", "drop", 1, "service")
 MISSION = Topic("mission", "json", "urgent", 0, "service")
+TRAJECTORY = Topic("trajectory", "nav_msgs/Path", "drop", 0, "service")
 TICK = Topic("tick", "json", "block", 0, "service")
 
 CMD_VEL = Topic("cmd_vel", "geometry_msgs/TwistStamped", "drop", 20, "controller")
@@ -64,7 +65,7 @@ ALIVE = "alive"
 
 ALL: tuple[Topic, ...] = (
     RGB, DEPTH, CAMERA_INFO, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH, SEGMENTATION, LABELS,
-    GOAL, MAP, STATUS, LATENCY, MISSION, TICK, CMD_VEL, GOAL_STATUS,
+    GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, TICK, CMD_VEL, GOAL_STATUS,
 )  # fmt: skip
 
 PLAYED = tuple(topic for topic in ALL if topic.writer in ("sensors", "simulator"))

@@ -48,6 +48,7 @@ def run_service(
     report: str | None,
     asked: str | None = None,
     formula: str | None = None,
+    task: str | None = None,
     reload: Reload | None = None,
 ) -> int:
     """Run the service; the exit code, see `edge.errors`.
@@ -56,7 +57,7 @@ def run_service(
     `once` that is the outcome.
 
     Args:
-        asked, formula: the mission as given on the command line; see `open_service`.
+        asked, formula, task: the mission as given on the command line; see `open_service`.
         reload: None: the configuration stays.
 
     Raises:
@@ -64,7 +65,7 @@ def run_service(
         Stopped: `stop` was set before the service was ready.
     """
     _prepare(report)
-    code = _conclude(_serve(config, stop, once, asked, formula, reload), report)
+    code = _conclude(_serve(config, stop, once, asked, formula, task, reload), report)
     return code if once else os.EX_OK
 
 
@@ -81,6 +82,7 @@ def _serve(
     once: bool,
     asked: str | None,
     formula: str | None,
+    task: str | None,
     reload: Reload | None = None,
 ) -> RunRecord:
     recorder, vitals = Recorder(config), Vitals(ServiceManager())
@@ -89,7 +91,9 @@ def _serve(
     pages = {**vitals.pages(), **metrics.pages(), **traced.pages(), **live.pages()}
     with (
         _served(pages, live.forms(), config.http),
-        open_service(config, sinks, asked, formula, stop, vitals.starting, vitals.amiss) as running,
+        open_service(
+            config, sinks, asked, formula, task, stop, vitals.starting, vitals.amiss
+        ) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})
         if reload is not None:
@@ -125,7 +129,7 @@ def _conclude(record: RunRecord, report: str | None) -> int:
     if report is not None:
         from edge.report.page import write_report
 
-        for path in write_report(record, Path(report)):
+        for path in filter(None, write_report(record, Path(report))):
             print(path)
     return FAILED if record.mission.phase == "failed" else os.EX_OK
 
@@ -146,12 +150,13 @@ def run_demo(
     report: str,
     asked: str | None = None,
     formula: str | None = None,
+    task: str | None = None,
     live: int | None = None,
 ) -> int:
     """Simulated robot, reference controller and service on this machine; ends with the mission.
 
     Args:
-        asked, formula: see `run_service`.
+        asked, formula, task: see `run_service`.
         live: port for the live view; 0: `http.port`, or a free one; None: only `http.port`.
     """
     config = on_a_free_port(config)
@@ -163,7 +168,7 @@ def run_demo(
     try:
         started = children(config, stop, ("sim", "--no-motion"), ("motion",))
         with started, suppress(Stopped):  # `started` says it when a child that ended was the cause
-            record = _serve(config, stop, True, asked, formula)
+            record = _serve(config, stop, True, asked, formula, task)
     finally:  # a child's failure must not cost the report
         code = 0 if record is None else _conclude(record, report)
     return code

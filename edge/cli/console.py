@@ -10,6 +10,7 @@ from typing import TextIO
 from edge import names
 from edge.logs import CLEAR_LINE
 from edge.loop.result import TickResult
+from edge.tasks.facts import TaskFacts, lengths_m
 from edge.text import shorten
 
 TERMINAL_PERIOD_S = 0.2
@@ -61,24 +62,46 @@ def line_of(result: TickResult) -> str:
     """How the service stands, without control characters, such as
 
     `12.3s searching chair | frontier 2.5 m | 1 seen | map 40 m2 | tick p95 1.9 ms | detector 9 ms`
+
+    and, of a task that is driven,
+
+    `12.3s driving go past the sofa | 3.1 of 7.4 m | map 40 m2 | tick p95 1.9 ms | detector 9 ms`
     """
-    status, goal, pose = result.status, result.goal, result.pose
-    seen = sum(names.same(found.label, status.target) for found in result.instances())
+    status, pose, task = result.status, result.pose, result.task()
     latency = result.latency(last=_RECENT)
     tick, detect = latency.tick, latency.stage("detect")
     phase = status.phase if pose is not None else "waiting for sensors, looking for"
-    away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
-    parts = [
-        f"{status.elapsed_s:.1f}s {phase} {_ahead(result)}",
-        "no goal" if goal is None else f"{goal.kind} {away_m:.1f} m",
-        f"{seen} seen",
-        f"map {result.known_m2():.0f} m2",
-    ]
+    if task is None or pose is None:
+        parts = [f"{phase} {_ahead(result)}", *_sought(result)]
+    else:
+        parts = _of_task(task, result)
+    parts[0] = f"{status.elapsed_s:.1f}s {parts[0]}"
+    parts.append(f"map {result.known_m2():.0f} m2")
     if tick.n:
         parts.append(f"tick p95 {tick.p95_ms:.1f} ms")
     if detect.n:
         parts.append(f"detector {detect.p50_ms:.0f} ms")
     return "".join(c for c in " | ".join(parts) if c.isprintable())
+
+
+def _sought(result: TickResult) -> list[str]:
+    """Where the robot goes to find its target, and how often it has seen one."""
+    goal, pose, target = result.goal, result.pose, result.status.target
+    seen = sum(names.same(found.label, target) for found in result.instances())
+    away_m = 0.0 if goal is None or pose is None else pose.distance_to(*goal.candidate_xy_m)
+    return ["no goal" if goal is None else f"{goal.kind} {away_m:.1f} m", f"{seen} seen"]
+
+
+def _of_task(task: TaskFacts, result: TickResult) -> list[str]:
+    asked = shorten(task.instruction, _THEN_CHARS)
+    if task.phase == "looking":
+        wanted = shorten(", ".join(task.missing), _THEN_CHARS) or "what is around"
+        return [f"looking for {wanted}, to {asked}", *_sought(result)]
+    if task.refined is None:
+        answers = f", {len(task.rounds)} answers" if task.rounds else ""
+        return [f"{task.phase} {asked}", f"by {task.writer}{answers}"]
+    length_m, driven_m = lengths_m(task.refined, task.index)
+    return [f"{task.phase} {asked}", f"{driven_m:.1f} of {length_m:.1f} m"]
 
 
 def _ahead(result: TickResult) -> str:

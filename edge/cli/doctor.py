@@ -359,6 +359,19 @@ def _listens(url: str) -> bool:
     return True
 
 
+def check_tasks(config: Config) -> Iterator[Finding]:
+    """The interpreter of a model's scripts runs here; the rules do without it."""
+    from edge.tasks import script
+
+    try:
+        version = script.version()
+    except UserError as error:
+        lack: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
+        yield Finding(lack, *_split(error))
+    else:
+        yield Finding("ok", f"scripts of a task's model: pydantic-monty {version} runs them")
+
+
 def check_worlds(config: Config) -> Iterator[Finding]:
     wanted = ("trimesh", "PIL", "embreex")
     missing = [name for name in wanted if util.find_spec(name) is None]
@@ -389,5 +402,6 @@ CHECKS: tuple[Check, ...] = (
     check_mission,
     check_vocabulary,
     check_scorers,
+    check_tasks,
     check_worlds,
 )

@@ -12,8 +12,9 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
     evaluate = commands.add_parser("eval", help="evaluate episodes, planners, translators")
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
     _episodes(kinds)
-    _tasks(kinds)
+    _planning(kinds)
     _translate(kinds)
+    _trajectories(kinds)
     _compare(kinds)
     _results(kinds)
 
@@ -87,9 +88,11 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
 
 
-def _tasks(kinds) -> None:  # type: ignore[no-untyped-def]
-    tasks = kinds.add_parser("tasks", help="mission planners on tasks in language (ViTL figure 4)")
-    option = tasks.add_argument
+def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
+    planning = kinds.add_parser(
+        "planning", help="mission planners on tasks in language (ViTL figure 4)"
+    )
+    option = planning.add_argument
     option("--tasks", type=Path, metavar="FILE", help="tasks from there (JSON lines) instead")
     option("--export", type=Path, metavar="FILE", help="write the tasks there and stop")
     option("--n", type=count, default=2000, help="tasks to generate (default: %(default)s)")
@@ -102,7 +105,7 @@ def _tasks(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--episodes", type=count, default=1, help="a task and p_obs (default: %(default)s)")
     option("--jobs", type=count, default=cores(), help="processes (default: one a core)")
     option(
-        "--out", type=Path, default=Path("tasks-report"), metavar="DIR",
+        "--out", type=Path, default=Path("planning-report"), metavar="DIR",
         help="for the plots and results.json (default: ./%(default)s)",
     )  # fmt: skip
     option("--llm", metavar="URL", help="compare a language model too: an OpenAI-compatible API")
@@ -111,7 +114,7 @@ def _tasks(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="how many of the tasks it gets (default: %(default)s)",
     )  # fmt: skip
-    tasks.set_defaults(handler=lazy("edge.eval.tasks", "run"))
+    planning.set_defaults(handler=lazy("edge.eval.planning.run", "run"))
 
 
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -138,6 +141,39 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))
+
+
+def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
+    trajectories = kinds.add_parser(
+        "trajectories", help="trajectories by language against what was meant (OpenNav IV)"
+    )
+    option = trajectories.add_argument
+    option(
+        "places", nargs="*", default=["streets[0:200]"], metavar="PLACES",
+        help="streets[0:200] (of these 0-99 are for tuning), kitti:FOLDER of a SemanticKITTI "
+        "sequence, house:CONFIG (default: streets[0:200])",
+    )  # fmt: skip
+    option(
+        "--methods", metavar="NAME;NAME;…",
+        help="ours; ours, not refined; vlt_code; a_star; with --url llm_tg too (default: all)",
+    )  # fmt: skip
+    option("--limit", type=count, metavar="N", help="the first N episodes of each place only")
+    option("--url", help="of an OpenAI-compatible server, whose model writes instead of the rules")
+    option("--model", help="its model")
+    option(
+        "--rounds", type=count, default=4, metavar="N",
+        help="answers that the model may give an episode (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--time-limit", type=count, default=120, metavar="S",
+        help="seconds for all of them (default: %(default)s)",
+    )  # fmt: skip
+    option(
+        "--out", type=Path, default=Path("trajectories"), metavar="DIR",
+        help="for outcomes.jsonl, episodes.jsonl and pictures; what it has is not run again "
+        "(default: ./%(default)s)",
+    )  # fmt: skip
+    trajectories.set_defaults(handler=lazy("edge.eval.trajectories.run", "run"))
 
 
 def _compare(kinds) -> None:  # type: ignore[no-untyped-def]

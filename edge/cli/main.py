@@ -119,7 +119,8 @@ def _run(args: argparse.Namespace) -> int:
         setup(args.log_level, args.log_json)
         config, asked = load_config(args), args.target or args.mission
         reload = Reload(partial(load_config, args), hung_up)
-        return run_service(config, stop, args.once, args.report, asked, args.formula, reload)
+        what = asked, args.formula, args.task
+        return run_service(config, stop, args.once, args.report, *what, reload)
 
 
 def _demo(args: argparse.Namespace) -> int:
@@ -127,7 +128,7 @@ def _demo(args: argparse.Namespace) -> int:
     from edge.cli.commands import run_demo
 
     config, asked = load_config(args), args.target or args.mission
-    return run_demo(config, stop, args.report, asked, args.formula, args.live)
+    return run_demo(config, stop, args.report, asked, args.formula, args.task, args.live)
 
 
 def _sim(args: argparse.Namespace) -> int:

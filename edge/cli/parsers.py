@@ -53,6 +53,7 @@ def make_parser(description: str, handlers: dict[str, Handler]) -> argparse.Argu
         _recover,
         _trace,
         _ros2_adapter,
+        _trajectory,
         _bench,
         eval_parsers.add,
         _soak,
@@ -103,9 +104,11 @@ def _demo(commands) -> argparse.ArgumentParser:  # type: ignore[no-untyped-def]
 def _what(command: argparse.ArgumentParser) -> None:
     """What the mission is; nothing: as the configuration (or its checkpoint) says."""
     what = command.add_mutually_exclusive_group()
-    what.add_argument("--target", help=_TARGET)
-    what.add_argument("--mission", metavar="WORDS", help="an instruction in words")
+    what.add_argument("--target", metavar="NAME", help=_TARGET)
+    what.add_argument("--mission", metavar="TEXT", help="an instruction in words")
     what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
+    text = "a way in words, as 'go around the left of the sofa, then stop at the desk'"
+    what.add_argument("--task", metavar="TEXT", help=text)
 
 
 def _trust(command: argparse.ArgumentParser) -> None:
@@ -208,6 +211,35 @@ def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
         "--launch-file", action="store_true", help="only print where the file for ros2 launch is"
     )
     adapter.set_defaults(handler=lazy("edge.ros2_adapter.process", "run"))
+
+
+def _trajectory(commands) -> None:  # type: ignore[no-untyped-def]
+    trajectory = commands.add_parser(
+        "trajectory", help="from what a camera and a LiDAR show, and a sentence, to a trajectory"
+    )
+    option = trajectory.add_argument
+    option(
+        "place", metavar="PLACE", help="the folder of a SemanticKITTI sequence, or street:N, a "
+        "built-in street of any number"
+    )  # fmt: skip
+    option("instruction", metavar="WORDS", help="such as 'go past the left of the van, then stop "
+           "at the bench'")  # fmt: skip
+    option(
+        "--frames", type=int, nargs="+", default=[], metavar="N",
+        help="of the sequence; the robot stands at the last (default: the first there is)",
+    )  # fmt: skip
+    option(
+        "--objects", choices=("labels", "detector"), default="labels", help="who tells what is "
+        "there: the labels of the data, or the configured detector (default: %(default)s)"
+    )  # fmt: skip
+    option("--config", default="street", help=f"{CONFIG} (default: %(default)s)")
+    option("--url", help="a model writes it, on an OpenAI-compatible server: http://HOST:PORT/v1")
+    option("--model", metavar="NAME", help="its name on that server")
+    option(
+        "--out", default="trajectory", metavar="DIR",
+        help="for pictures, page and trajectory (default: ./%(default)s)",
+    )  # fmt: skip
+    trajectory.set_defaults(handler=lazy("edge.eval.trial.command", "run"))
 
 
 def _bench(commands) -> None:  # type: ignore[no-untyped-def]

@@ -33,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         action.add_argument("config", help="YAML file, or the name of a ready configuration")
         if verb == "new":
             action.add_argument("text", help="an instruction for mission.translator")
-            action.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+            kind = action.add_mutually_exclusive_group()
+            kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
+            kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
         action.add_argument(
             "--timeout", type=_seconds, metavar="S", default=NEW_S if verb == "new" else ANSWER_S,
             help="how long to wait for the answer; default: %(default)g",
@@ -56,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
     settings = load(args.config).zenoh
     request = {"do": args.do}
     if args.do == "new":
-        request["formula" if args.formula else "instruction"] = args.text
+        kind = "formula" if args.formula else "task" if args.task else "instruction"
+        request[kind] = args.text
     key = settings.key(topics.MISSION_REQUEST)
     with client.connect(settings, args.timeout, "mission") as session:
         answer = client.ask(session, key, request, args.timeout, "mission")
@@ -99,6 +102,39 @@ def _overtaken(answer: dict) -> str:
     return f"new missions given before this, not begun: {number}" if number else ""
 
 
+def _of_task(tell: Callable[[dict], str]) -> Callable[[dict], str]:
+    """What is told of an answer's task, where there is one."""
+
+    def told(answer: dict) -> str:
+        task = answer.get("task")
+        return tell(task) if isinstance(task, dict) else ""
+
+    return told
+
+
+def _trajectory(task: dict) -> str:
+    length_m, driven_m, again = (task.get(key) for key in ("length_m", "driven_m", "refinements"))
+    if not task.get("trajectory") or not _are_numbers(length_m, driven_m):
+        return ""
+    more = again - 1 if _are_numbers(again) else 0
+    changed = f", refined anew {more:g} times since the map had changed" if more > 0 else ""
+    return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
+
+
+def _answers(task: dict) -> str:
+    """How often a model was asked, and what was wrong with its newest answer."""
+    answers, rounds = task.get("answers"), task.get("rounds")
+    if not _are_numbers(answers) or not answers:
+        return ""
+    newest = rounds[-1] if isinstance(rounds, list) and rounds else None
+    error = newest.get("error") if isinstance(newest, dict) else None
+    return f"{answers:g}" + (f", the newest: {error}" if error else "")
+
+
+def _are_numbers(*values: object) -> bool:
+    return all(type(value) in (int, float) for value in values)
+
+
 _ROWS: dict[str, Callable[[dict], str]] = {
     "stopped": _overtaken,
     "instruction": _text("instruction"),
@@ -114,6 +150,13 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "reached": _text("reached"),
     "failed": _text("failed"),
     "forbidden": _text("forbidden"),
+    "task": _of_task(_text("phase")),
+    "written by": _of_task(_text("writer")),
+    "read as": _of_task(_text("understood")),
+    "missing": _of_task(_text("missing")),
+    "answers": _of_task(_answers),
+    "trajectory": _of_task(_trajectory),
+    "notes": _of_task(_text("notes", "; ")),
 }
 
 

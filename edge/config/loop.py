@@ -17,8 +17,8 @@ FilePath = Annotated[str, Field(min_length=1)]
 TopicName = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
     "sim/ground_truth", "sim/segmentation", "sim/labels",
-    "goal", "map", "status", "latency", "mission", "tick", "cmd_vel", "goal_status",
-    "mission/request", "models/request",
+    "goal", "map", "status", "latency", "mission", "trajectory", "tick", "cmd_vel",
+    "goal_status", "mission/request", "models/request",
 ]  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from edge.config.robot import Motion, Robot, Sensors
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim
+from edge.config.tasks import Tasks, TrajectoryLimits
 from edge.config.yaml_text import parse_yaml, read_yaml
 from edge.errors import ConfigError
 from edge.host import resources
@@ -25,6 +26,8 @@ from edge.text import without_secrets
 
 MARGIN_M = 0.02
 """Obstacles are inflated by so much more than the robot's radius, unless told otherwise."""
+CLEARANCE_M = 0.1
+"""A trajectory stays so much farther from obstacles than the robot's radius."""
 ENV_PREFIX = "EDGE__"
 
 ValueSource = Literal["similarity", "choice"]
@@ -49,6 +52,7 @@ class Config(Section):
     perception: Perception
     policy: Policy = PolicyHvl()
     mission: Mission = Mission()
+    tasks: Tasks = Tasks()
     motion: Motion = Motion()
     sim: Sim = Sim()
     report: Report = Report()
@@ -57,17 +61,17 @@ class Config(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _inflated_for_the_robot(cls, data: Any) -> Any:
-        """A wider robot inflates obstacles by more, where `mapping.inflation_m` is not set."""
-        if not isinstance(data, dict):
-            return data
-        robot, mapping = (data.get(key) or {} for key in ("robot", "mapping"))
+    def _wide_as_the_robot(cls, data: Any) -> Any:
+        """Around a wider robot obstacles are inflated by more, and its trajectories keep farther
+        from them, where `mapping.inflation_m` and `tasks.trajectory.clearance_m` are not set."""
+        robot = data.get("robot") if isinstance(data, dict) else None
         radius_m = robot.get("radius_m") if isinstance(robot, dict) else None
-        if isinstance(radius_m, (int, float)) and isinstance(mapping, dict):
-            inflation_m = max(Mapping().inflation_m, round(radius_m + MARGIN_M, 3))
-            if math.isfinite(inflation_m):
-                return {**data, "mapping": {"inflation_m": inflation_m, **mapping}}
-        return data
+        if not isinstance(radius_m, (int, float)) or not math.isfinite(radius_m):
+            return data
+        inflation_m = max(Mapping().inflation_m, round(radius_m + MARGIN_M, 3))
+        clearance_m = max(TrajectoryLimits().clearance_m, round(radius_m + CLEARANCE_M, 3))
+        data = _with_default(data, ("mapping", "inflation_m"), inflation_m)
+        return _with_default(data, ("tasks", "trajectory", "clearance_m"), clearance_m)
 
     @property
     def robot_name(self) -> str:
@@ -151,6 +155,17 @@ def parse(data: dict[str, Any], path: str = "<defaults>") -> Config:
         raise ConfigError("\n".join(explain(f, path, Config) for f in error.errors())) from None
     config.check_policy()
     return config
+
+
+def _with_default(data: dict[str, Any], path: tuple[str, ...], value: float) -> dict[str, Any]:
+    """The data with a value where nothing is set there; as they are where a section is none."""
+    key, *rest = path
+    if not rest:
+        return {key: value, **data}
+    below = data.get(key) or {}
+    if not isinstance(below, dict):
+        return data
+    return {**data, key: _with_default(below, tuple(rest), value)}
 
 
 def _override(data: dict[str, Any], environ: dict[str, str] | os._Environ[str]) -> None:

@@ -13,7 +13,7 @@ RosName = Annotated[str, Field(pattern=rf"^(/{_PART})+$", max_length=200)]
 Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", max_length=200)]
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
-    "tf_static", "goal", "navigate_to_pose", "map", "path", "markers",
+    "tf_static", "goal", "navigate_to_pose", "map", "path", "trajectory", "markers",
 ]  # fmt: skip
 
 DEFAULT_TOPICS: dict[str, str] = {
@@ -27,8 +27,10 @@ DEFAULT_TOPICS: dict[str, str] = {
     "tf_static": "/tf_static",
     "goal": "/goal_pose",
     "navigate_to_pose": "/navigate_to_pose",
-    "map": "/edge/occupancy",  # beside a bridge `/edge/map` would be the key of our own `map`
+    # Beside a bridge `/edge/map` would be the key of our own `map`, and so on.
+    "map": "/edge/occupancy",
     "path": "/edge/path",
+    "trajectory": "/edge/task_path",
     "markers": "/edge/markers",
 }
 

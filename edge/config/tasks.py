@@ -25,9 +25,10 @@ class ScriptLimits(Section):
 
 
 class TrajectoryLimits(Section):
-    """What a trajectory has to keep to before anything moves. Two points are at most `max_jump_m`
-    apart, and each is so far from what is occupied as `clearance_m` says; `max_speed_mps` is what
-    may be asked for at most, whatever the robot can do."""
+    """What a trajectory has to keep to, as it is written and as it is refined. The robot's middle
+    stays `clearance_m` from the rim of what is occupied; where it is not set, a wider robot keeps
+    farther away. Two points are at most `max_jump_m` apart; `max_speed_mps` is what may be asked
+    for at most, whatever the robot can do."""
 
     clearance_m: NonNegative = 0.3
     max_jump_m: Positive = 2.0

@@ -13,7 +13,6 @@ from edge.geometry import SE2
 from edge.loop.result import Sink, TickResult
 from edge.loop.scorers import make_scorers
 from edge.loop.service import Service
-from edge.mission.brief import prepare
 from edge.motion.controller import Controller
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import make_masker
@@ -24,6 +23,7 @@ from edge.sim.base import World
 from edge.sim.robot import DriveTrain
 from edge.sim.sensors import CameraRig, LidarRig
 from edge.sim.worlds import load_world
+from edge.tasks.brief import prepared
 from edge.types import Goal, GoalStatus, Observation
 
 START_NS = 1_000_000_000
@@ -60,6 +60,7 @@ class ClosedLoop:
     Args:
         sinks: take each tick's result, as they would in a service.
         world: where `config` was already used to load it; None: `sim.world` is loaded.
+        task: in the place of the configuration's mission (`edge.tasks.brief`).
         colour: False: no pictures are taken, depth and object ids only, which is quicker; for
             detectors and scorers that need none (see `wants_colour`).
 
@@ -72,6 +73,7 @@ class ClosedLoop:
     sinks: Sequence[Sink] = ()
     world: World | None = None
     colour: bool = True
+    task: str | None = None
 
     def __post_init__(self) -> None:
         config = self.config
@@ -81,7 +83,7 @@ class ClosedLoop:
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
-        brief = prepare(config.mission)
+        brief = prepared(config, self.task)
         masker = make_masker(config.perception, timed=False)
         detector = make_detector(config.perception, brief.targets, truth=self.truth)
         self.worker = DetectorWorker(detector, True, config.loop.detect_every, masker)

@@ -7,7 +7,7 @@ no `Tr`. `map` has its origin on the road under the LiDAR at the first pose, x f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -182,19 +182,30 @@ def oracle(frames: Sequence[Frame]) -> Chain:
     return Chain(lambda observation: words, boxes, lambda found: found)
 
 
-def true_boxes(frame: Frame) -> Detections:
-    """What of the labelled things is in the picture, with the masks that their returns make."""
+def things_shown(frame: Frame) -> list[tuple[str, np.ndarray]]:
+    """Of `things_in` those that are in the picture."""
+    return [(name, points) for name, points, _, _ in _in_picture(frame)]
+
+
+def _in_picture(frame: Frame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    """(name, points, (k, 2) pixels of those that are in the picture, the box around these)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     at_px, shown = in_picture(seen.cloud_m, T, seen.camera)
-    boxes, names, masks = [], [], []
     for name, points in things_in(frame):
         dots = at_px[points[shown[points]]]
         if len(dots) < LEAST_POINTS:
             continue
         box = np.concatenate((np.floor(dots.min(axis=0)), np.ceil(dots.max(axis=0) + 1e-3)))
-        if min(box[2:] - box[:2]) < LEAST_PX:
-            continue
+        if min(box[2:] - box[:2]) >= LEAST_PX:
+            yield name, points, dots, box
+
+
+def true_boxes(frame: Frame) -> Detections:
+    """What of the labelled things is in the picture, with the masks that their returns make."""
+    seen = frame.observation
+    boxes, names, masks = [], [], []
+    for name, _, dots, box in _in_picture(frame):
         boxes.append(box)
         names.append(name)
         masks.append(_mask(dots, box))
@@ -219,13 +230,31 @@ def kitti_scene(
     Raises:
         KittiError: see `read_frame`; `numbers` is empty.
     """
+    frames = read_frames(folder, numbers)
+    return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
+
+
+def read_frames(folder: Path, numbers: Sequence[int]) -> list[Frame]:
+    """Some frames of a sequence.
+
+    Raises:
+        KittiError: see `read_frame`; `numbers` is empty.
+    """
     if not numbers:
         raise KittiError(f"{folder}: no frame chosen (there are {frames_in(folder)})")
-    frames = [read_frame(folder, number) for number in numbers]
-    survey = Survey(
-        oracle(frames) if chain is None else chain, OUTDOORS, CAR_RADIUS_M,
-        GROUND_LABELS if by_labels else (),
-    )  # fmt: skip
+    return [read_frame(folder, number) for number in numbers]
+
+
+def scene_of(
+    frames: Sequence[Frame], chain: Chain, radius_m: float, by_labels: bool = True
+) -> Scene:
+    """The scene of some frames, as it stands at the last.
+
+    Args:
+        radius_m: see `Survey`, of the robot that is to drive there.
+        by_labels: see `kitti_scene`.
+    """
+    survey = Survey(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         survey.add(frame.observation, frame.ground_kind if by_labels else None)
     return survey.scene()

@@ -17,9 +17,9 @@ import numpy as np
 
 from edge import names
 from edge.eval import geodesic
-from edge.eval.lifted import compiled
 from edge.eval.metrics import REACHED_M
-from edge.eval.task_templates import Family, draws, formula_of, sentence_of, worth_doing
+from edge.eval.planning.lifted import compiled
+from edge.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
 from edge.mission.automaton import NOTHING, Automaton
 from edge.mission.ltl import Formula, ap, eventually
 from edge.sim.base import World, free_poses

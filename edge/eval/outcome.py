@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from edge.errors import FileError, UserError
 from edge.eval.columns import Column
 from edge.eval.episodes import Episode
-from edge.host.files import read_regular
-from edge.text import one_line, read_json_object
+from edge.eval.line_file import LineFile
+from edge.text import one_line
 
 NAME = "outcomes.jsonl"
 MAX_BYTES = 1 << 30
@@ -123,36 +122,17 @@ class OutcomeFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / NAME
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            content = read_regular(self.path, MAX_BYTES) if self.path.exists() else b""
-            whole = content[: content.rfind(b"\n") + 1]
-            if len(whole) < len(content):  # a run was broken off while it wrote
-                self.path.write_bytes(whole)
-        except OSError as error:
-            raise FileError(f"{self.path}: {error.strerror or error}") from None
-        self.known: dict[tuple[str, str], Outcome] = {}
-        for number, text in enumerate(whole.splitlines(), start=1):
-            try:
-                outcome = Outcome(**_tupled(read_json_object(text)))
-            except (KeyError, TypeError, ValueError) as error:
-                raise UserError(
-                    f"{self.path}: line {number}: not an outcome of this version "
-                    f"({one_line(error)}): take another --out"
-                ) from None
-            self.known[outcome.key] = outcome
+        self._file = LineFile(
+            folder / NAME, lambda data: Outcome(**_tupled(data)), "an outcome", MAX_BYTES
+        )
+        self.known = {outcome.key: outcome for outcome in self._file.found}
 
     def append(self, outcome: Outcome) -> None:
         """
         Raises:
             FileError: the disk is full, or the folder has gone.
         """
-        try:
-            with self.path.open("ab", buffering=0) as file:
-                file.write(line(outcome))
-        except OSError as error:
-            raise FileError(f"{self.path}: {error.strerror or error}") from None
+        self._file.append(line(outcome))
         self.known[outcome.key] = outcome
 
 

@@ -6,18 +6,8 @@
 Everything is known, not perceived: occupancy, regions and boxes are the street's own, points are a
 LiDAR's of 64 rings. What no point fell on is not in the scene.
 
-The reference is made by a rule, in the place of OpenNav's hand-drawn one (IV-B):
-
-| said | it leads |
-|---|---|
-| go to A | to the nearest point to A that can be reached, on the side one comes from |
-| drive past the left of A, then stop at B | by a point `BESIDE_M` beside A, on the side that the robot sees to the left of A as it stands; then as to B |
-| go around the left of A, then stop at B | along an arc at that distance, from that side of A to behind it; then as to B |
-| go to A, then stop at B | as to A, then as to B |
-
-From point to point it is the cheapest way for one who keeps `COMFORT_M` away from things where there
-is room, over drivable ground and no other.
-"""  # noqa: E501 (a table)
+The task and its reference are those of `edge.eval.trajectories.meaning`.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +18,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from edge.eval.trajectories.meaning import KINDS, Place, Task, box_outline_m, tasks
+from edge.eval.trajectories.meaning import Thing as Named
 from edge.geometry import SE2, Grid, se3
 from edge.sim import kernels
 from edge.sim.base import FLOOR_CLEARANCE_M, Fan
@@ -36,50 +28,37 @@ from edge.sim.generator.draws import Dice
 from edge.sim.street import Street, Thing, solids, street
 from edge.tasks.scene import Region, Scene, SceneObject
 from edge.tasks.value_map import closed_cells
-from edge.trajectory import astar, smoothing
-from edge.trajectory.costmap import CostMap, from_occupancy
 
 CELL_M = 0.2
 ROBOT_M, HEIGHT_M = 0.4, 1.0
-BESIDE_M, COMFORT_M = 1.2, 1.0
+TASK_M = 7.0, 36.0
+"""How far from the robot a task's things are."""
 RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0
 ELEVATION_RAD = math.radians(-24.8), math.radians(2.0)
 """Of an HDL-64E, whose scans SemanticKITTI holds."""
 LIDAR_M = 1.73
 LEAST_POINTS = 8
-KINDS = ("to", "past", "around", "then")
 _X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)
-_FROM_M, _TO_M = 7.0, 36.0  # how far from the robot a task's things are
-_AHEAD_RAD = math.radians(60.0)  # and in which direction
-_ASIDE_RAD = math.radians(8.0)
-_PAST_RAD, _AROUND_RAD = (90.0,), (60.0, 90.0, 120.0, 150.0, 180.0)  # degrees, see `_beside`
-_ORDER = ("nearest", "second", "third")
 _TRIES = 200
 _KEY = 17
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutdoorEpisode:
-    """A task, and what it means.
+    """A task in a street.
 
     Attributes:
-        kind: of `KINDS`.
         scene: without a camera; `map` is where the robot stands.
         cloud_m: (n, 3) float32, the whole scan in `map`.
-        segments: (n, 2) float64 each, the points that the rule leads by; one who understands the
-            instruction and knows no map would draw straight lines between them.
-        regions: ids of the regions that may be driven over.
-        reference_m: (n, 2) float64.
+        place: what the task is made of.
+        task: what to do, and what that means.
     """
 
     name: str
-    kind: str
-    instruction: str
     scene: Scene
     cloud_m: np.ndarray
-    segments: tuple[np.ndarray, ...]
-    regions: tuple[int, ...]
-    reference_m: np.ndarray
+    place: Place
+    task: Task
 
 
 def outdoor_episode(number: int) -> OutdoorEpisode:
@@ -87,16 +66,14 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
 
     Streets are drawn until one has a task of that kind.
     """
+    kind = KINDS[number % len(KINDS)]
     for attempt in range(_TRIES):
         drawn = street(number, attempt)
         scene, cloud_m = outdoor_scene(drawn)
-        task = _task(Dice(_KEY, number, attempt), scene, KINDS[number % len(KINDS)])
+        place = place_of(scene)
+        task = next(tasks(place, kind, Dice(_KEY, number, attempt)), None)
         if task is not None:
-            instruction, segments, reference_m = task
-            return OutdoorEpisode(
-                drawn.name, KINDS[number % len(KINDS)], instruction, scene, cloud_m, segments,
-                tuple(scene.regions), reference_m,
-            )  # fmt: skip
+            return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
     raise AssertionError(f"no street of {_TRIES} has a task for episode {number}")
 
 
@@ -130,122 +107,18 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
     return scene, cloud_m
 
 
-def phrase(scene: Scene, item: SceneObject) -> str | None:
-    """What a person would call a thing and mean no other; None: too many are like it.
-
-    By its colour where no other has it, else by its place in the row of its kind on one side.
-    """
-    like = [other for other in scene.objects.values() if other.label == item.label]
-    if len(like) == 1:
-        return f"the {item.label}"
-    colour = item.caption.split()[0]
-    if colour != item.label and [o.caption.split()[0] for o in like].count(colour) == 1:
-        return f"the {colour} {item.label}"
-    bearing = scene.pose.bearing_to(*item.position_m[:2])
-    if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
-        return None
-    row = [
-        other for other in like
-        if bearing * scene.pose.bearing_to(*other.position_m[:2]) > 0
-    ]  # fmt: skip
-    row.sort(key=lambda other: scene.pose.distance_to(*other.position_m[:2]))
-    place = row.index(item)
-    if place >= len(_ORDER):
-        return None
-    return f"the {_ORDER[place]} {item.label} on the {'left' if bearing > 0 else 'right'}"
-
-
-def _task(
-    dice: Dice, scene: Scene, kind: str
-) -> tuple[str, tuple[np.ndarray, ...], np.ndarray] | None:
-    """(instruction, segments, reference), or None where the scene has no such task."""
-    named = {}
-    for item in scene.objects.values():
-        called = phrase(scene, item)
-        if (
-            called
-            and item.nearest_m
-            and _FROM_M < scene.pose.distance_to(*item.position_m[:2]) < _TO_M
-        ):
-            named[item.id] = called
-    costmap = from_occupancy(
-        _drivable(scene), clearance_m=ROBOT_M, near_m=COMFORT_M, unknown_cost=None
-    )
-    for first in dice.shuffled(sorted(named)):
-        for last in dice.shuffled(sorted(named)):
-            if (kind == "to") != (first == last):
-                continue
-            for side in dice.shuffled(("left", "right")):
-                segments = _segments(scene, kind, scene.objects[first], scene.objects[last], side)
-                reference_m = _way(costmap, scene.pose, segments) if segments else None
-                if reference_m is not None:
-                    return _words(kind, side, named[first], named[last]), segments, reference_m
-    return None
-
-
-def _words(kind: str, side: str, first: str, last: str) -> str:
-    return {
-        "to": f"go to {first}",
-        "past": f"drive past the {side} of {first}, then stop at {last}",
-        "around": f"go around the {side} of {first}, then stop at {last}",
-        "then": f"go to {first}, then stop at {last}",
-    }[kind]
-
-
-def _segments(
-    scene: Scene, kind: str, first: SceneObject, last: SceneObject, side: str
-) -> tuple[np.ndarray, ...]:
-    """The points that the rule leads by; () where it is not to be followed."""
-    here = (scene.pose.x_m, scene.pose.y_m)
-    if kind == "to":
-        return (_stop(last, here)[None],)
-    if kind == "then":
-        way = _stop(first, here)[None]
-        end = _stop(last, way[-1])[None]
-        return (way, end) if math.dist(way[-1], end[-1]) > 3.0 else ()
-    if kind == "past" and _away(scene, last) < _away(scene, first) + 3.0:
-        return ()
-    degrees = _PAST_RAD if kind == "past" else _AROUND_RAD
-    way = np.array([_beside(scene.pose, first, side, math.radians(d)) for d in degrees])
-    return way, _stop(last, way[-1])[None]
-
-
-def _beside(pose: SE2, item: SceneObject, side: str, angle_rad: float) -> tuple[float, float]:
-    """A point `BESIDE_M` off a thing's box; seen from the thing, it lies at an angle from the
-    robot: 0 before it, a right angle on its side, pi behind it."""
-    x_m, y_m = item.position_m[:2].tolist()
-    back = math.atan2(pose.y_m - y_m, pose.x_m - x_m)
-    # Who looks at the thing has its left to his left: clockwise as the thing looks back.
-    toward = back - angle_rad if side == "left" else back + angle_rad
-    turn = toward - item.heading_rad
-    off_m = BESIDE_M + 0.5 * (
-        abs(math.cos(turn)) * item.size_m[0] + abs(math.sin(turn)) * item.size_m[1]
-    )
-    return x_m + off_m * math.cos(toward), y_m + off_m * math.sin(toward)
-
-
-def _way(costmap: CostMap, pose: SE2, segments: Sequence[np.ndarray]) -> np.ndarray | None:
-    """The cheapest way by all points, pulled straight; None where one cannot be reached."""
-    points = np.concatenate([[(pose.x_m, pose.y_m)], *segments])
-    if not all(costmap.is_free(*point) for point in points.tolist()):
-        return None
-    pieces, workspace = [], astar.Workspace()
-    for start, end in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):
-        plan = astar.plan(costmap, tuple(start), tuple(end), workspace)
-        # A detour of twice the distance is not what anybody means.
-        if not plan.ok or plan.cost_m > 3.0 * math.dist(start, end) + 5.0:
-            return None
-        pieces.append(smoothing.smooth(costmap, plan.path_m, CELL_M)[1 if pieces else 0 :])
-    return np.concatenate(pieces)
-
-
-def _stop(item: SceneObject, from_xy_m: Sequence[float]) -> np.ndarray:
-    """Where one who comes from a point stops at a thing: of the points that can be reached, one for
-    each region, the first on his way of those that are about as near to it as the nearest."""
-    points = np.array(list(item.nearest_m.values()))
-    gaps = _gaps_m(points, item.position_m, item.size_m, item.heading_rad)
-    near = points[gaps < gaps.min() + 0.5]
-    return near[int(np.argmin(np.hypot(*(near - from_xy_m).T)))]
+def place_of(scene: Scene) -> Place:
+    """What a street's tasks are drawn of."""
+    things = tuple(
+        Named(
+            item.id, item.label, item.caption.partition(item.label)[0].strip(),
+            item.position_m[:2],
+            box_outline_m(item.position_m, item.size_m, item.heading_rad),
+        )
+        for item in scene.objects.values()
+    )  # fmt: skip
+    drivable = scene.regions_grid.cells > 0
+    return Place(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
 
 
 def _gaps_m(
@@ -255,16 +128,6 @@ def _gaps_m(
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     local = np.abs((points_m - position_m[:2]) @ np.array([[c, -s], [s, c]]))
     return np.hypot(*np.maximum(local - 0.5 * size_m[:2], 0.0).T)
-
-
-def _away(scene: Scene, item: SceneObject) -> float:
-    return scene.pose.distance_to(*item.position_m[:2].tolist())
-
-
-def _drivable(scene: Scene) -> Grid:
-    """The occupancy, with all that is no region as occupied."""
-    cells = np.where(scene.regions_grid.cells > 0, scene.occupancy.cells, np.int8(100))
-    return replace(scene.occupancy, cells=cells)
 
 
 def _scan(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from typing import Any
 from edge.config import TranslatorGrammar, TranslatorLlm
 from edge.errors import UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
-from edge.eval.task_templates import generate
+from edge.eval.planning.templates import generate
 from edge.host.bars import counted
 from edge.host.files import open_regular, save
 from edge.mission.ltl import (

@@ -17,6 +17,7 @@ from edge.perception.choice.question import LETTERS, Choice
 from edge.policies.base import FRONTIER
 from edge.report.record import is_target
 from edge.report.recorder import Trail
+from edge.tasks.facts import TaskFacts, same_words
 from edge.types import Detections, Instance, Observation
 
 WATCHED_S = 10.0
@@ -37,6 +38,8 @@ class Moment:
     Attributes:
         at_s: on the sink's clock.
         result: of which only what may be called at other times is called later.
+        n_tasks: counts what there was to tell of tasks: it is another where `task` says something
+            new, but for how far it is driven.
         letters: id of a candidate to its letter, and what the model gives it.
         trail: (n, 3) float64 poses, the way driven.
         beat_hz: ticks with an observation, a second.
@@ -46,6 +49,8 @@ class Moment:
     at_s: float
     result: TickResult
     mission: MissionFacts
+    task: TaskFacts | None
+    n_tasks: int
     instances: Sequence[Instance]
     candidates: ScoredCandidates
     way: np.ndarray
@@ -106,7 +111,8 @@ class LiveSink:
         self._due_s = self._shot_due_s = -math.inf
         self._trail = Trail(_TRAIL)
         self._events: tuple[Event, ...] = ()
-        self._n_events = self._n_shots = self._n_ticks = 0
+        self._n_events = self._n_shots = self._n_ticks = self._n_tasks = 0
+        self._task: TaskFacts | None = None
         self._beat = (0.0, 0, 0.0)  # since when, ticks until then, and the beat before
 
     # -- for any thread ------------------------------------------------------------------------
@@ -143,11 +149,15 @@ class LiveSink:
         """See `edge.loop.result.Sink`."""
 
     def _gather(self, result: TickResult, now_s: float) -> Moment:
-        choice = result.choice
+        choice, task = result.choice, result.task()
+        self._n_tasks += not same_words(task, self._task)
+        self._task = task
         return Moment(
             at_s=now_s,
             result=result,
             mission=result.mission(),
+            task=task,
+            n_tasks=self._n_tasks,
             instances=result.instances(),
             candidates=result.candidates(),
             way=result.way(),

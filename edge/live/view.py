@@ -20,7 +20,7 @@ from edge.geometry import Grid
 from edge.host.pages import Forms, Page, Pages
 from edge.live.pictures import grid_of, shot_of
 from edge.live.sink import LiveSink, Moment
-from edge.live.words import MAX_LAYERS, now_of, story_of
+from edge.live.words import MAX_LAYERS, now_of, script_of, story_of
 from edge.loop.vitals import Vitals
 
 ANSWER_S = 120.0
@@ -72,6 +72,7 @@ class LiveView:
             **{path: partial(_file, file) for path, file in _FILES.items()},
             "/live/now": self._now,
             "/live/story": self._story,
+            "/live/task": self._task,
             "/live/map": self._map,
             "/live/camera": self._camera,
             **layers,
@@ -104,6 +105,13 @@ class LiveView:
         if moment is None:
             return _json(None)
         return _json(story_of(moment, moment.result.latency(last=_LATENCY_TICKS)))
+
+    def _task(self) -> Page:
+        moment = self._looked()
+        if moment is None or moment.task is None:
+            return _json(None)
+        task = moment.task
+        return self._once("task", moment.n_tasks, lambda: _json(script_of(task, moment.n_tasks)))
 
     def _map(self) -> Page:
         moment = self._looked()

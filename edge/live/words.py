@@ -13,13 +13,16 @@ from edge.loop.result import MissionFacts
 from edge.loop.status import mission_of
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.report.scene import make_scene
-from edge.text import one_line
+from edge.tasks.facts import TaskFacts, lengths_m, thinned
+from edge.text import one_line, some_lines
 from edge.types import Goal, GoalStatus
 
 MAX_POINTS = 400
 """Of a way that is drawn."""
 MAX_STEPS = 60
 MAX_LAYERS = 16
+MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000  # characters
+MAX_LINES = 50
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
 _NS = 1e-9
 
@@ -36,6 +39,7 @@ def now_of(moment: Moment) -> dict[str, Any]:
         "reason": status.reason,
         "target": status.target,
         "paused": moment.mission.paused,
+        "task": None if moment.task is None else _task(moment.task, moment.n_tasks),
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),
         "controlled": result.controlled,
@@ -53,6 +57,51 @@ def now_of(moment: Moment) -> dict[str, Any]:
             }
             for i in moment.instances
         ],
+    }
+
+
+def _task(task: TaskFacts, number: int) -> dict[str, Any]:
+    """What of a task changes all the time; `number` says of which `script_of` that is."""
+    index, driven_m = -1, 0.0
+    if task.refined is not None:
+        index = thinned(task.refined, task.index, MAX_POINTS)[1]
+        driven_m = lengths_m(task.refined, task.index)[1]
+    return {
+        "number": number, "phase": task.phase, "index": index, "driven_m": round(driven_m, 1),
+    }  # fmt: skip
+
+
+def script_of(task: TaskFacts, number: int) -> dict[str, Any]:
+    """What was asked, who wrote what, and the two trajectories; what is too long is cut.
+
+    `refined` are [x, y, heading], `coarse` [x, y]; a round has the model's words where it holds no
+    code.
+    """
+    refined = task.refined
+    return {
+        "number": number,
+        "instruction": one_line(task.instruction, MAX_WORDS),
+        "writer": one_line(task.writer),
+        "missing": [one_line(name) for name in task.missing[:MAX_LINES]],
+        "understood": one_line(task.understood, MAX_WORDS),
+        "prompt": some_lines(task.prompt, MAX_PROMPT),
+        "rounds": [
+            {
+                "said": "" if round.code else some_lines(round.answer, MAX_WORDS),
+                "code": some_lines(round.code, MAX_CODE),
+                "error": one_line(round.error, MAX_LINE),
+                "printed": some_lines(round.printed, MAX_WORDS),
+            }
+            for round in task.rounds[-MAX_LINES:]
+        ],
+        "coarse": [] if task.coarse_m is None else points(task.coarse_m),
+        "refined": []
+        if refined is None
+        else np.round(thinned(refined, 0, MAX_POINTS)[0], 3).tolist(),
+        "length_m": 0.0 if refined is None else round(lengths_m(refined, 0)[0], 1),
+        "time_s": 0.0 if refined is None else round(float(refined.times_s[-1]), 1),
+        "refinements": task.refinements,
+        "notes": [one_line(note, MAX_LINE) for note in task.notes[:MAX_LINES]],
     }
 
 

@@ -160,6 +160,20 @@ class GoalTracker:
         self._present = chosen
         return self.goal
 
+    def lead(self, pose: SE2, mission: MissionRun, now_ns: int, apart_m: float) -> Goal:
+        """A task's goal, in the place of the present one; of a goal that moves the present one
+        stays until it is farther than `apart_m` from where it should be, 0: until it is another."""
+        goal = self.goal
+        if (
+            goal is None
+            or goal.kind != "trajectory"
+            or goal.pose.distance_to(pose.x_m, pose.y_m) > apart_m
+            or (not apart_m and goal.pose != pose)
+        ):
+            goal = Goal(now_ns, pose, "trajectory", 0, (pose.x_m, pose.y_m), 0.0, mission.target)
+            self._present = _Present(goal)
+        return goal
+
     def _towards_best(self, context: Context, score: np.ndarray) -> _Present | None:
         """To the best candidate; the present goal, where that serves it still."""
         c, policy, search = context.candidates, self._config.policy, self._search
@@ -270,12 +284,15 @@ class GoalTracker:
 
     def judge(
         self, grid: RollingMap, pose: SE2, mission: MissionRun, images: int, now_ns: int
-    ) -> None:
-        """What has become of the present goal.
+    ) -> bool:
+        """What has become of the present goal; a task follows its own up (`edge.loop.task`).
 
         Args:
             grid: closed where the robot is held up.
             images: how many the detector has searched so far.
+
+        Returns:
+            Whether the robot was to drive and stands still.
         """
         present = self._present
         self._standstill.told(grid, pose, self.client.take_blocked(), now_ns)
@@ -283,7 +300,8 @@ class GoalTracker:
         if present is not None and present.goal.kind == "instance":
             instance = self._tracker.get(present.goal.candidate_id)
         if instance is None:
-            self.phase = "searching"
+            of_a_task = present is not None and present.goal.kind == "trajectory"
+            self.phase = "approaching" if of_a_task else "searching"
             verdict = None
         else:
             verdict = self._verdict(present, instance, pose, now_ns, images)
@@ -293,9 +311,11 @@ class GoalTracker:
             self._follow(present, pose, now_ns, images)
         # Where no controller answers, it is no candidate's fault that the robot stands.
         driven_to = self.goal if self.client.heard and self.client.driving else None
-        if self._standstill.noticed(grid, pose, driven_to, now_ns):
+        stuck = self._standstill.noticed(grid, pose, driven_to, now_ns)
+        if stuck:
             self._event("stuck: goal discarded", now_ns)
             self._discard(now_ns)
+        return stuck
 
     def _verdict(
         self, present: _Present, instance: Instance, pose: SE2, now_ns: int, images: int
@@ -348,6 +368,8 @@ class GoalTracker:
     def _follow(self, present: _Present, pose: SE2, now_ns: int, images: int) -> None:
         """Take up the controller's answers about frontiers, turns and views."""
         goal, answer = present.goal, present.answer
+        if goal.kind == "trajectory":
+            return
         state = None if answer is None else answer.state
         if present.view is not None:
             if state == "failed":
@@ -394,9 +416,10 @@ class GoalTracker:
             _, self._search, self._present = restored
 
     def kept(self) -> dict[str, np.ndarray]:
-        """The present goal and what was tried in vain, as plain arrays; a view is not kept."""
+        """The present goal and what was tried in vain, as plain arrays; a view is not kept, nor a
+        task's goal."""
         present, goals = self._present, []
-        if present is not None and present.view is None:
+        if present is not None and present.view is None and present.goal.kind in _KINDS:
             goals = [(present.goal, present.peak)]
         return {
             **self._search.kept(),
@@ -453,7 +476,7 @@ class GoalTracker:
             self._search.turned(now_ns)
             goal, until_ns = present.goal, now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(LOOK, goal.candidate_id, goal.candidate_xy_m, until_ns)
-        elif present is not None:
+        elif present is not None and present.goal.kind != "trajectory":
             goal = present.goal
             kind = INSTANCE if goal.kind == "instance" else FRONTIER
             until_ns = now_ns + int(self._config.mission.discard_s * 1e9)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 DETECTOR = "detector"
+TASK = "task"
 ELSEWHERE = "elsewhere"
 """As a decision: why `map` is not the frame of before a restart, "" where it is."""
 _KEPT = 4096  # of what came between two results, the newest

@@ -21,6 +21,7 @@ from edge.mission.checkpoint import CheckpointWriter, load
 from edge.mission.run import MissionRun
 from edge.mission.saved import Saved
 from edge.mission.translate import Translation
+from edge.tasks.brief import prepare_task
 from edge.text import one_line
 from edge.types import MissionStatus
 
@@ -55,16 +56,19 @@ class Keeper:
         self._kept: tuple[MissionRun, int] | None = None
 
     def brief(self) -> Brief | None:
-        """The saved mission again, from its formula: nothing is translated twice.
+        """The saved mission again, from its formula: nothing is translated twice. A task is read
+        again, and begins anew.
 
         Raises:
             MissionError: the limits in the configuration are narrower than they were.
         """
         if (saved := self.saved) is None:
             return None
-        formula = ltl.parse(saved.formula)
-        translation = Translation(saved.instruction, formula, saved.english, saved.backend)
         try:
+            if saved.task:
+                return prepare_task(self._config, saved.instruction)
+            formula = ltl.parse(saved.formula)
+            translation = Translation(saved.instruction, formula, saved.english, saved.backend)
             return brief_of(self._config.mission, translation)
         except UserError as error:
             raise MissionError(
@@ -130,6 +134,7 @@ class Keeper:
                 elapsed_s=status.elapsed_s,
                 path_m=status.path_m,
                 id=name,
+                task=brief.to_see is not None,
             )
 
         self._writer.post(made, now_ns)

@@ -32,7 +32,7 @@ from edge.perception.detector import HEALTH_STATES
 from edge.perception.process.detector import ProcessDetector
 from edge.types import MissionPhase
 
-_GOALS = ("none", "frontier", "instance", "look")
+_GOALS = ("none", "frontier", "instance", "look", "trajectory")
 _MS = 1e-3
 
 

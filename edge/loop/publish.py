@@ -19,6 +19,7 @@ from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
+from edge.tasks.facts import TaskFacts
 from edge.text import one_line
 from edge.types import Detections, Goal, GoalStatus, Observation
 
@@ -81,6 +82,7 @@ class Publisher:
         observation: Observation | None,
         pose: SE2 | None,
         mission: MissionRun,
+        task: Callable[[], TaskFacts | None],
         scores: np.ndarray,
     ) -> TickResult:
         """How all stands, and what has happened since the last result was published.
@@ -107,7 +109,7 @@ class Publisher:
             inputs=tuple(self._journal.pending),
             detections=self.detections,
             mission=cache(partial(facts_of, mission)),
-            task=lambda: None,
+            task=cache(task),
             instances=cache(
                 lambda: [found.copied() for label in targets for found in map.tracker.of(label)]
             ),

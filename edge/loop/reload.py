@@ -48,6 +48,7 @@ LIVE = (
     "mission.reach_m",
     "mission.verify_s",
     "mission.discard_s",
+    "tasks",
 )
 """Keys that can be switched while the service runs, with all that is below them."""
 _INSTEAD = {

@@ -34,7 +34,8 @@ def served(
     """What can be asked for and what does it, by key below the prefix; see `RequestServer`.
 
     Args:
-        prepare: makes a mission of an `instruction` or a `formula`; see `edge.mission.brief`.
+        prepare: makes a mission of an `instruction` or a `formula`, or of a `task`; see
+            `edge.tasks.brief`.
         amiss: why nobody can count on the service now; see `edge.loop.vitals`.
     """
     return {
@@ -50,7 +51,8 @@ def served(
 
 
 def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
-    """`{"do": "new", "instruction" | "formula": …}`, `{"do": pause | resume | cancel | status}`.
+    """`{"do": "new", "instruction" | "formula" | "task": …}`, `{"do": VERB}` with pause, resume,
+    cancel or status.
 
     Turning an instruction into a mission takes seconds where a language model is asked, so that
     is prepared.
@@ -72,13 +74,13 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
     }
 
 
-_TEXTS = ("instruction", "formula")
+_TEXTS = ("instruction", "formula", "task")
 
 
 def _new(fields: dict) -> dict:
     texts = {name: check_text(name, fields[name]) for name in _TEXTS if name in fields}
     if len(texts) != 1:
-        raise ValueError("do: new needs either an instruction or a formula")
+        raise ValueError("do: new needs either an instruction, a formula or a task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {**texts, **_named(fields), **free}
 
@@ -120,9 +122,10 @@ def handle_mission(
         service.fail(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns)
+    task = None if service.task is None else service.task.facts()
     overtaken = {"overtaken": request.overtaken} if request.overtaken else {}
     return {
-        **answer_of(service.status, facts_of(service.mission)),
+        **answer_of(service.status, facts_of(service.mission), task),
         **overtaken,
         "past": list(service.past),
         "robot": _robot(service, amiss()),

@@ -30,7 +30,8 @@ from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.status import HealthWatch
-from edge.mission.brief import Brief
+from edge.loop.task import TaskRun
+from edge.mission.brief import Brief, task_of
 from edge.mission.planning.surveyor import make_surveyor
 from edge.mission.run import MissionRun
 from edge.perception.swap.swapper import Swapper
@@ -64,6 +65,7 @@ class Service:
     Attributes:
         map: all that is known of the surroundings.
         mission: the one under way, or the last one.
+        task: how the mission comes to a trajectory, and along it; None: it is no task.
         past: what became of those before it that had a name, JSON-ready, oldest first.
         goals: what the robot is sent to, and what becomes of it.
         pose: the newest in `map`; None before there was any.
@@ -96,6 +98,7 @@ class Service:
         self.keeper, self.overruns = keeper, overruns
         self.map = SemanticMap(config, brief.targets)
         self.mission = MissionRun(brief, config.mission, self._step_taken)
+        self.task = self._task_of(self.mission)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
         self.goals = GoalTracker(config, self.map.pool, self.map.tracker, self._sent, self.event)
@@ -136,7 +139,10 @@ class Service:
             # A controller may have a goal of a service before this one.
             self.goals.client.driving = True
         saved, places = (None, None) if keeper is None else (keeper.saved, keeper.places.read)
-        journal.note("start", translation=brief.translation, saved=saved, places=places, idle=idle)
+        journal.note(
+            "start", translation=brief.translation, task=task_of(brief), saved=saved,
+            places=places, idle=idle,
+        )  # fmt: skip
 
     # -- the tick ---------------------------------------------------------------------------
 
@@ -242,7 +248,7 @@ class Service:
     def _gather(self, observation: Observation, now_ns: int) -> None:
         """Stage 5: frontiers, and instances of the active target."""
         instances: list[Instance] = []
-        if not self.mission.done:
+        if not self.mission.done and self.task is None:  # a task drives to none
             target, sure = self.mission.target, not self.config.policy.instances
             instances = self.map.tracker.of(target, sure, doubted=self.goals.searched)
         self.map.gather(instances, observation, now_ns)
@@ -280,16 +286,19 @@ class Service:
 
     def _plan(self, observation: Observation, now_ns: int) -> None:
         """Stage 7: what was seen, the robot's arrival, or its failure to arrive, means."""
-        mission, pose = self.mission, observation.pose
+        mission, task, pose = self.mission, self.task, observation.pose
         if not mission.started:
             mission.start(now_ns)
-        mission.observe(pose, now_ns)
-        mission.see(self._newest_ids(), now_ns)
-        if self._surveyor is not None:
+        mission.observe(pose, now_ns, looking=task is None or task.looking)
+        if task is None or task.phase == "looking":
+            mission.see(self._newest_ids(), now_ns)
+        if self._surveyor is not None and task is None:
             self._surveyor.step(mission, self.map.grid, self.map.tracker, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
-            self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
-            if self.goals.exhausted:
+            stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
+            if task is not None:
+                task.step(self.map, self.goals, observation, self._detections, stuck, now_ns)
+            if self.goals.exhausted and (task is None or task.missing):
                 mission.give_up(self.goals.why_in_vain(mission, self.map.grid), now_ns)
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
@@ -298,7 +307,8 @@ class Service:
     def _newest_ids(self) -> dict[str, int]:
         """For each target of which an instance is known, the highest id of them."""
         sure, targets = not self.config.policy.instances, self.mission.brief.targets
-        known = {label: self.map.tracker.of(label, sure) for label in targets}
+        doubted = self.task is None  # nothing makes sure of what a trajectory is written about
+        known = {label: self.map.tracker.of(label, sure, doubted) for label in targets}
         return {label: max(i.id for i in found) for label, found in known.items() if found}
 
     def _turn(self, observation: Observation, now_ns: int) -> None:
@@ -308,10 +318,14 @@ class Service:
         self._score(observation, now_ns)
 
     def _select(self) -> Goal | None:
-        """Stage 8: algorithm 2, or nowhere when the mission is over or paused."""
+        """Stage 8: algorithm 2, along a task's trajectory, or nowhere when the mission is over or
+        paused."""
         if self.mission.done or self.mission.paused:
             self.goals.rest()
             return None
+        if self.task is not None and not self.task.looking:
+            self.task.lead(self.goals, self._context.pose, self._context.now_ns)
+            return self.goals.goal
         return self.goals.choose(self._context, self.map.grid, self.scores, self._images)
 
     def _publish(self, observation: Observation, now_ns: int) -> None:
@@ -356,12 +370,22 @@ class Service:
         mission = MissionRun(brief, self.config.mission, self._step_taken, id)
         self._worker.set_prompts(brief.targets)
         self._remember(self.mission)
-        self._journal.note("mission", translation=brief.translation, id=id, now_ns=now_ns)
+        self._journal.note(
+            "mission", translation=brief.translation, task=task_of(brief), id=id, now_ns=now_ns
+        )
         self.mission = mission
+        if self.task is not None:
+            self.task.close()
+        self.task = self._task_of(mission)
         self._forget_tried()
         self._detections = None
         self._forget_asked()
         self.mission.start(now_ns)
+
+    def _task_of(self, mission: MissionRun) -> TaskRun | None:
+        if mission.brief.to_see is None:
+            return None
+        return TaskRun(mission, self.config, self._journal)
 
     def _remember(self, mission: MissionRun) -> None:
         if mission.id:
@@ -396,6 +420,8 @@ class Service:
         if self.governor is not None:
             self.governor.reconfigure(config.perception)
         self.mission.config = config.mission
+        if self.task is not None:
+            self.task.config = config
         self.goals.reconfigure(config)
         if self._scorers is not None:
             self._scorers.feeds = config.value_source
@@ -460,6 +486,8 @@ class Service:
         self.policy.reset("pose")
         self.mission.forget_distances()
         self._forget_asked()
+        if self.task is not None:
+            self.task.forget()
         self.goals.forget_places()
         self._void_seq = self._newest_seq
         if self.keeper is not None:
@@ -483,6 +511,8 @@ class Service:
         self.swapper.close()
         if self._surveyor is not None:
             self._surveyor.close()
+        if self.task is not None:
+            self.task.close()
         self.map.close()
 
     def _governed(self) -> dict[str, object] | None:
@@ -510,4 +540,7 @@ class Service:
             now_ns: the loop's time, where the loop asks.
             observation: what was dealt with, if anything.
         """
-        return self._publisher.result(now_ns, observation, self.pose, self.mission, self.scores)
+        task = (lambda: None) if self.task is None else self.task.facts
+        return self._publisher.result(
+            now_ns, observation, self.pose, self.mission, task, self.scores
+        )

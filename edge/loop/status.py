@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from edge.loop.faults import DEGRADED_AFTER, Faults
 from edge.loop.keeper import Keeper
 from edge.loop.publish import statuses
@@ -14,8 +16,15 @@ from edge.loop.scorers import Scorers
 from edge.perception.detector import Health
 from edge.perception.swap.swapper import Swapper
 from edge.perception.worker import DetectorWorker
-from edge.text import one_line
+from edge.tasks.facts import TaskFacts, lengths_m, thinned
+from edge.text import one_line, some_lines
 from edge.types import MissionStatus
+
+MOST_POSES = 200
+MOST_ROUNDS = 4
+"""Of a model's answers, the newest: they may be long, and the status goes out each second."""
+_MOST_LINES = 20
+_CODE_CHARS, _PRINTED_CHARS = 2000, 500
 
 
 def status_of(result: TickResult) -> dict[str, object]:
@@ -29,6 +38,7 @@ def status_of(result: TickResult) -> dict[str, object]:
         "elapsed_s": round(s.elapsed_s, 2),
         "path_m": round(s.path_m, 2),
         "mission": mission_of(result.mission()),
+        "task": task_of(result.task()),
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "goal": None
         if goal is None
@@ -154,8 +164,46 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
     }
 
 
-def answer_of(s: MissionStatus, mission: MissionFacts) -> dict[str, object]:
-    """How the mission stands, for whoever asked."""
+def task_of(task: TaskFacts | None) -> dict[str, object] | None:
+    """A task and its trajectory, however much a model has said; None: there is no task.
+
+    `trajectory` has `MOST_POSES` [x, y, heading] at most, and `index` is of those; `rounds` are the
+    newest of `answers` answers of a model.
+    """
+    if task is None:
+        return None
+    poses, index, length_m, driven_m = np.empty((0, 3)), -1, 0.0, 0.0
+    if task.refined is not None:
+        poses, index = thinned(task.refined, task.index, MOST_POSES)
+        length_m, driven_m = lengths_m(task.refined, task.index)
+    return {
+        "instruction": one_line(task.instruction, _PRINTED_CHARS),
+        "phase": task.phase,
+        "writer": one_line(task.writer),
+        "missing": [one_line(name) for name in task.missing[:_MOST_LINES]],
+        "understood": one_line(task.understood, _PRINTED_CHARS),
+        "rounds": [
+            {
+                "code": some_lines(round.code, _CODE_CHARS),
+                "error": one_line(round.error),
+                "printed": some_lines(round.printed, _PRINTED_CHARS),
+            }
+            for round in task.rounds[-MOST_ROUNDS:]
+        ],
+        "answers": len(task.rounds),
+        "trajectory": np.round(poses, 3).tolist(),
+        "index": index,
+        "length_m": round(length_m, 2),
+        "driven_m": round(driven_m, 2),
+        "refinements": task.refinements,
+        "notes": [one_line(note) for note in task.notes[:_MOST_LINES]],
+    }
+
+
+def answer_of(
+    s: MissionStatus, mission: MissionFacts, task: TaskFacts | None = None
+) -> dict[str, object]:
+    """How the mission stands, and the task that it does, for whoever asked."""
     return {
         "instruction": s.instruction,
         "phase": s.phase,
@@ -166,4 +214,5 @@ def answer_of(s: MissionStatus, mission: MissionFacts) -> dict[str, object]:
         "path_m": round(s.path_m, 2),
         "warnings": list(mission.brief.warnings),
         **mission_of(mission),
+        "task": task_of(task),
     }

@@ -24,6 +24,7 @@ from edge.mission.planner import warm_up as warm_planners
 from edge.perception.warmup import warmup as warm_perception
 from edge.policies import make_policy
 from edge.policies.base import Answers, Context
+from edge.tasks.warmup import warm_up as warm_tasks
 from edge.types import Detections, Observation
 
 log = logging.getLogger("edge.loop.warmup")
@@ -47,6 +48,7 @@ def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None)
         ("policy", lambda: warm_policy(config)),
         ("planner", warm_planners),
         ("messages", warm_messages),
+        ("tasks", warm_tasks),
     ]
     started = perf_counter()
     for i, (name, step) in enumerate(steps, start=1):

@@ -33,12 +33,15 @@ class Brief:
         automaton: over the targets; letters that do not matter are left out.
         targets: the propositions that matter, in order of first appearance: what the detector
             is asked for, one VL channel each.
+        to_see: of a task (`edge.tasks`): those of the targets that have to be seen before its
+            trajectory is written. None: it is no task.
     """
 
     translation: Translation
     automaton: Automaton
     diagnosis: Diagnosis
     targets: tuple[str, ...]
+    to_see: tuple[str, ...] | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -77,11 +80,7 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
     formula = _unified(translation.formula)
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
-    if len(letters) > config.max_targets:
-        raise MissionError(
-            f"mission: {len(letters)} targets, at most {config.max_targets} are allowed "
-            "(mission.max_targets)"
-        )
+    _check_number(config, len(letters))
     limits = (config.max_states, config.compile_limit_steps)
     automaton = compile_formula(formula, *limits, config.compiler)
     diagnosis = diagnose(automaton, *limits)
@@ -102,6 +101,50 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
         config.planner, automaton, translation.instruction
     )  # refuses what it cannot take on
     return Brief(translation, automaton, diagnosis, targets)
+
+
+def brief_of_task(
+    config: Mission, translation: Translation, targets: tuple[str, ...], to_see: tuple[str, ...]
+) -> Brief:
+    """A task: what is to be reached is a trajectory's end, so no formula says anything of it.
+
+    Args:
+        targets: what the detector is to look for, at least one name.
+        to_see: those of them without which no trajectory can be written.
+
+    Raises:
+        MissionError: there are more targets than are allowed.
+    """
+    _check_number(config, len(targets))
+    free = Automaton(
+        ltl.TRUE, targets, np.zeros((1, len(targets) + 1), np.int32), np.ones(1, np.bool_),
+        np.zeros(1, np.int32),
+    )  # fmt: skip
+    return Brief(translation, free, Diagnosis((), True, ()), targets, to_see)
+
+
+def task_of(brief: Brief) -> dict[str, tuple[str, ...]] | None:
+    """What makes a task of a mission, beside its translation: the arguments of `brief_of_task`."""
+    if brief.to_see is None:
+        return None
+    return {"targets": brief.targets, "to_see": brief.to_see}
+
+
+def brief_again(
+    config: Mission, translation: Translation, task: dict[str, tuple[str, ...]] | None
+) -> Brief:
+    """A mission or a task again, from what `task_of` gave."""
+    if task is None:
+        return brief_of(config, translation)
+    return brief_of_task(config, translation, tuple(task["targets"]), tuple(task["to_see"]))
+
+
+def _check_number(config: Mission, targets: int) -> None:
+    if targets > config.max_targets:
+        raise MissionError(
+            f"mission: {targets} targets, at most {config.max_targets} are allowed "
+            "(mission.max_targets)"
+        )
 
 
 def _narrowed(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:

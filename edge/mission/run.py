@@ -13,7 +13,8 @@ from edge.geometry import SE2
 from edge.mission.automaton import NOTHING
 from edge.mission.brief import Brief
 from edge.mission.planner import make_planner
-from edge.mission.planning.plan import Knowledge, Plan
+from edge.mission.planning.in_sight import InSightPlanner
+from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.text import one_line
 from edge.types import MissionPhase, MissionStatus, Step, StepKind
 
@@ -73,8 +74,11 @@ class MissionRun:
         self._instruction = one_line(brief.translation.instruction)
         self.config = config
         self._tell = tell
-        translation = brief.translation
-        self._planner = make_planner(config.planner, brief.automaton, translation.instruction)
+        self._planner: Planner = (
+            make_planner(config.planner, brief.automaton, brief.translation.instruction)
+            if brief.to_see is None
+            else InSightPlanner(brief.targets, brief.to_see)
+        )
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
@@ -131,12 +135,10 @@ class MissionRun:
         if self.done:
             return
         brief = self.brief
-        self._note(
-            now_ns,
-            "start",
-            "",
-            f"mission: {brief.translation.understood} [{one_line(brief.automaton.formula)}]",
-        )
+        kind, formula = "task", ""
+        if brief.to_see is None:
+            kind, formula = "mission", f" [{one_line(brief.automaton.formula)}]"
+        self._note(now_ns, "start", "", f"{kind}: {brief.translation.understood}{formula}")
         for warning in brief.warnings:
             self._note(now_ns, "warning", "", warning)
         self._replan(now_ns, anew=True)
@@ -217,6 +219,14 @@ class MissionRun:
         self._note(now_ns, "reached", label, f"reached: {label} ({evidence})")
         if not self._accept(evidence, now_ns):
             self._replan(now_ns, anew=True)
+
+    def complete(self, evidence: str, now_ns: int) -> None:
+        """A task's trajectory was driven to its end."""
+        self._finish("reached", evidence, now_ns)
+
+    def tell(self, text: str, now_ns: int) -> None:
+        """A step of the story that moves no automaton: how a task's trajectory came about."""
+        self._note(now_ns, "trajectory", "", text)
 
     def give_up(self, reason: str, now_ns: int) -> None:
         """The active target could not be reached: it joins B, and the plan is made anew."""
@@ -299,7 +309,8 @@ class MissionRun:
             self._note(now_ns, "nothing", "", "a step in which nothing is reached")
         if self.done:
             return
-        if anew or self.plan.target != self.target:
+        # A task that has seen all sets out for nothing more.
+        if self.plan.steps and (anew or self.plan.target != self.target):
             self.turns += 1
             self.target = self.plan.target
             self._note(now_ns, "target", self.target, f"target: {self.target}: {self.plan.reason}")

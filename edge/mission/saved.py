@@ -41,6 +41,8 @@ class Saved:
         reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
         target: the proposition that was pursued, or None.
         id: see `edge.mission.run.MissionRun`.
+        task: it is a task (`edge.tasks`), which begins anew: nothing but the instruction, and what
+            of the limits is used up, is gone by.
     """
 
     __pydantic_config__ = _STRICT
@@ -60,6 +62,7 @@ class Saved:
     elapsed_s: Annotated[float, Field(ge=0)]
     path_m: Annotated[float, Field(ge=0)]
     id: Word = ""
+    task: bool = False
 
 
 _MISSION = TypeAdapter(Saved)
@@ -95,6 +98,8 @@ def _check(body: bytes) -> Saved:
         where = ".".join(map(str, first["loc"])) or "mission"
         raise ValueError(f"{where}: {one_line(first['msg'])}") from None
     letters = _letters(saved.formula)
+    if saved.task:
+        return saved
     for name in ("word", "reached", "failed", "detected"):
         unknown = set(getattr(saved, name)) - letters - ({NOTHING} if name == "word" else set())
         if unknown:

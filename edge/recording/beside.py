@@ -131,6 +131,7 @@ class Replayed(Journal):
             "prior": lambda said, asked: journal.rooms_of(said),
             "similarity": self._similarity,
             "choice": self._choice,
+            "task": lambda said, asked: journal.draft_of(said),
         }
 
     def decided(self, what: str, decide: Callable[[], str]) -> str:

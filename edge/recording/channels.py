@@ -89,16 +89,19 @@ ODOMETRY = of_topic(topics.ODOMETRY)
 TF = of_ros("/tf", "tf2_msgs/TFMessage")
 BOXES = of_json("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
 EVENTS = of_json("/events", "foxglove.Log", _LOG)
-GOAL, MAP, STATUS, LATENCY, MISSION, GOAL_STATUS = map(
+GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
     of_topic,
-    (topics.GOAL, topics.MAP, topics.STATUS, topics.LATENCY, topics.MISSION, topics.GOAL_STATUS),
-)
+    (
+        topics.GOAL, topics.MAP, topics.STATUS, topics.LATENCY, topics.MISSION, topics.TRAJECTORY,
+        topics.GOAL_STATUS,
+    ),
+)  # fmt: skip
 PATH = of_ros("/path", "nav_msgs/Path")
 MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
 SPANS = of_json("/spans", "edge.Spans")
 TOLD = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
-    MISSION, GOAL_STATUS, PATH, MARKERS, SPANS,
+    MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip
 """What people look at; the journal beside them is for the replay."""
 

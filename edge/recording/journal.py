@@ -21,10 +21,14 @@ from edge.loop import place_file
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
+from edge.loop.task import Draft
 from edge.mission import ltl, saved
 from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
+from edge.tasks.legs import Leg
+from edge.tasks.refine import Refined
+from edge.tasks.write import Round
 from edge.text import without_secrets
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
@@ -302,9 +306,51 @@ def choice_of(said: dict[str, Any]) -> Choice:
     )  # fmt: skip
 
 
+def _refined(r: Refined) -> dict[str, Any]:
+    return {
+        "poses": _array(r.poses), "speeds_mps": _array(r.speeds_mps), "times_s": _array(r.times_s),
+        "leg": _array(r.leg),
+        "legs": [{"points_m": _array(x.points_m), "ends_segment": x.ends_segment} for x in r.legs],
+        "drivable": sorted(r.drivable),
+        "heading_rad": None if r.heading_rad is None else float(r.heading_rad),
+        "cost_m": float(r.cost_m),
+        "control_m": float(r.control_m), "off_region_m": float(r.off_region_m),
+        "notes": list(r.notes),
+    }  # fmt: skip
+
+
+def _refined_of(said: dict[str, Any]) -> Refined:
+    arrays = {name: _array_of(said[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
+    legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in said["legs"])
+    numbers = {name: said[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")}
+    drivable, notes = frozenset(said["drivable"]), tuple(said["notes"])
+    return Refined(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
+
+
+def _draft(d: Draft) -> dict[str, Any]:
+    return {
+        "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
+        "hopeless": d.hopeless, "speed_mps": d.speed_mps,
+        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
+        "stops_at": d.stops_at, "understood": d.understood, "prompt": d.prompt,
+        "rounds": [asdict(r) for r in d.rounds],
+    }  # fmt: skip
+
+
+def draft_of(said: dict[str, Any]) -> Draft:
+    """See `edge.loop.task.Draft`."""
+    refined, coarse_m = said["refined"], said["coarse_m"]
+    return Draft(
+        None if refined is None else _refined_of(refined), said["error"],
+        said["hopeless"],
+        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
+        said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
+    )  # fmt: skip
+
+
 _FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {
     "detector": _boxes, "surveyor": lambda found: {"distance_m": _array(found)}, "prior": _rooms,
-    "similarity": _similarity, "choice": _choice,
+    "similarity": _similarity, "choice": _choice, "task": _draft,
 }  # fmt: skip
 
 

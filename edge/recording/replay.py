@@ -18,7 +18,7 @@ from typing import Any
 from edge.config import ChoiceCooccurrence, Config
 from edge.errors import UserError
 from edge.loop.faults import TICK
-from edge.loop.journal import Input
+from edge.loop.journal import TASK, Input
 from edge.loop.keeper import Keeper
 from edge.loop.latency import LatencyReport
 from edge.loop.place_keeper import SUFFIX
@@ -27,7 +27,7 @@ from edge.loop.scorers import Scorers, make_scorers
 from edge.loop.service import INGEST, Service
 from edge.loop.stages import STAGES
 from edge.mission import checkpoint
-from edge.mission.brief import brief_of
+from edge.mission.brief import brief_again
 from edge.mission.saved import Saved
 from edge.perception.detector import Detector
 from edge.perception.factory import make_detector
@@ -147,10 +147,15 @@ class _Run:
                 _DO[action.kind](self, moment.observation, **action.fields)
 
     def _start(
-        self, translation: Any, saved: Saved | None, places: bytes | None, idle: bool
+        self,
+        translation: Any,
+        saved: Saved | None,
+        places: bytes | None,
+        idle: bool,
+        task: Any = None,
     ) -> None:
         config = self.config
-        brief = brief_of(config.mission, translation)
+        brief = brief_again(config.mission, translation, task)
         keeper = self._keeper(saved, places)
         detector: Detector = Silent("replay")
         anew: Callable[[Observation], Detections] | None = None
@@ -169,7 +174,8 @@ class _Run:
         own = ()
         if self._other:
             by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
-            own = (*_BY_THE_MAP, *(["choice"] if by_prior else []))
+            by_rules = config.tasks.planner.kind == "rules"
+            own = (*_BY_THE_MAP, *["choice"] * by_prior, *[TASK] * by_rules)
         self._journal = Replayed(self._now, anew, own)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
@@ -230,9 +236,14 @@ class _Run:
         self.service.idle(now_ns, pose, failed)
 
     def _begin(
-        self, observation: Observation | None, translation: Any, id: str, now_ns: int
+        self,
+        observation: Observation | None,
+        translation: Any,
+        id: str,
+        now_ns: int,
+        task: Any = None,
     ) -> None:
-        self.service.begin(brief_of(self.config.mission, translation), now_ns, id)
+        self.service.begin(brief_again(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
         """Not with another configuration, which then holds for the whole run."""

@@ -36,14 +36,16 @@ def page(width_px: float, height_px: float) -> Axes:
     return axes
 
 
-def plots(size_in: tuple[float, float], dpi: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure with empty axes for numbers, beside each other: a grid, and no frame around it."""
+def plots(
+    size_in: tuple[float, float], dpi: int, columns: int = 1, rows: int = 1
+) -> tuple[Figure, list[Axes]]:
+    """A figure with empty axes for numbers, row by row: a grid, and no frame around it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(size_in, dpi, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    every = list(figure.subplots(1, columns, squeeze=False)[0])
+    every = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for axes in every:
         axes.grid(color=palette.UNKNOWN, linewidth=0.7)
         axes.set_axisbelow(True)

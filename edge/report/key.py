@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from edge.report import palette, way
+from edge.report import palette, tasks, way
 from edge.report.marks import dart
 from edge.report.record import RunRecord
 
@@ -45,6 +45,13 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
         mark("robot at the end", dart(math.pi / 2), end, "white", 13),
     ]
+    if record.task is not None:
+        handles += [
+            Line2D([], [], color=tasks.REFINED, lw=6, alpha=0.45, label="trajectory to drive"),
+            Line2D(
+                [], [], color=tasks.COARSE, lw=1.6, ls=(0, (1.2, 1.6)), label="as it was written"
+            ),
+        ]
     legend = figure.legend(
         handles=handles,
         loc="upper left",

@@ -28,9 +28,12 @@ GOAL_STYLES = {
 
 
 def goals(axes: Axes, record: RunRecord, scale: float) -> None:
-    """Each goal's pose, numbered where there is room, with a thin line to its candidate."""
+    """Each goal's pose, numbered where there is room, with a thin line to its candidate; those on
+    a task's trajectory lie on its line (`edge.report.tasks`)."""
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):
+        if goal.kind == "trajectory":
+            continue
         colour, marker, size = GOAL_STYLES[goal.kind]
         if goal.kind == "instance":
             colour = palette.target_colour(goal.target, record.targets)

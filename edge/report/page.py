@@ -15,7 +15,7 @@ from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.loop.latency import LatencyReport, StageLatency
-from edge.report import choices, palette, picture, raster, story
+from edge.report import choices, palette, picture, raster, story, tasks
 from edge.report.document import data_url, document
 from edge.report.record import Keyframe, RunRecord
 
@@ -31,8 +31,11 @@ class ReportError(FileError):
 
 
 class ReportPaths(NamedTuple):
+    """`scene`: the trajectory of a task in three dimensions; None where none was to be driven."""
+
     html: Path
     png: Path
+    scene: Path | None = None
 
 
 def prepare(directory: Path | str) -> Path:
@@ -50,18 +53,23 @@ def prepare(directory: Path | str) -> Path:
 
 
 def write_report(record: RunRecord, directory: Path | str) -> ReportPaths:
-    """Write `report.png` and `report.html` into `directory`, which is made if need be.
+    """Write `report.png` and `report.html`, and of a task the page that it links, into `directory`,
+    which is made if need be.
 
     Raises:
         ReportError: the directory cannot be made or written to.
     """
     directory = prepare(directory)
-    paths = ReportPaths(directory / HTML_NAME, directory / PNG_NAME)
+    scene = tasks.page(record)
+    beside = None if scene is None else directory / tasks.SCENE_NAME
+    paths = ReportPaths(directory / HTML_NAME, directory / PNG_NAME, beside)
     png = picture.png(record)
-    page = html(record, png).encode("utf-8", errors="replace")
+    page = html(record, png, linked=scene is not None)
     try:
         write_atomically(paths.png, png)
-        write_atomically(paths.html, page)
+        if paths.scene is not None and scene is not None:
+            write_atomically(paths.scene, scene.encode("utf-8", errors="replace"))
+        write_atomically(paths.html, page.encode("utf-8", errors="replace"))
     except OSError as error:
         raise _unwritable(directory, error) from None
     return paths
@@ -72,8 +80,12 @@ def _unwritable(directory: Path, error: OSError) -> ReportError:
     return ReportError(f"{directory}: cannot write the report: {why} (name another with --report)")
 
 
-def html(record: RunRecord, png: bytes) -> str:
-    """The page as text, with `png` as its picture."""
+def html(record: RunRecord, png: bytes, linked: bool = False) -> str:
+    """The page as text, with `png` as its picture.
+
+    Args:
+        linked: see `edge.report.tasks.section`.
+    """
     mission = record.mission
     colour = palette.outcome_colour(mission.phase)
     reason = f'<p class="reason">{escape(mission.reason)}</p>' if mission.reason else ""
@@ -83,7 +95,7 @@ def html(record: RunRecord, png: bytes) -> str:
         _tiles(record),
         f'<section class="picture"><img alt="map of the run" src="{data_url("png", png)}">'
         "</section>",
-        story.section(record),
+        story.section(record) if record.task is None else tasks.section(record, linked),
         _latency(record.latency),
         _frames(record),
         choices.section(record),

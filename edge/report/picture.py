@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edge.report import key, marks, palette, raster, way
+from edge.report import key, marks, palette, raster, tasks, way
 from edge.report.canvas import content
 from edge.report.record import RunRecord
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Rect = tuple[float, float, float, float]
 DPI = 110
 MAP_IN = (9.1, 8.3)
-LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.6
+LEFT_IN, TOP_IN, BOTTOM_IN, SIDE_IN, MIN_HEIGHT_IN = 0.4, 1.0, 0.45, 3.0, 6.8
 INCHES_PER_M = 0.55
 
 
@@ -53,8 +53,10 @@ def png(record: RunRecord) -> bytes:
     _frame(axes, box)
     _map(axes, record)
     _frontiers(axes, record, layout.marks)
+    tasks.draw(axes, record)
     right = LEFT_IN + layout.map_width
-    way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + 3.3, 0.17, 1.8))
+    below_in = 3.3 if record.task is None else 3.85  # of the key, which has two lines more
+    way.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
     marks.goals(axes, record, layout.marks)
     marks.instances(axes, record, layout.marks)
     marks.poses(axes, record)
@@ -80,7 +82,8 @@ def _layout(box: raster.Box) -> Layout:
 def _view(record: RunRecord) -> raster.Box:
     """What the picture shows, in m: everything there is, with a margin and at least 4 m."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
-    for points in (record.trajectory, record.frontiers_m, *_footprints(record)):
+    shown = (record.trajectory, record.frontiers_m, *_footprints(record), *tasks.points_m(record))
+    for points in shown:
         xs.append(np.asarray(points, dtype=np.float64)[:, 0])
         ys.append(np.asarray(points, dtype=np.float64)[:, 1])
     for goal in record.goals:

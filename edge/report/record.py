@@ -12,6 +12,7 @@ from edge import names
 from edge.geometry import Grid
 from edge.loop.latency import LatencyReport
 from edge.loop.result import MissionFacts
+from edge.tasks.facts import TaskFacts
 from edge.types import Goal, Instance, MissionStatus, Step
 
 _NS = 1e-9
@@ -77,6 +78,7 @@ class RunRecord:
     Attributes:
         targets: boxes and instances of these names, or others for the same, are targets'.
         story: the mission, what was understood, what became of it; None when it is not known.
+        task: that the mission was, as it stood at the end; None: it was none.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
         trajectory_t_s: (n,) float64.
@@ -108,6 +110,7 @@ class RunRecord:
     config: Mapping[str, Any] = field(default_factory=dict)
     machine: str = ""
     story: MissionFacts | None = None
+    task: TaskFacts | None = None
 
     @property
     def simple(self) -> bool:

@@ -158,6 +158,7 @@ class Recorder:
             config=without_secrets(self._config.model_dump(mode="json")),
             machine=machine(),
             story=story,
+            task=end.task(),
         )
 
 

@@ -62,8 +62,10 @@ figcaption { color: var(--muted); font-size: 13px; margin-top: 4px; }
 .columns { display: grid; align-items: start; gap: 18px;
   grid-template-columns: repeat(auto-fit, minmax(330px, 1fr)); }
 .columns section { margin-top: 18px; min-width: 0; }
+details { margin-top: 8px; }
 details pre { overflow-x: auto; font-size: 12.5px; background: var(--track); padding: 12px;
   border-radius: 8px; }
+a { color: var(--p50); }
 summary { cursor: pointer; font-weight: 600; }
 footer { margin-top: 18px; }
 """

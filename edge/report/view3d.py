@@ -24,13 +24,13 @@ from edge.tasks.scene import Scene, SceneObject
 
 VOXEL_M = 0.1
 FARTHEST_M = 300.0  # centimetres in int16
-_UNKNOWN, _OCCUPIED = 254, 255  # beside the regions' ids
+UNKNOWN, OCCUPIED = 254, 255  # beside the regions' ids
 _GROUND_RGB = {
     "": (150, 166, 138), "road": (98, 102, 110), "sidewalk": (186, 184, 178),
     "parking": (126, 130, 142), "floor": (198, 190, 176), "terrain": (140, 160, 122),
 }  # fmt: skip
 _OTHERS_RGB = ((172, 158, 140), (140, 150, 172), (166, 146, 166))
-_UNKNOWN_RGB, _OCCUPIED_RGB, _POINT_RGB = (202, 208, 216), (58, 66, 78), (112, 122, 136)
+UNKNOWN_RGB, _OCCUPIED_RGB, _POINT_RGB = (202, 208, 216), (58, 66, 78), (112, 122, 136)
 _BRIGHT = (
     "#ff8787", "#74c0fc", "#ffd43b", "#8ce99a", "#e599f7", "#ffa94d", "#66d9e8", "#d0bfff",
 )  # fmt: skip
@@ -119,23 +119,30 @@ def scene_page(
     return document(title, body, machine, STYLE, f"const DATA = {text};\n{viewer}")
 
 
-def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
-    occupancy, regions = scene.occupancy, scene.regions_grid.cells
-    cells = np.where(occupancy.cells < 0, np.uint8(_UNKNOWN), regions)
-    cells = np.where(occupancy.cells >= 50, np.uint8(_OCCUPIED), cells).astype(np.uint8)
-    colours = [_GROUND_RGB[""]] * 256
+def ground_colours(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) uint8, what each cell shows: its region's id, 0 without one, `UNKNOWN`, `OCCUPIED`;
+    and the colours of these, (256, 3) uint8."""
+    occupancy = scene.occupancy.cells
+    cells = np.where(occupancy < 0, np.uint8(UNKNOWN), scene.regions_grid.cells)
+    cells = np.where(occupancy >= 50, np.uint8(OCCUPIED), cells).astype(np.uint8)
+    colours = np.full((256, 3), _GROUND_RGB[""], np.uint8)
     for k, region in enumerate(scene.regions.values()):
         colours[region.id] = _GROUND_RGB.get(region.label, _OTHERS_RGB[k % len(_OTHERS_RGB)])
-    colours[_UNKNOWN], colours[_OCCUPIED] = _UNKNOWN_RGB, _OCCUPIED_RGB
+    colours[UNKNOWN], colours[OCCUPIED] = UNKNOWN_RGB, _OCCUPIED_RGB
+    return cells, colours
+
+
+def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
+    cells, colours = ground_colours(scene)
     rows, columns = cells.shape
     return {
         "rows": rows,
         "columns": columns,
-        "cell": occupancy.resolution_m,
-        "origin": list(occupancy.origin_xy_m),
+        "cell": scene.occupancy.resolution_m,
+        "origin": list(scene.occupancy.origin_xy_m),
         "level": ground_m,
         "cells": _packed(cells),
-        "colours": colours,
+        "colours": colours.tolist(),
     }
 
 

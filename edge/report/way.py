@@ -19,7 +19,10 @@ Rect = tuple[float, float, float, float]
 
 
 def by_target(record: RunRecord) -> bool:
-    """Whether the way is coloured by target: several were pursued, and each has a colour."""
+    """Whether the way is coloured by target: several were pursued, and each has a colour. The
+    things that a task names are no ends of its way."""
+    if record.task is not None:
+        return False
     pursued = {span.label for span in gantt.spans(record)}
     return len(pursued) > 1 and len(record.targets) <= len(palette.TARGETS)
 

@@ -1,4 +1,5 @@
-"""Goals, map, the robot's way and what was found, into a robot's ROS 2 graph (`ros2.via`).
+"""Goals, map, the robot's way, a task's trajectory and what was found, into a robot's ROS 2 graph
+(`ros2.via`).
 
 Answers of the action NavigateToPose go out as `goal_status`, as any controller's do: whatever the
 source, it hears them.
@@ -24,6 +25,8 @@ from edge.loop.result import TickResult
 from edge.sinks.drawings import Way, markers_of
 from edge.sinks.navigate import Navigator
 from edge.sinks.pace import Pace
+from edge.tasks.follow import path_message
+from edge.tasks.refine import Refined
 from edge.types import Goal, GoalStatus
 
 DRAWN_HZ = 1.0
@@ -37,7 +40,9 @@ class Ros2Sink:
         settings = self._settings = config.ros2
         self._frame = settings.map_frame
         self._node = open_node(config, session, "sink")
-        self._map, self._path, self._markers = map(self._publisher, ("map", "path", "markers"))
+        self._map, self._path, self._planned, self._markers = map(
+            self._publisher, ("map", "path", "trajectory", "markers")
+        )
         self._goal = None
         self._navigator = None
         self._answers = None
@@ -50,6 +55,7 @@ class Ros2Sink:
         self._unheard: Goal | None = None
         self._way = Way()
         self._driving = False
+        self._trajectory: Refined | None = None
         self._pace = Pace(map=config.report.map_hz, drawings=DRAWN_HZ)
         self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
 
@@ -69,6 +75,11 @@ class Ros2Sink:
         now_ns = result.now_ns
         if result.pose is not None:
             self._way.add(result.pose)
+        task = result.task()
+        refined = None if task is None else task.refined
+        if refined is not self._trajectory:
+            self._trajectory = refined
+            self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
         if self._pace.is_due("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
         if self._pace.is_due("drawings", now_ns):
@@ -98,6 +109,9 @@ class Ros2Sink:
         elif name == "map":
             stamp_ns, take = item
             self._map.put(_encode_map(stamp_ns, take, self._frame))
+        elif name == "trajectory":
+            stamp_ns, refined = item
+            self._planned.put(path_message(refined, stamp_ns, self._frame))
         else:
             stamp_ns, way, frontiers, instances, goal = item
             self._path.put(transforms.encode_path(stamp_ns, self._frame, way))

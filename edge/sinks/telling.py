@@ -27,6 +27,8 @@ from edge.recording import channels
 from edge.recording.channels import Channel
 from edge.sinks.drawings import Way, markers_of
 from edge.sinks.pace import Pace
+from edge.tasks.follow import path_message
+from edge.tasks.refine import Refined
 from edge.text import one_line
 from edge.types import Detections, Observation
 
@@ -35,6 +37,8 @@ MOST_MAP_HZ = 1.0
 """A map is as large as some frames of depth."""
 SHOWN_HZ = 10.0
 """Of pose, transforms and boxes: as often as people can follow."""
+TRAJECTORY_HZ = 0.2
+"""A trajectory may be long; it is told as well when it changes."""
 QUALITY = 85
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 _SPARE = 16
@@ -107,9 +111,11 @@ class Teller:
         map_hz = min(config.report.map_hz, MOST_MAP_HZ)
         rates = {"map": map_hz, "info": INFO_HZ, "status": STATUS_HZ, "latency": LATENCY_HZ}
         shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
+        rates["trajectory"] = TRAJECTORY_HZ
         self._pace = Pace(rgb=max(rgb_hz, 1e-9), **shown, **rates)
         self._way = Way()
         self._mission: tuple[str, str, str] | None = None
+        self._trajectory: Refined | None = None
         self._spans_ns = 0  # told up to here
         self._spare: deque[np.ndarray] = deque(maxlen=_SPARE)  # for depth, of both threads
 
@@ -193,6 +199,18 @@ class Teller:
                 channels.MARKERS, now_ns,
                 lambda: markers.encode_markers(now_ns, MAP_FRAME, markers_of(*drawn)),
             )  # fmt: skip
+
+        yield from self._of_task(result, now_ns)
+
+    def _of_task(self, result: TickResult, now_ns: int) -> Iterator[_Later]:
+        """The trajectory when it changes, and for who comes later, now and then; an empty one when
+        there is none any more."""
+        task = result.task()
+        refined = None if task is None else task.refined
+        due = refined is not None and self._pace.is_due("trajectory", now_ns)
+        if due or refined is not self._trajectory:
+            self._trajectory = refined
+            yield _Later(channels.TRAJECTORY, now_ns, partial(path_message, refined, now_ns))
 
     def _spans(self, result: TickResult) -> bytes:
         """Those that came since the last were told."""

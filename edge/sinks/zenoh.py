@@ -1,9 +1,11 @@
-"""Goals, map, mission, status and latency over Zenoh.
+"""Goals, map, mission, trajectory, status and latency over Zenoh.
 
 The loop only hands things to a worker; encoding and sending happen on the worker's thread.
 A goal goes out every 0.5 s until it is answered, then every second until it is settled, so that a
 controller that was behind or starts anew finds it. The mission goes out when it changes and every
-second, so that whoever joins late learns of it within a second; nothing needs to be asked for.
+second, so that whoever joins late learns of it within a second; nothing needs to be asked for. A
+task's trajectory, which may be long, goes out when it changes and every five seconds, an empty one
+where there is none any more.
 """
 
 from __future__ import annotations
@@ -25,10 +27,13 @@ from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.loop.status import status_of
 from edge.sinks.pace import Pace
+from edge.tasks.follow import path_message
+from edge.tasks.refine import Refined
 
 UNANSWERED_S = 0.5
 UNSETTLED_S = 1.0
 MISSION_S = 1.0
+TRAJECTORY_S = 5.0
 LATENCY_HZ = 1.0
 _CLOSE_S = 1.0
 
@@ -62,7 +67,9 @@ class ZenohSink:
             for topic in WRITTEN
         }
         self._repeated: dict[str, _Repeated] = {}
-        self._repeat_s = {"goal": UNANSWERED_S, "mission": MISSION_S}
+        self._repeat_s = {
+            "goal": UNANSWERED_S, "mission": MISSION_S, "trajectory": TRAJECTORY_S,
+        }  # fmt: skip
         if lockstep:
             # The simulated clock stands still until the controller, which may come late, has the
             # tick, and before it the map.
@@ -72,6 +79,7 @@ class ZenohSink:
             map=config.report.map_hz, status=config.report.status_hz, latency=LATENCY_HZ
         )
         self._mission: tuple[str, str, str] | None = None
+        self._trajectory: Refined | None = None
         self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
 
     # -- on the loop's thread -------------------------------------------------------------------
@@ -92,6 +100,11 @@ class ZenohSink:
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
             self._put("mission", status)
+        task = result.task()
+        refined = None if task is None else task.refined
+        if refined is not self._trajectory:
+            self._trajectory = refined
+            self._put("trajectory", (now_ns, refined))
         if self._lockstep and result.observation is not None:
             self._put("tick", result.observation.stamp_ns)
 
@@ -174,5 +187,6 @@ _ENCODERS: dict[str, Callable[[Any], bytes]] = {
     "status": _json,
     "latency": lambda report: _json(report().as_dict()),
     "mission": lambda status: _json(asdict(status)),
+    "trajectory": lambda item: path_message(item[1], item[0]),
     "tick": lambda stamp_ns: _json({"stamp": stamp_ns}),
 }

@@ -43,3 +43,38 @@ class TaskFacts:
     index: int = 0
     refinements: int = 0
     notes: tuple[str, ...] = ()
+
+
+def same_words(one: TaskFacts | None, other: TaskFacts | None) -> bool:
+    """Whether two say the same, but for how far it is driven: what was told has not to be told
+    again."""
+    if one is None or other is None:
+        return one is other
+    same_line = (
+        one.coarse_m is other.coarse_m
+        if one.coarse_m is None or other.coarse_m is None
+        else np.array_equal(one.coarse_m, other.coarse_m)
+    )
+    return same_line and all(getattr(one, name) == getattr(other, name) for name in _WORDS)
+
+
+_WORDS = tuple(name for name in TaskFacts.__slots__ if name not in ("coarse_m", "index"))
+
+
+def thinned(refined: Refined, index: int, most: int) -> tuple[np.ndarray, int]:
+    """A trajectory to draw: of many poses some, the last among them.
+
+    Returns:
+        (k, 3) float64, x, y [m] and heading [rad], k <= most; and the index in it of the newest
+        that lies not ahead of pose `index` of `refined`, -1 where all do.
+    """
+    n = len(refined.poses)
+    stride = -(-n // most)
+    first = (n - 1) % stride
+    return refined.poses[first::stride][:, [0, 1, 3]], (index - first) // stride
+
+
+def lengths_m(refined: Refined, index: int) -> tuple[float, float]:
+    """How long it is in all, and up to pose `index`."""
+    steps_m = np.hypot(*np.diff(refined.poses[:, :2], axis=0).T)
+    return float(steps_m.sum()), float(steps_m[:index].sum())

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from edge.bus.wire.transforms import encode_path
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2
+from edge.mapping.view import MapView
 from edge.motion.pursuit import index_ahead, nearest_index
-from edge.tasks.refine import ESCAPE_M, Refined
-from edge.tasks.value_map import closed_cells
+from edge.tasks.ground import ESCAPE_M
+from edge.tasks.refine import Refined
 
 LOST_M = 3.0
 """The robot is looked for on so much of the path ahead, so that where a path crosses itself no part
 of it is left out."""
+LOOK_M = 10.0
+"""So much of the path ahead is looked at for what blocks it."""
 
 
 def goal_ahead(
@@ -33,24 +36,24 @@ def goal_ahead(
     return SE2(x_m, y_m, heading_rad), index
 
 
-def blocked_ahead_m(
-    trajectory: Refined, occupancy: Grid, clearance_m: float, index: int = 0
-) -> float | None:
-    """How far along the path from `index` on the robot would come too near to something.
+def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float | None:
+    """How far along the path from `index` on the robot would touch something, at this instant.
+
+    Costs with what is looked at of the path, `LOOK_M`, and not with the map.
 
     Args:
-        occupancy: int8 of this instant; outside it and where nobody has looked nothing is known,
-            and nothing blocks.
-        clearance_m: as the trajectory was refined with.
+        map: tells what is nearer to something occupied than it inflates that by. Where nobody has
+            looked, and outside its window, nothing is known, and nothing blocks.
 
     Returns:
-        Metres to the first such pose; None: free to the end.
+        Metres to the first such pose; None: free.
     """
     path_m = trajectory.poses[index:, :2]
-    cells = np.floor(occupancy.of_metres(path_m)).astype(np.int64)
-    inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
-    blocked = np.zeros(len(path_m), bool)
-    blocked[inside] = closed_cells(occupancy, clearance_m)[cells[inside, 1], cells[inside, 0]]
+    path_m = path_m[: index_ahead(path_m, 0, LOOK_M) + 1]
+    window, (ox, oy), n = map.window, map.window.origin, map.window.n
+    x, y = np.floor(path_m / window.resolution_m).astype(np.int64).T
+    blocked = map.layers.near[y % n, x % n] > 0
+    blocked &= (x >= ox) & (x < ox + n) & (y >= oy) & (y < oy + n)
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m, axis=0).T)))
     if blocked[0]:
         # The robot is too near already, and the path leads out.
@@ -58,7 +61,9 @@ def blocked_ahead_m(
     return float(along_m[np.argmax(blocked)]) if blocked.any() else None
 
 
-def path_message(trajectory: Refined, stamp_ns: int, frame_id: str = "map") -> bytes:
-    """nav_msgs/Path."""
+def path_message(trajectory: Refined | None, stamp_ns: int, frame_id: str = "map") -> bytes:
+    """nav_msgs/Path; without a trajectory an empty one."""
+    if trajectory is None:
+        return encode_path(stamp_ns, frame_id, np.empty((0, 3)))
     x_m, y_m, z_m, heading_rad = trajectory.poses.T
     return encode_path(stamp_ns, frame_id, np.column_stack([x_m, y_m, heading_rad]), z_m)

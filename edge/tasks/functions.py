@@ -16,11 +16,13 @@ import numpy as np
 
 from edge import names
 from edge.config import TrajectoryLimits
-from edge.geometry import SE2, wrap_angle
-from edge.tasks.ground import Ground, footprint_m
+from edge.geometry import wrap_angle
+from edge.tasks.ground import Ground
+from edge.tasks.legs import simplified
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.trajectory import Coarse, TrajectoryError, check, coarse_of, number, point, shown
 from edge.text import one_line
+from edge.trajectory.smoothing import resample
 
 MOST_CAPTION_CHARS = 200
 MOST_SHOWN = 10
@@ -30,7 +32,7 @@ BESIDE_M = 1.0
 SIDES_RAD = {"behind": 0.0, "left": math.pi / 2, "right": -math.pi / 2, "in front of": math.pi}
 """Where the sides of a thing are, seen from its middle, against the direction that one looks."""
 _TURNS = {"left": -1.0, "right": 1.0}
-_ARC_STEP_RAD = math.radians(15)
+_ARC_STEP_RAD, _ARC_OFF_M = math.radians(3), 0.1
 _NEAR_STEP_M = 0.5
 _FARTHEST_BESIDE_M = 50.0
 
@@ -90,11 +92,13 @@ class Functions:
             raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown already")
         self.seen += coarse_of(points, (), None, self.limits).segments
 
-    def give_trajectory(self, segments: Any, regions: Any = (), speed_mps: Any = None) -> None:
+    def give_trajectory(
+        self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
+    ) -> None:
         """Hand over the trajectory; it is checked at once."""
         if self.given is not None:
             raise CallError("give_trajectory: a trajectory was given already; give one")
-        coarse = coarse_of(segments, regions, speed_mps, self.limits)
+        coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
         check(coarse, self.ground, self.limits)
         self.given = coarse
 
@@ -146,7 +150,7 @@ class Functions:
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
         angle_rad = self._looking(thing, seen_from) + SIDES_RAD[side]
-        return beside(thing, angle_rad, self._beside_m(distance_m))
+        return self.ground.outline(thing).beside(angle_rad, self._beside_m(distance_m))
 
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = BESIDE_M
@@ -164,8 +168,25 @@ class Functions:
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
-        distance_m = self._beside_m(distance_m)
-        return [beside(thing, angle_rad, distance_m) for angle_rad in angles_rad.tolist()]
+        outline, distance_m = self.ground.outline(thing), self._beside_m(distance_m)
+        around_m = np.array([outline.beside(angle, distance_m) for angle in angles_rad.tolist()])
+        corners_m = around_m[simplified(around_m, _ARC_OFF_M)]
+        return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
+
+    def stopping_point(self, id: Any, coming_from: Any = None) -> Point:
+        """Where one who comes from a point (the robot) stops at a thing.
+
+        See `edge.tasks.ground.Ground.stop`.
+        """
+        pose = self._scene.pose
+        here = (pose.x_m, pose.y_m)
+        from_m = here if coming_from is None else self._point(coming_from, "coming_from")
+        thing = self._object(id)
+        found, gap_m = self.ground.stop(thing, from_m)
+        if found is None:
+            than = f" than {gap_m:.1f} m" if gap_m < math.inf else ""
+            raise CallError(f"the robot gets no nearer to {thing.label} {thing.id}{than}")
+        return found
 
     @property
     def _scene(self) -> Scene:
@@ -205,6 +226,7 @@ class Functions:
 NAMES = (
     "det_object", "a_star_plan", "visual_3d", "give_trajectory", "robot", "is_free",
     "nearest_reachable", "region_at", "distance", "heading", "line", "offset", "arc",
+    "stopping_point",
 )  # fmt: skip
 
 
@@ -230,14 +252,6 @@ def described(thing: SceneObject) -> dict[str, Any]:
         "heading_rad": round(float(thing.heading_rad), 3),
         "nearest_reachable": {region: _rounded(at) for region, at in thing.nearest_m.items()},
     }
-
-
-def beside(thing: SceneObject, angle_rad: float, distance_m: float) -> Point:
-    """The point in a direction from a thing's middle that is at least so far from its outline, and
-    lies on the line that touches the outline so far away."""
-    reach_m = footprint_m(0.5 * thing.size_m[:2], thing.heading_rad, angle_rad) + distance_m
-    x, y = thing.position_m[:2].tolist()
-    return SE2(x, y, angle_rad).ahead(reach_m)
 
 
 def _points(xy_m: np.ndarray) -> list[Point]:

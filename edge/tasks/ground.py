@@ -8,13 +8,22 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from edge.tasks.scene import Scene
-from edge.trajectory.astar import Plan, Workspace, nearest_open, plan
+from edge.geometry import SE2, Grid
+from edge.tasks.outline import Outline, outline_of
+from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import open_cells
+from edge.trajectory.astar import Plan, Workspace, plan
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
 from edge.trajectory.smoothing import line_is_free, smooth
 
 ESCAPE_M = 0.6
 """A robot that stands closer to something than it may drive begins at the nearest cell so near."""
+REACH_M = 5.0
+"""A thing that the robot gets no nearer to is not gone to."""
+ABOUT_M = 0.5
+"""Points that are farther from a thing by less are about as near to it."""
+OWN_CELLS = 2.0
+"""So many cells before a thing's own, what is occupied is of the thing."""
 ASIDE = 5
 """Ground outside the regions that were chosen costs so many times as much as within them."""
 
@@ -23,7 +32,7 @@ ASIDE = 5
 class Ground:
     """The ground of a scene for a robot of some size.
 
-    Open is what was seen free or belongs to a region, and is far enough from what is occupied.
+    Open is what `edge.tasks.value_map.open_cells` says.
 
     Attributes:
         costmap: closed cells have weight 0; costs grow towards obstacles.
@@ -36,6 +45,7 @@ class Ground:
     unoccupied: CostMap
     reachable: np.ndarray
     _costmaps: dict[frozenset[int], CostMap] = field(default_factory=dict)
+    _outlines: dict[int, Outline] = field(default_factory=dict)
     _workspace: Workspace = field(default_factory=Workspace)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
@@ -76,6 +86,68 @@ class Ground:
         x, y = centres_m[k].tolist()
         return (x, y) if distance_m[k] <= within_m else None
 
+    def outline(self, thing: SceneObject) -> Outline:
+        """What of a thing stands in the way."""
+        if thing.id not in self._outlines:
+            self._outlines[thing.id] = outline_of(thing, self.scene.occupancy)
+        return self._outlines[thing.id]
+
+    def faces(self, thing: SceneObject, at_m: tuple[float, float]) -> bool:
+        """Whether nothing stands between a point and a thing."""
+        near_m = self.outline(thing).nearest(at_m)
+        margin_m = OWN_CELLS * self.scene.occupancy.resolution_m
+        share = 1.0 - margin_m / max(math.dist(at_m, near_m), margin_m)
+        (x, y), (nx, ny) = at_m, near_m
+        return self.sees(at_m, (x + share * (nx - x), y + share * (ny - y)))
+
+    def stop(
+        self, thing: SceneObject, from_m: tuple[float, float]
+    ) -> tuple[tuple[float, float] | None, float]:
+        """Where one who comes from a point stops at a thing.
+
+        Of the reachable points from which nothing stands before it and that are about as near to it
+        as the nearest (`ABOUT_M`), the one nearest to where one comes from; where something stands
+        before it everywhere, of all that are near. Drivable regions go before other ground.
+
+        Returns:
+            (x_m, y_m), None where there is none within `REACH_M`; and how near to the thing one
+            gets, inf where one gets nowhere.
+        """
+        regions = self.scene.regions_grid.cells > 0
+        on_region = self._stop(thing, from_m, self.reachable & regions)
+        return on_region if on_region[0] else self._stop(thing, from_m, self.reachable)
+
+    def _stop(
+        self, thing: SceneObject, from_m: tuple[float, float], among: np.ndarray
+    ) -> tuple[tuple[float, float] | None, float]:
+        """`stop`, among cells (h, w) bool."""
+        centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
+        if not len(centres_m):
+            return None, math.inf
+        gaps_m = self.outline(thing).gaps_m(centres_m)
+        near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
+        by_gap = near[np.argsort(gaps_m[near], kind="stable")]
+        nearest = self._first_facing(thing, centres_m, by_gap)
+        if nearest is None or gaps_m[nearest] > REACH_M:
+            return None, float(gaps_m.min())
+        about = near[gaps_m[near] <= gaps_m[nearest] + ABOUT_M]
+        away_m = np.hypot(*(centres_m[about] - from_m).T)
+        first = self._first_facing(thing, centres_m, about[np.argsort(away_m, kind="stable")])
+        assert first is not None  # about is not empty
+        x_m, y_m = centres_m[first].tolist()
+        return (x_m, y_m), float(gaps_m[nearest])
+
+    def _first_facing(
+        self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray
+    ) -> int | None:
+        """The first of some indices whose point faces a thing; where none does, the first: a thing
+        may stand beyond the map, or behind what hides its foot."""
+        for k in order.tolist():
+            x_m, y_m = points_m[k].tolist()
+            if self.faces(thing, (x_m, y_m)):
+                return k
+        return int(order[0]) if len(order) else None
+
     def plan(
         self,
         start_m: tuple[float, float],
@@ -109,36 +181,30 @@ def ground_of(scene: Scene, clearance_m: float) -> Ground:
     """The ground of a scene.
 
     Args:
-        clearance_m: of an open cell's centre from every occupied cell's: the robot's radius, and
-            what is left beside it.
+        clearance_m: see `edge.tasks.value_map.closed_cells`.
     """
-    occupancy, regions = scene.occupancy, scene.regions_grid
-    # LiDAR leaves cells between its rings that nothing hit; a region reaches over them.
-    known = np.where((occupancy.cells < 0) & (regions.cells > 0), np.int8(0), occupancy.cells)
-    grid = replace(occupancy, cells=known)
-    costmap = from_occupancy(grid, clearance_m=clearance_m, unknown_cost=None)
-    unoccupied = from_weights(replace(grid, cells=(known < OCCUPIED).astype(np.uint8)))
-    reachable = _reachable(costmap, scene.pose.x_m, scene.pose.y_m)
-    return Ground(scene, costmap, unoccupied, reachable)
+    occupancy = scene.occupancy
+    is_open = open_cells(occupancy, scene.regions_grid, clearance_m)
+    cells = np.where(is_open, np.int8(0), np.int8(OCCUPIED))
+    costmap = from_occupancy(replace(occupancy, cells=cells))
+    solid = (occupancy.cells < OCCUPIED).astype(np.uint8)
+    unoccupied = from_weights(replace(occupancy, cells=solid))
+    return Ground(scene, costmap, unoccupied, reachable(is_open, occupancy, scene.pose))
 
 
-def _reachable(costmap: CostMap, x_m: float, y_m: float) -> np.ndarray:
-    """(h, w) bool: open and connected with a point; all False where nothing near it is open."""
-    cell = costmap.cell_of(x_m, y_m)
-    begin = None if cell is None else nearest_open(costmap, cell, (x_m, y_m), ESCAPE_M)
-    if begin is None:
-        return np.zeros(costmap.grid.cells.shape, bool)
-    # A* cuts no corner, so what it reaches is connected by sides.
-    opened = (costmap.weight != 0).view(np.uint8)
-    _, parts = cv2.connectedComponents(opened, connectivity=4, ltype=cv2.CV_32S)
-    return (parts == parts[begin])[1:-1, 1:-1]
-
-
-def footprint_m(half_m: np.ndarray, heading_rad: float, angle_rad: float) -> float:
-    """How far a box reaches from its middle in a direction: its support function.
+def reachable(is_open: np.ndarray, grid: Grid, pose: SE2) -> np.ndarray:
+    """(h, w) bool: open cells that are connected with the robot's, or, where that is closed, with
+    the nearest open one within `ESCAPE_M`.
 
     Args:
-        half_m: (2,) half its length and width.
+        is_open: (h, w) bool, the cells of `grid`.
     """
-    turn = angle_rad - heading_rad
-    return abs(math.cos(turn)) * float(half_m[0]) + abs(math.sin(turn)) * float(half_m[1])
+    rows, columns = np.nonzero(is_open)
+    away_m = np.hypot(*(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m)).T)
+    cell = grid.cell_of(pose.x_m, pose.y_m)
+    if cell is None or not len(away_m) or not (is_open[cell] or away_m.min() <= ESCAPE_M):
+        return np.zeros(is_open.shape, bool)
+    begin = cell if is_open[cell] else (rows[np.argmin(away_m)], columns[np.argmin(away_m)])
+    # A* cuts no corner, so what it reaches is connected by sides.
+    _, parts = cv2.connectedComponents(is_open.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    return parts == parts[begin]

@@ -71,7 +71,7 @@ def cut(
 
 def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
     """Indices at which a polyline has turned by `TURN_RAD` since the last, each at least 1."""
-    rough = _simplified(points_m[:, :2], tolerance_m)
+    rough = simplified(points_m[:, :2], tolerance_m)
     headings = headings_rad(points_m[rough, :2])[:-1]
     found, first = list[int](), headings[0] if len(headings) else 0.0
     for k in range(1, len(headings)):
@@ -81,7 +81,7 @@ def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
     return found
 
 
-def _simplified(points_m: np.ndarray, tolerance_m: float) -> list[int]:
+def simplified(points_m: np.ndarray, tolerance_m: float) -> list[int]:
     """Indices of the points that a polyline needs (Douglas & Peucker 1973).
 
     OpenCV's takes one that ends where it began for a point.

@@ -36,17 +36,30 @@ PHRASES: dict[str, str] = {
     "article": "the|a|an|this|that|your|my",
     "pronoun": "it",
     "id": "object|number|object number|thing number",
-    "nearest": "nearest|closest",
-    "farthest": "farthest|furthest|last",
+    "nearest": "|".join(
+        f"{word}{to}"
+        for word in ("nearest", "closest")
+        for to in ("", " to you", " to me", " to the robot", " you")
+    ),
+    "farthest": "farthest|furthest|last|farthest away|furthest away|farthest from you|"
+    "furthest from you|farthest away from you|furthest away from you",
+    "from": "from",
     "here ahead": "in front of you|ahead of you|in front of the robot",
     "here behind": "behind you|behind the robot",
-    "leftmost": "leftmost",
-    "rightmost": "rightmost",
 }
 """Kind → its phrases, separated by `|`."""
 
 for _side in _SIDES:
     PHRASES[_side] = _side
+    PHRASES[f"{_side}most"] = f"{_side}most|{_side} most|" + "|".join(
+        (before + far + to + _side).strip()
+        for far, to in (
+            ("far", " "), ("farthest", " "), ("furthest", " "), ("farthest", " to the "),
+            ("furthest", " to the "), ("farthest", " on the "), ("furthest", " on the "),
+        )
+        for before in (("", "on the ", "on your ", "to the ", "at the ") if to == " " else ("",))
+    )  # fmt: skip
+    PHRASES[f"from the {_side}"] = f"from the {_side}|from your {_side}|from {_side}"
     PHRASES[f"{_side} of"] = "|".join(
         f"{before}{_side}{after} of"
         for before in ("", "the ", "to the ", "on the ", "at the ")
@@ -59,7 +72,10 @@ for _side in _SIDES:
         f"{before} {_side}{after}"
         for before in ("on the", "on your", "to your", "on my", "on the robot's")
         for after in ("", " side", " hand side")
-    )
+    ) + "".join(
+        f"|on the {_side}{side} of the {way}"
+        for side in ("", " side", " hand side") for way in ("road", "street", "robot")
+    )  # fmt: skip
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
 NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")

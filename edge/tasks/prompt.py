@@ -37,14 +37,28 @@ def version() -> str:
     return prompt().partition("\n")[0].removeprefix("Version ").strip()
 
 
+def words(instruction: str, scene: Scene, limits: TrajectoryLimits, why: str = "") -> str:
+    """What a model is asked, in words: the scene, the instruction.
+
+    Args:
+        why: another trajectory is needed; "" where it is the first.
+    """
+    again = f"\n\nYour trajectory before this one cannot be driven on: {why}" if why else ""
+    return f"{describe(scene, limits)}\n\nInstruction: {json.dumps(instruction)}{again}"
+
+
 def messages(
-    instruction: str, scene: Scene, limits: TrajectoryLimits, with_picture: bool = True
+    instruction: str,
+    scene: Scene,
+    limits: TrajectoryLimits,
+    with_picture: bool = True,
+    why: str = "",
 ) -> list[dict[str, Any]]:
-    """The conversation that asks for a trajectory (OpenNav algorithm 1, line 2).
+    """The conversation that asks for a trajectory (OpenNav algorithm 1, line 2); see `words`.
 
     Without a picture, or where the scene has none, the model gets the words alone (LLM-TG).
     """
-    text = f"{describe(scene, limits)}\n\nInstruction: {json.dumps(instruction)}"
+    text = words(instruction, scene, limits, why)
     jpeg = picture(scene) if with_picture else None
     content: str | list[dict[str, Any]] = text
     if jpeg is not None:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from edge.motion.pursuit import MotionLimits
+from edge.tasks.ground import ESCAPE_M
 from edge.tasks.legs import Leg, RefineError, cut
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
@@ -21,8 +22,6 @@ from edge.trajectory.spline import b_spline
 
 SPACING_M = 0.1
 """Points of a refined trajectory are at most as far apart."""
-ESCAPE_M = 0.6
-"""A robot that stands in closed cells is led out of them over this distance."""
 CONTROL_M = (2.0, 1.0, 0.5, 0.25)
 """Distances of a spline's control points, the smoothest first."""
 DEARER = 1.05
@@ -43,7 +42,8 @@ class Refined:
         cost_m: of the path in metres of the tube's ground (`value_map`).
         control_m: distance of the spline's control points; 0: the path is A*'s own, since every
             spline of `CONTROL_M` entered a closed cell or was too dear (`DEARER`).
-        off_region_m: how much of it leads over ground that was not chosen, or not seen.
+        heading_rad: asked for at the end; None: as it comes.
+        off_region_m: how much of it leads over ground that was not chosen.
         notes: what became otherwise than it was asked for, a line each.
     """
 
@@ -53,6 +53,7 @@ class Refined:
     leg: np.ndarray
     legs: tuple[Leg, ...]
     drivable: frozenset[int]
+    heading_rad: float | None
     cost_m: float
     control_m: float
     off_region_m: float
@@ -66,6 +67,7 @@ def refine(
     body: Body,
     limits: MotionLimits,
     speed_mps: float = 0.0,
+    heading_rad: float | None = None,
 ) -> Refined:
     """A* over the value map through the ends of the coarse segments, then a spline.
 
@@ -77,13 +79,14 @@ def refine(
         segments: each (n, 2 or 3) float64 in `map`; the height is 0 where there is none.
         drivable: ids of the regions chosen; empty: any.
         speed_mps: of the robot at this instant.
+        heading_rad: of the last pose; None: as the path comes.
 
     Raises:
         RefineError: points that are none, an end that nothing leads to, a robot shut in.
     """
     legs = cut(segments, (scene.pose.x_m, scene.pose.y_m), body.tube_m)
     chosen = frozenset(drivable) or frozenset(scene.regions)
-    return refine_legs(scene, legs, chosen, body, limits, speed_mps)
+    return refine_legs(scene, legs, chosen, body, limits, speed_mps, heading_rad)
 
 
 def refine_again(
@@ -106,7 +109,7 @@ def refine_again(
     away = np.hypot(*(first.points_m[:, :2] - (scene.pose.x_m, scene.pose.y_m)).T)
     ahead = first.points_m[int(np.argmin(away)) :]
     legs = (Leg(ahead, first.ends_segment), *rest)
-    return refine_legs(scene, legs, before.drivable, body, limits, speed_mps)
+    return refine_legs(scene, legs, before.drivable, body, limits, speed_mps, before.heading_rad)
 
 
 def refine_legs(
@@ -116,6 +119,7 @@ def refine_legs(
     body: Body,
     limits: MotionLimits,
     speed_mps: float,
+    heading_rad: float | None,
 ) -> Refined:
     """`refine`, of a trajectory that is cut already."""
     pose = scene.pose
@@ -141,6 +145,8 @@ def refine_legs(
         points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
     heights_m = _heights_m(points, leg, kept)
     headings = headings_rad(points) if len(points) > 1 else np.array([pose.yaw_rad])
+    if heading_rad is not None:
+        headings[-1] = heading_rad
     speeds = speeds_mps(points, limits, speed_mps)
     return Refined(
         poses=np.column_stack([points, heights_m, headings]),
@@ -149,6 +155,7 @@ def refine_legs(
         leg=leg,
         legs=kept,
         drivable=drivable,
+        heading_rad=heading_rad,
         cost_m=cost_m,
         control_m=control_m,
         off_region_m=off_m,

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from importlib import metadata
 from typing import Any
 
 from edge.config import ScriptLimits
@@ -51,6 +52,25 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
     """
     if len(code) > limits.max_chars:
         return Outcome(error=f"the script has {len(code)} characters, at most {limits.max_chars}")
+    deadline_s = time.monotonic() + 2.0 * limits.time_s
+    called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
+    return _fed(code, called, limits)
+
+
+def version() -> str:
+    """The interpreter's, once it has run a script on this computer.
+
+    Raises:
+        UnavailableError: as `run`.
+    """
+    if error := _fed("pass", {}, ScriptLimits()).error:
+        raise UnavailableError(
+            f"pydantic-monty does not run here: {error}; choose tasks.planner.kind: rules"
+        )
+    return metadata.version("pydantic-monty")
+
+
+def _fed(code: str, called: dict[str, Callable[..., Any]], limits: ScriptLimits) -> Outcome:
     monty = _interpreter()
     printed = monty.CollectString(max_bytes=_PRINTED_BYTES)
     bounds = {
@@ -62,8 +82,6 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
     policy = {
         "datetime": _EPOCH, "timezone": "utc", "sleep": "zero", "random_start": {"seed": 0},
     }  # fmt: skip
-    deadline_s = time.monotonic() + 2.0 * limits.time_s
-    called = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
     try:
         with (
             monty.Monty(max_processes=1, request_timeout=limits.time_s + _GRACE_S) as pool,
@@ -75,7 +93,9 @@ def run(code: str, functions: Functions, limits: ScriptLimits) -> Outcome:
         error = _told(raised)
     except (OSError, RuntimeError) as raised:
         why = one_line(raised, MOST_ERROR_CHARS)
-        raise UnavailableError(f"pydantic-monty does not run here: {why}") from None
+        raise UnavailableError(
+            f"pydantic-monty does not run here: {why}; choose tasks.planner.kind: rules"
+        ) from None
     text = printable_lines(printed.output[: limits.max_printed_chars])
     return Outcome(text, error)
 
@@ -114,7 +134,7 @@ def _interpreter() -> Any:
         import pydantic_monty
     except ImportError:
         raise UnavailableError(
-            "pydantic-monty is not installed: pip install 'edge-vln[tasks]', or choose "
+            "pydantic-monty is not installed; pip install 'edge-vln[tasks]', or choose "
             "tasks.planner.kind: rules"
         ) from None
     return pydantic_monty

@@ -6,21 +6,30 @@ knows anyway: its rolling map and its instances.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
 
-from edge import config
+from edge import config, names
 from edge.geometry import SE2, Grid, invert
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks import terrain
 from edge.tasks.captions import in_words
 from edge.tasks.chain import Chain, see
-from edge.tasks.objects import MapObject, ObjectMap, box_around, first_in_voxels, main_cluster
+from edge.tasks.ground import reachable
+from edge.tasks.objects import (
+    MapObject,
+    ObjectMap,
+    box_around,
+    first_in_voxels,
+    main_cluster,
+    share_near,
+)
 from edge.tasks.projection import points_of_masks
 from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.value_map import open_cells
 from edge.types import Detections, Instance, Observation
 
 OFF_GROUND_M = 0.15
@@ -44,7 +53,7 @@ class Survey:
 
     Args:
         mapping: of the occupancy map.
-        radius_m: the robot's; it gets no nearer to what is occupied.
+        radius_m: the robot's, or more: the clearance that its trajectories will have.
         ground_labels: kinds of ground that may be driven over, where semantics tell them; empty:
             free ground that is connected to the robot.
 
@@ -91,14 +100,9 @@ class Survey:
         if ground_kind is not None:
             self._add_ground(points_m[:, :2], ground_kind)
         seen = see(self._chain, observation)
-        shown = points_of_masks(
-            cloud_m, invert(observation.T_base_camera) @ T_base_cloud, observation.camera,
-            seen.found.xyxy_px, seen.found.mask, above > OFF_GROUND_M,
-        )  # fmt: skip
+        shown = _shown(seen.found, cloud_m, T_base_cloud, points_m, above)
         self._newest, self._contours = observation, {}
-        for i, mine in enumerate(shown):
-            points = points_m[mine]
-            points = points[main_cluster(points, T_map_cloud[:3, 3])]
+        for i, points in enumerate(shown):
             thing = self.objects.add(
                 seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
                 float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
@@ -114,7 +118,7 @@ class Survey:
         """
         if self._newest is None:
             raise ValueError("a scene of no frames")
-        occupancy = as_seen(self.map)
+        occupancy = terrain.with_blind_spot(as_seen(self.map), self._newest.pose)
         kind, labels = None, self._ground_labels
         if labels:
             xy_m, of = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
@@ -135,6 +139,27 @@ class Survey:
         self._ground = np.concatenate((self._ground, new[first]))
 
 
+def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
+    """Bring what the boxes of one picture show into an object map (OpenNav eq. 2).
+
+    Args:
+        found: with a picture that has a camera, and a cloud or depth.
+        range_m: what is farther away says too little of a thing.
+
+    Raises:
+        ValueError: see `cloud_of`.
+    """
+    seen = found.observation
+    cloud_m, T_base_cloud = cloud_of(seen)
+    cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= range_m]
+    points_m = _moved(seen.T_map_base @ T_base_cloud, cloud_m)
+    pose, base_z_m = seen.pose, float(seen.T_map_base[2, 3])
+    ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
+    above = terrain.height_above(ground, points_m)
+    for i, points in enumerate(_shown(found, cloud_m, T_base_cloud, points_m, above)):
+        objects.add(found.prompts[found.class_id[i]], points, score=float(found.score[i]))
+
+
 def scene_of_map(
     view: MapView,
     observation: Observation,
@@ -142,23 +167,60 @@ def scene_of_map(
     radius_m: float,
     found: Detections | None = None,
     floor: str = "floor",
+    seen: Iterable[MapObject] = (),
 ) -> Scene:
     """A scene of what the service knows: free floor is one region for each piece of it.
 
     Args:
         instances: become the objects, under their own ids.
-        radius_m: the robot's.
+        radius_m: see `Survey`.
         found: boxes of the same picture; those around an instance's middle are its contours.
         floor: what free ground is called.
+        seen: an object map of the same things: a tracker keeps but few points of an instance, and
+            of a large thing may have several, which have no middle in common.
     """
-    objects = [
-        MapObject(one.id, {one.label: one.score}, one.points_m, score=one.score, hits=one.hits)
-        for one in instances
-        if len(one.points_m)
-    ]
+    objects = _whole([one for one in instances if len(one.points_m)], list(seen))
     contours = {} if found is None else _boxed(objects, found)
-    occupancy = as_seen(view)
+    occupancy = terrain.with_blind_spot(as_seen(view), observation.pose)
     return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
+
+
+def _whole(instances: Sequence[Instance], seen: Sequence[MapObject]) -> list[MapObject]:
+    """Instances with all that was seen of them; those of one object are one, by their first id."""
+    objects: dict[int, MapObject] = {}
+    for one in sorted(instances, key=lambda instance: instance.id):
+        points_m, key = one.points_m, -one.id
+        alike = [thing for thing in seen if names.same(thing.label, one.label)]
+        share = [share_near(one.points_m, thing.points_m) for thing in alike]
+        if share and max(share) > 0.0:
+            thing = alike[int(np.argmax(share))]
+            points_m, key = thing.points_m, thing.id
+        whole = MapObject(one.id, {one.label: one.score}, points_m, score=one.score, hits=one.hits)
+        objects.setdefault(key, whole)
+    return list(objects.values())
+
+
+def _shown(
+    found: Detections,
+    cloud_m: np.ndarray,
+    T_base_cloud: np.ndarray,
+    points_m: np.ndarray,
+    above_m: np.ndarray,
+) -> Iterator[np.ndarray]:
+    """What each box shows of its thing: (n, 3) float32 in `map`.
+
+    Args:
+        points_m: of the cloud, in `map`; `above_m`: their height over the ground.
+    """
+    seen = found.observation
+    mine = points_of_masks(
+        cloud_m, invert(seen.T_base_camera) @ T_base_cloud, seen.camera, found.xyxy_px, found.mask,
+        above_m > OFF_GROUND_M,
+    )  # fmt: skip
+    sensor_m = (seen.T_map_base @ T_base_cloud)[:3, 3]
+    for which in mine:
+        points = points_m[which]
+        yield points[main_cluster(points, sensor_m)]
 
 
 def as_seen(view: RollingMap | MapView) -> Grid:
@@ -247,9 +309,9 @@ def _scene(
     gets nearest to each object."""
     pose = seen.pose
     if kind is None:
-        kind = terrain.reachable(occupancy, pose, 0.0).astype(np.uint8)
+        kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
     regions, cells = terrain.regions_of(occupancy, kind, labels)
-    allowed = terrain.reachable(occupancy, pose, radius_m)
+    allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
     described = {thing.id: _described(thing, pose, cells, allowed) for thing in objects}
     pictured = seen.rgb is not None and seen.camera is not None
     return Scene(

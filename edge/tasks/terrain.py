@@ -23,12 +23,10 @@ FILL_M, FILL_SHARE = 1.5, 0.06
 """Ground between scan lines is of the kind that is seen this near, and this share of its distance
 from the robot, since scan lines lie further apart there."""
 BLIND_M = 4.5
-"""So near, the robot's own body hides the ground: it stands on the kind of which most is seen
-within twice that."""
+"""So near, the robot's own body may hide the ground: a ring of an HDL-64E, 24.8 degrees down from
+1.73 m, meets it at 3.7 m. There it is of the kind of which most is seen within twice that."""
 LEAST_M2 = 3.0
 """Smaller pieces are no regions."""
-ESCAPE_M = 3.0
-"""The robot does not see the ground that it stands on; where it can get to begins this near."""
 MOST_REGIONS = 255
 GROUND = "ground"
 
@@ -81,26 +79,44 @@ def height_above(ground: Ground, points_m: np.ndarray) -> np.ndarray:
     return out
 
 
-def reachable(occupancy: Grid, pose: SE2, radius_m: float) -> np.ndarray:
-    """Where the robot can drive to: (h, w) bool, free cells as far from what is occupied as its
-    radius, connected to the one nearest to it."""
-    cells = occupancy.cells
-    if cells.size == 0:
-        return np.zeros(cells.shape, np.bool_)
+def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
+    """A map in which the ground that the robot stands on is joined to the ground that it sees.
+
+    No sensor looks under itself: a LiDAR's lowest ring meets the ground metres away, a depth
+    camera's lowest row before the robot. Where the free ground around the robot is too small to be
+    a region (`LEAST_M2`), unknown cells on a straight line from it to the first ground that was
+    seen, at most `BLIND_M` away, count as free. Lines that meet something occupied first, or
+    nothing that is known, tell nothing.
+
+    Args:
+        occupancy: int8; -1 unknown, 0 free, 100 occupied.
+        pose: the robot's.
+    """
+    cells, step_m = occupancy.cells, 0.5 * occupancy.resolution_m
+    cell = occupancy.cell_of(pose.x_m, pose.y_m)
+    if cell is None:
+        return occupancy
     free = cells == 0
-    blocked = (cells > 0).astype(np.uint8)
-    if blocked.any():
-        apart = cv2.distanceTransform(1 - blocked, cv2.DIST_L2, 5)
-        free &= apart * occupancy.resolution_m >= radius_m
-    _, part = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
-    rows, columns = np.nonzero(free)
-    if not len(rows):
-        return free
-    away_m = np.linalg.norm(occupancy.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=1)
-    start = int(np.argmin(away_m))
-    if away_m[start] > ESCAPE_M:
-        return np.zeros(cells.shape, np.bool_)
-    return part == part[rows[start], columns[start]]
+    _, part = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
+    own = free & (part == part[cell])
+    if own.sum() * occupancy.resolution_m**2 >= LEAST_M2:
+        return occupancy
+    state = np.where(own, np.int8(-1), cells)
+    angle_rad = np.arange(0.0, 2.0 * np.pi, step_m / BLIND_M)[:, None]
+    away_m = np.arange(0.0, BLIND_M, step_m)
+    xy_m = np.stack((pose.x_m + away_m * np.cos(angle_rad), pose.y_m + away_m * np.sin(angle_rad)))
+    column, row = np.floor(np.moveaxis(occupancy.of_metres(np.moveaxis(xy_m, 0, -1)), -1, 0))
+    h, w = cells.shape
+    inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    at = row.clip(0, h - 1).astype(np.intp), column.clip(0, w - 1).astype(np.intp)
+    known = inside & (state[at] >= 0)
+    first = np.argmax(known, axis=1)
+    lines = np.arange(len(first))
+    ground = known[lines, first] & (state[at][lines, first] == 0)
+    hidden = ground[:, None] & (np.arange(len(away_m)) < first[:, None]) & inside
+    filled = cells.copy()
+    filled[at[0][hidden], at[1][hidden]] = 0
+    return replace(occupancy, cells=filled)
 
 
 def kinds_of_cells(
@@ -177,7 +193,7 @@ def nearest_points(
 
     Args:
         points_m: (n, 2 or more) of the thing, in `map`.
-        allowed: (h, w) bool, see `reachable`.
+        allowed: (h, w) bool, see `edge.tasks.ground.reachable`.
 
     Returns:
         By the region's id; without those that have no allowed cell.

@@ -35,11 +35,13 @@ class Coarse:
         segments: (n, 2) or (n, 3) float64 each, in `map`, n >= 1; each goes on from the one before.
         regions: ids of the drivable regions that it is to keep to; empty: any.
         speed_mps: what was asked for; None: as the robot is used to.
+        heading_rad: at its end, such as towards what it leads to; None: as it comes.
     """
 
     segments: tuple[np.ndarray, ...]
     regions: tuple[int, ...] = ()
     speed_mps: float | None = None
+    heading_rad: float | None = None
 
     @property
     def points_m(self) -> np.ndarray:
@@ -47,7 +49,9 @@ class Coarse:
         return np.concatenate([np.empty((0, 2)), *(points[:, :2] for points in self.segments)])
 
 
-def coarse_of(segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits) -> Coarse:
+def coarse_of(
+    segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLimits, heading_rad: Any = None
+) -> Coarse:
     """A trajectory out of what a script hands over, which may be anything.
 
     Args:
@@ -76,7 +80,9 @@ def coarse_of(segments: Any, regions: Any, speed_mps: Any, limits: TrajectoryLim
             raise TrajectoryError(f"regions: expected ids of regions, got {shown(region)}")
     if speed_mps is not None:
         speed_mps = number(speed_mps, "speed_mps")
-    return Coarse(arrays, tuple(dict.fromkeys(chosen)), speed_mps)
+    if heading_rad is not None:
+        heading_rad = math.remainder(number(heading_rad, "heading_rad"), math.tau)
+    return Coarse(arrays, tuple(dict.fromkeys(chosen)), speed_mps, heading_rad)
 
 
 def check(coarse: Coarse, ground: Ground, limits: TrajectoryLimits) -> None:

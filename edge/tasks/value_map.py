@@ -24,11 +24,11 @@ class Body:
     """The robot's room and the coarse trajectory's.
 
     Attributes:
-        clearance_m: cells nearer than this to an occupied one are closed: the robot's radius.
+        clearance_m: see `closed_cells`.
         tube_m: radius around the coarse trajectory; what it says is meant within this.
     """
 
-    clearance_m: float = 0.4
+    clearance_m: float
     tube_m: float = 1.0
 
 
@@ -43,13 +43,12 @@ def value_map(
     | drivable: of a chosen region | DRIVABLE, slightly higher |
     | other ground | HIGH |
     | occupied | HIGH in the paper, closed here |
+    | too near to what is occupied, or never seen | closed |
 
     In the paper a cost is all that keeps A* out of what is occupied, and Table II counts 2
-    collisions in 30: here no path enters it at any price. Where the paper is silent: cells nearer
-    than `clearance_m` to an occupied one are closed as well; what nobody saw is other ground, but
-    for what a region reaches over, as between the rings of a LiDAR; the tube lowers the cost of
-    chosen regions only, else a coarse line that is straight would lead over the lawn which the
-    choice of regions leaves out.
+    collisions in 30: here no path enters it at any price. What is closed is so for who writes the
+    trajectory as well (`open_cells`). The tube lowers the cost of chosen regions only, else a
+    coarse line that is straight would lead over the lawn which the choice of regions leaves out.
 
     Args:
         occupancy: int8; -1 unknown, 0 free, 100 occupied.
@@ -79,12 +78,12 @@ def value_map(
         tube = _tube(occupancy, coarse_m, body.tube_m)
         tube &= cv2.compare(weights, DRIVABLE, cv2.CMP_EQ)
         weights[tube.view(bool)] = TUBE
-    weights[closed_cells(occupancy, body.clearance_m)] = CLOSED
+    weights[~open_cells(occupancy, regions, body.clearance_m)] = CLOSED
     return from_weights(replace(occupancy, cells=weights), TUBE)
 
 
 def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
-    """(h, w) bool: where a robot's middle may not be.
+    """(h, w) bool: where a robot's middle may not be, whatever is known of the ground there.
 
     Occupied cells, and those whose middle is nearer than `clearance_m` to the rim of one.
     """
@@ -96,6 +95,17 @@ def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
     # An exact disc: over few cells a dilation costs a tenth of a distance transform.
     disc = gap_m**2 + gap_m[:, None] ** 2 < max(clearance_m, 1e-9) ** 2
     return cv2.dilate(occupied, disc.astype(np.uint8)).view(bool)
+
+
+def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray:
+    """(h, w) bool: where a robot's middle may be: not closed, and seen free or of a region, which
+    reaches over cells that nothing hit, as between the rings of a LiDAR.
+
+    Args:
+        regions: the same cells, 0 where there is none.
+    """
+    known = (occupancy.cells >= 0) | (regions.cells > 0)
+    return known & ~closed_cells(occupancy, clearance_m)
 
 
 def _tube(grid: Grid, coarse_m: np.ndarray, radius_m: float) -> np.ndarray:

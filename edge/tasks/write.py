@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edge.chat import CutOffError, client_of
-from edge.config import ScriptLimits, Tasks, WriterModel
+from edge.config import ScriptLimits, Tasks, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import Functions
@@ -53,6 +53,8 @@ class Written:
         rounds: of a model; the last one gave the trajectory.
         prompt: version of the model's prompt; "" of the rules.
         ground: what the trajectory was checked on.
+        stops_at: number of the thing that the rules read it to end at, wherever one gets nearest;
+            None: it ends elsewhere, or a model wrote it.
     """
 
     instruction: str
@@ -61,6 +63,7 @@ class Written:
     understood: str = ""
     rounds: tuple[Round, ...] = ()
     prompt: str = ""
+    stops_at: int | None = None
 
 
 class WriteError(UserError):
@@ -80,15 +83,41 @@ def write(
     scene: Scene,
     config: Tasks,
     told: Callable[[Round], None] = lambda round: None,
+    why: str = "",
+    make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
 ) -> Written:
     """The trajectory that an instruction asks for, checked, by the writer that is configured.
 
     Args:
         told: each round of a model as it ends, for who watches.
+        why: another one is needed than was written before, for a model.
+        make: what the writer may call; evaluations take some of it away.
 
     Raises:
         UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
             `TrajectoryError`, `ChatError` (the server), `UnavailableError` (the interpreter).
+    """
+    check_instruction(instruction)
+    ground = ground_of(scene, config.trajectory.clearance_m)
+    if not ground.reachable.any():
+        raise WriteError("nothing around the robot is known to be free; drive it to open ground")
+    functions = make(ground, config.trajectory)
+    if isinstance(config.planner, WriterModel):
+        rounds = _ask(instruction, functions, config.planner, config.script, told, why)
+        assert functions.given is not None
+        return Written(instruction, functions.given, ground, "", rounds, version())
+    understood = rules.carry_out(instruction, functions)
+    assert functions.given is not None
+    last = rules.read(instruction, scene)[-1]
+    stops_at = last.things[0].id if last.kind == "to" else None
+    return Written(instruction, functions.given, ground, understood, stops_at=stops_at)
+
+
+def check_instruction(instruction: str) -> None:
+    """See that there is an instruction, of a length that is taken.
+
+    Raises:
+        WriteError: there is none.
     """
     if not instruction.strip():
         raise WriteError("the instruction is empty; say where to go")
@@ -97,17 +126,6 @@ def write(
             f"the instruction has {len(instruction)} characters, at most {MOST_INSTRUCTION_CHARS} "
             "are taken"
         )
-    ground = ground_of(scene, config.trajectory.clearance_m)
-    if not ground.reachable.any():
-        raise WriteError("nothing around the robot is known to be free; drive it to open ground")
-    functions = Functions(ground, config.trajectory)
-    if isinstance(config.planner, WriterModel):
-        rounds = _ask(instruction, functions, config.planner, config.script, told)
-        assert functions.given is not None
-        return Written(instruction, functions.given, ground, "", rounds, version())
-    understood = rules.carry_out(instruction, functions)
-    assert functions.given is not None
-    return Written(instruction, functions.given, ground, understood)
 
 
 def _ask(
@@ -116,10 +134,11 @@ def _ask(
     config: WriterModel,
     limits: ScriptLimits,
     told: Callable[[Round], None],
+    why: str,
 ) -> tuple[Round, ...]:
     """Algorithm 1 of OpenNav: scripts are run and errors go back until one gives a trajectory."""
     client, begin_s = client_of(config), time.monotonic()
-    talk = messages(instruction, functions.ground.scene, functions.limits, config.picture)
+    talk = messages(instruction, functions.ground.scene, functions.limits, config.picture, why)
     rounds: list[Round] = []
     while len(rounds) < config.rounds:
         left_s = config.time_limit_s - (time.monotonic() - begin_s)

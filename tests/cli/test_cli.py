@@ -254,7 +254,7 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     """A formula leaves the configuration as it is: later orders are read by its translator."""
     opened = []
 
-    def open_service(config, sinks, asked, formula, stop, progress, amiss):
+    def open_service(config, sinks, asked, formula, task, stop, progress, amiss):
         assert config.mission.translator.kind == "grammar"
         opened.append((asked, formula, config.mission.target, config.mission.instruction))
         raise Stopped

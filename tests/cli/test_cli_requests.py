@@ -52,8 +52,29 @@ from edge.cli.requests import ANSWER_S, NEW_S, add_arguments, as_text
                 "failed:      bed",
             ],
         ),
+        ({"task": None}, ["done"]),
+        ({"task": {"phase": "looking", "missing": ["van", "gate"], "writer": "rules"}},
+         ["task:        looking", "written by:  rules", "missing:     van, gate"]),
+        (
+            {
+                "task": {
+                    "phase": "driving", "writer": "model m", "answers": 3, "understood": "",
+                    "rounds": [{"error": "no"}, {"error": ""}], "trajectory": [[0, 0, 0]],
+                    "length_m": 7.25, "driven_m": 3.0, "refinements": 3, "notes": ["a", "b"],
+                }
+            },
+            [
+                "task:        driving",
+                "written by:  model m",
+                "answers:     3",
+                "trajectory:  3.0 of 7.2 m driven, refined anew 2 times since the map had changed",
+                "notes:       a; b",
+            ],
+        ),
+        ({"task": {"answers": 1, "rounds": [{"error": "x is\nno name"}]}},
+         ["answers:     1, the newest: x is no name"]),
     ],
-)
+)  # fmt: skip
 def test_what_a_person_is_shown(answer, lines):
     assert as_text(answer).splitlines() == lines
 
@@ -66,8 +87,11 @@ def test_a_service_that_answers_anything_gets_a_line_a_row(value):
     keys = ["instruction", "english", "formula", "warnings", "state", "states", "phase", "reason"]
     keys += ["target", "why", "plan", "detected", "reached", "failed", "forbidden", "paused"]
     keys += ["overtaken"]
-    lines = as_text(dict.fromkeys(keys, value)).split("\n")
-    assert len(lines) <= 14
+    of_task = ["phase", "writer", "understood", "missing", "answers", "rounds", "trajectory"]
+    of_task += ["length_m", "driven_m", "refinements", "notes"]
+    answer = {**dict.fromkeys(keys, value), "task": dict.fromkeys(of_task, value)}
+    lines = as_text(answer).split("\n")
+    assert len(lines) <= 21
     assert all(line.isprintable() and len(line) < 1100 for line in lines)
 
 

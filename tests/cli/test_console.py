@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 from results import facts, result
 from simulated import simulated
+from task_facts import INSTRUCTION, by_a_model, driving, looking, written
 
 from edge.cli import console
 from edge.cli.console import ConsoleSink, line_of
@@ -19,8 +20,10 @@ from edge.loop.result import TickResult, facts_of
 from edge.loop.service import DETECT
 from edge.mission.brief import prepare
 from edge.mission.run import MissionRun
+from edge.tasks.facts import lengths_m
 from edge.types import Goal, MissionStatus
 
+LENGTH_M = lengths_m(written()[1], 0)[0]
 S, MS = 1_000_000_000, 1_000_000
 
 
@@ -140,3 +143,26 @@ def test_nothing_to_close():
     out = Terminal()
     ConsoleSink(out).close()
     assert out.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("task", "line"),
+    [
+        (looking(), f"looking for van, gate, to {INSTRUCTION} | no goal | 0 seen | map 0 m2"),
+        (looking(missing=()), f"looking for what is around, to {INSTRUCTION} | no goal | 0 seen |"),
+        (looking(phase="writing"), f"writing {INSTRUCTION} | by rules | map"),
+        (
+            looking(phase="failed", writer="a\x1b[2J", rounds=by_a_model().rounds),
+            f"failed {INSTRUCTION} | by a[2J, 2 answers | map",
+        ),
+        (driving(0), f"driving {INSTRUCTION} | 0.0 of {LENGTH_M:.1f} m | map"),
+        (
+            driving(10_000, phase="reached"),
+            f"reached {INSTRUCTION} | {LENGTH_M:.1f} of {LENGTH_M:.1f} m | map",
+        ),
+    ],
+)
+def test_a_task_is_told_by_what_it_is_at(task, line):
+    status = MissionStatus("van", "searching", elapsed_s=12.3)
+    told = line_of(result(status=status, pose=SE2(0.0, 0.0, 0.0), task=lambda: task))
+    assert told.startswith(f"12.3s {line}")

@@ -401,3 +401,13 @@ def test_the_mission_is_checked(mission, level, words):
     assert finding.level == level
     assert words in finding.what
     assert finding.todo or level == "ok"
+
+
+@pytest.mark.parametrize(("kind", "level"), [("rules", "warn"), ("model", "fail")])
+def test_an_interpreter_that_is_missing_is_missed_by_a_model(monkeypatch, kind, level):
+    (found,) = doctor.check_tasks(SIM)
+    assert (found.level, "pydantic-monty" in found.what) == ("ok", True)
+    monkeypatch.setitem(sys.modules, "pydantic_monty", None)
+    (lack,) = doctor.check_tasks(simulated({"tasks": {"planner": {"kind": kind}}}))
+    assert lack.level == level
+    assert "pip install 'edge-vln[tasks]'" in lack.todo

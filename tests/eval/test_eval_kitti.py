@@ -173,7 +173,7 @@ def test_a_real_street_becomes_a_scene(sequence):
     scene = kitti_scene(sequence, frames_in(sequence))
     assert scene.pose.x_m == pytest.approx(4.53, abs=0.05)
     labels = [thing.label for thing in scene.objects.values()]
-    for label in ("car", "truck", "building", "bush", "pole", "traffic sign"):
+    for label in ("car", "truck", "building", "bush", "pole", "sign"):
         assert label in labels
     regions = {region.label for region in scene.regions.values()}
     assert {"road", "sidewalk", "terrain"} <= regions

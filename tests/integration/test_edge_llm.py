@@ -15,7 +15,7 @@ from patience import PATIENCE_S
 
 from edge.chat import ChatClient, ChatError, CutOffError
 from edge.config import TranslatorLlm
-from edge.eval.task_templates import generate
+from edge.eval.planning.templates import generate
 from edge.mission.automaton import compile_formula
 from edge.mission.language.llm import constraint, conversation, formula_in, objects_in
 from edge.mission.ltl import parse

@@ -19,12 +19,14 @@ from edge.geometry import SE2
 from edge.host.credentials import Token
 from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
+from edge.live.sink import LiveSink
 from edge.live.view import PUBLIC, LiveView
 from edge.loop import requests
 from edge.loop.result import TickResult
 from edge.loop.runner import Running, loop
 from edge.loop.vitals import PROBES, Vitals
-from edge.mission.brief import prepare
+from edge.tasks.brief import prepared
+from edge.tasks.facts import TaskFacts
 from edge.types import GoalStatus, Observation
 
 TOKEN = "a-token-of-the-tests"
@@ -87,16 +89,30 @@ class Brittle:
     def close(self) -> None: ...
 
 
+class Tasked:
+    """Hands results on to the page as if a task were under way."""
+
+    task: TaskFacts | None = None
+
+    def __init__(self, page: LiveSink) -> None:
+        self._page, self.close = page, page.close
+
+    def tick(self, result: TickResult) -> None:
+        self._page.tick(replace(result, task=lambda: self.task) if self.task else result)
+
+
 class House:
     """Attributes:
     url: of the page.
-    view, service, robot, sink: what can be turned.
+    view, service, robot, brittle, tasked: what can be turned.
     """
 
-    def __init__(self, port: int, view: LiveView, closed: ClosedLoop, brittle: Brittle) -> None:
+    def __init__(
+        self, port: int, view: LiveView, closed: ClosedLoop, brittle: Brittle, tasked: Tasked
+    ) -> None:
         self.url = f"http://{HERE}:{port}/"
         self.port, self.view, self.closed, self.brittle = port, view, closed, brittle
-        self.service, self.robot = closed.service, Robot(closed)
+        self.service, self.robot, self.tasked = closed.service, Robot(closed), tasked
 
 
 @contextmanager
@@ -106,19 +122,20 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     config = simulated({"loop": {"hz": 50.0}, "mission": {"target": "bed"}, **http, **sections})
     vitals = Vitals(ServiceManager({}))
     view, brittle = LiveView(config, vitals), Brittle()
-    closed = ClosedLoop(config, sinks=(view.sink, brittle))
+    tasked = Tasked(view.sink)
+    closed = ClosedLoop(config, sinks=(tasked, brittle))
     if config.mission.on_request:
         closed.service.mission.wait()
     queues = {
         key: RequestQueue(key, verbs, handle)
         for key, (verbs, handle) in requests.served(
-            closed.service, partial(prepare, config.mission)
+            closed.service, partial(prepared, config)
         ).items()
     }
     known = None if token is None else Token(token.encode())
     pages, stop = {**vitals.pages(), **view.pages()}, threading.Event()
     with serve(pages, HERE, 0, known, PROBES, view.forms(), PUBLIC) as port:
-        house = House(port, view, closed, brittle)
+        house = House(port, view, closed, brittle, tasked)
         running = Running(config, closed.service, closed.worker, house.robot, queues)
         thread = threading.Thread(
             target=loop, args=(running, stop), kwargs={"each": partial(vitals.beat, running)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
@@ -10,6 +11,8 @@ from chromium import Tab, open_chromium
 from live_house import HERE, TOKEN, House, open_house
 from patience import eventually
 from simulated import simulated
+from task_facts import INSTRUCTION as TASK
+from task_facts import by_a_model, driving, looking
 
 from edge.host.pages import serve
 from edge.host.service_manager import ServiceManager
@@ -250,3 +253,50 @@ def test_the_map_follows_the_robot_until_it_is_dragged(page):
     for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
         page.call("Input.dispatchMouseEvent", type=kind, x=x, y=300, **mouse)
     assert page.run(pressed) == "false"
+
+
+def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(page, house):
+    house.tasked.task = looking()
+    page.says("#phase", "LOOKING")
+    page.says("#what", "Task")
+    page.says("#asked", TASK)
+    page.says("#task-facts", "van, gate")
+    assert page.text("#automaton") == page.text("#formula") == ""
+    hidden = "document.querySelector('.legend .refined').hidden"
+    assert page.run(hidden)
+    house.tasked.task = driving(60)
+    page.says("#phase", "DRIVING")
+    page.says("#task-facts", "m of it")
+    page.until(f"!{hidden}")
+    house.tasked.task = None
+    page.says("#what", "Mission")
+    page.says("#formula", "F bed")
+    page.until("document.getElementById('task').hidden")
+    assert page.run(hidden)
+    assert page.complaints == []
+
+
+def test_what_a_model_wrote_is_text_and_asked_for_once(page, house):
+    house.tasked.task = by_a_model()
+    page.says("#rounds", "<script>alert(1)</script>")
+    page.says("#rounds", "give_trajectory([(1, 0)])")
+    page.run("document.querySelectorAll('#task details').forEach((fold) => (fold.open = true))")
+    page.says("#prompt", "<img src=x")
+    page.says("#rounds", "the answer has no ```python block")
+    assert page.run("document.querySelectorAll('#task script, #task img').length") == 0
+    driven = page.text("#task-facts")
+    house.tasked.task = by_a_model(index=90)
+    page.until(f"document.getElementById('task-facts').innerText !== {json.dumps(driven)}")
+    assert sum(url.endswith("/live/task") for url in page.asked) == 1
+    assert page.complaints == []
+
+
+def test_a_task_is_given_from_the_page(page, house):
+    page.click("#new")
+    page.click("[name=as][value=task]")
+    assert "go around" in page.run("document.getElementById('words').placeholder")
+    page.type("#words", "go past the left of the sofa")
+    page.click("#new-ok")
+    page.until("!document.getElementById('new-dialog').open")
+    page.says("#asked", "go past the left of the sofa")
+    assert house.service.task is not None

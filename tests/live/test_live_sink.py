@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from results import observation, result
+from task_facts import driving, looking
 
 from edge.geometry import SE2, CameraModel
 from edge.live.sink import MAX_EVENTS, MAX_SHOT_PX, PERIOD_S, WATCHED_S, LiveSink
@@ -16,7 +17,7 @@ from edge.perception.choice.question import Choice
 from edge.policies.base import FRONTIER, INSTANCE
 from edge.types import ContextBoxes, Detections, Observation
 
-DEAR = ("mission", "instances", "candidates", "way", "layers", "health")
+DEAR = ("mission", "task", "instances", "candidates", "way", "layers", "health")
 CAMERA = CameraModel.from_hfov(40, 30, 1.2)
 T_BASE_CAMERA = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1.0]])
 
@@ -145,3 +146,13 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     assert (letter, u) == ("B", pytest.approx(0.5, abs=0.02))
     assert 0.5 < v < 1.0
     assert sink.moment.letters[6] == ("C", pytest.approx(0.3))
+
+
+def test_what_is_told_of_tasks_is_numbered_and_driving_on_is_nothing_new(sink, clock):
+    sink.look()
+    numbers = []
+    for task in (None, looking(), driving(0), driving(50), driving(50, phase="reached"), None):
+        clock.now_s += PERIOD_S
+        sink.tick(result(task=lambda task=task: task))
+        numbers.append(sink.moment.n_tasks)
+    assert numbers == [0, 1, 2, 2, 3, 4]

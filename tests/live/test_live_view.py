@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from live_house import TOKEN
 from results import observation, result
 from simulated import simulated
+from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, looking
 
 from edge.bus.request_queue import RequestQueue
 from edge.bus.verbs import Verb
@@ -67,7 +69,7 @@ def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view
     now = told(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
-    for path in ("story", "map", "camera", "layers/0"):
+    for path in ("story", "task", "map", "camera", "layers/0"):
         assert told(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (
@@ -178,3 +180,51 @@ def test_whether_there_are_controls_is_told(view):
     assert told(view, "/live/now")["controls"] is False
     config = simulated({"mission": {"target": "chair"}, "http": {"token_file": TOKEN}})
     assert told(LiveView(config, Vitals(ServiceManager({}))), "/live/now")["controls"] is True
+
+
+def test_without_a_task_there_is_nothing_to_tell_of_one(view):
+    view.sink.look()
+    view.sink.tick(result())
+    assert (told(view, "/live/now")["moment"]["task"], told(view, "/live/task")) == (None, None)
+
+
+def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
+    task = by_a_model(index=40)
+    view.sink.look()
+    view.sink.tick(result(task=lambda: task))
+    script = told(view, "/live/task")
+    assert view.pages()["/live/task"]() is view.pages()["/live/task"]()
+    now = told(view, "/live/now")["moment"]["task"]
+    assert (now["number"], now["phase"]) == (script["number"], "driving")
+    assert 0 < now["driven_m"] < script["length_m"]
+    assert script["refined"][now["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
+    assert (script["instruction"], script["coarse"][-1]) == (INSTRUCTION, script["refined"][-1][:2])
+    assert [(r["said"] != "", r["code"] != "", r["error"] != "") for r in script["rounds"]] == [
+        (True, False, True), (False, True, False),
+    ]  # fmt: skip
+    assert script["rounds"][1]["code"].splitlines()[1:] == task.rounds[1].code.splitlines()[1:]
+    assert len(json.dumps(told(view, "/live/now"))) < 3000
+
+
+def test_before_it_is_written_it_has_no_lines(view):
+    view.sink.look()
+    view.sink.tick(result(task=looking))
+    script = told(view, "/live/task")
+    assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])
+    assert told(view, "/live/now")["moment"]["task"]["index"] == -1
+
+
+def test_of_what_a_model_says_the_page_gets_as_much_as_one_reads(view):
+    task = by_a_model(HOSTILE + 300_000 * "y\n")
+    view.sink.look()
+    view.sink.tick(result(task=lambda: replace(task, rounds=100 * task.rounds)))
+    assert len(view.pages()["/live/task"]().body) < 2_000_000
+
+
+def test_a_trajectory_of_one_pose_is_drawn(view):
+    refined = driving().refined
+    one = replace(refined, poses=refined.poses[:1], speeds_mps=np.zeros(1), times_s=np.zeros(1))
+    view.sink.look()
+    view.sink.tick(result(task=lambda: driving(0, refined=one)))
+    script = told(view, "/live/task")
+    assert (len(script["refined"]), script["length_m"], script["time_s"]) == (1, 0.0, 0.0)

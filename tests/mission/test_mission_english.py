@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.eval.languages import difference
-from edge.eval.task_templates import generate
+from edge.eval.planning.templates import generate
 from edge.mission import ltl
 from edge.mission.language.english import describe
 from edge.mission.language.grammar import parse_english

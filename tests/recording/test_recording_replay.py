@@ -33,6 +33,7 @@ from edge.recording.replay import ReplayError, replay
 from edge.recording.rolling import files_of
 from edge.recording.session import Session
 from edge.sinks.mcap import McapSink
+from edge.tasks.brief import prepare_task
 from edge.types import GoalStatus, Observation
 
 
@@ -67,6 +68,17 @@ def test_a_drive(drive, capsys):
     assert "30 ticks" in told
     assert "the same, tick for tick" in told
     assert "select" in told
+
+
+def test_a_task(tmp_path):
+    """What was written beside the loop is taken from the recording."""
+    recording = Recording(tmp_path).steps(2)
+    service, closed = recording.service, recording.closed
+    task = prepare_task(closed.config, "go straight for 1 metre")
+    service.begin(task, closed.drive.motion.stamp_ns)
+    recording.steps(25)
+    assert service.result().task().refined is not None
+    same(recording.close(), 27)
 
 
 def test_all_that_can_come_into_the_loop(tmp_path):

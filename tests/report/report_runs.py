@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from results import facts, result
 from simulated import simulated
+from task_facts import LIMITS, driving
 
 from edge.geometry import SE2, Grid
 from edge.loop.latency import LatencyRing
@@ -21,6 +23,10 @@ from edge.mission.planning.plan import DEAD
 from edge.mission.translate import Translation
 from edge.report.record import RunRecord
 from edge.report.recorder import Recorder
+from edge.tasks.facts import TaskFacts
+from edge.tasks.refine import refine
+from edge.tasks.scene import Region, Scene
+from edge.tasks.value_map import Body
 from edge.types import Detections, Goal, Instance, MissionStatus, Observation, Step
 
 MS = 1_000_000
@@ -206,3 +212,21 @@ def mission_run() -> RunRecord:
         found, title=asked, targets=("chair", "sofa", "tv", "bed"), story=story,
         instances=tuple(things), events=tuple(texts),
     )  # fmt: skip
+
+
+def task_run(**fields: Any) -> RunRecord:
+    """The same way through the flat as a task, refined on the flat's map."""
+    found, occupancy = flat_run(), flat()
+    floor = Grid((occupancy.cells == 0).astype(np.uint8), occupancy.origin_xy_m, RESOLUTION_M)
+    start = SE2(*WAY[0], math.pi / 2)
+    scene = Scene(
+        0, start, {}, {1: Region(1, "floor", 40.0)}, occupancy, floor, None, None, None, {}
+    )
+    coarse = np.array([*WAY[1:4], *WAY[4:]])
+    refined = refine(scene, [coarse[:3], coarse[3:]], {1}, Body(0.2, 0.6), LIMITS)
+    task: TaskFacts = driving(
+        len(refined.poses) - 1, phase="reached", coarse_m=coarse, refined=refined,
+        notes=refined.notes,
+    )  # fmt: skip
+    task = replace(task, instruction="go through the door, then stop at the chair", **fields)
+    return replace(found, title=task.instruction, task=task)

@@ -50,7 +50,7 @@ def with_a_car(label: str = "car") -> Scene:
 
 
 def trajectory(scene: Scene) -> Refined:
-    return refine(scene, [COARSE_M[1:]], {7}, Body(), MotionLimits(1.0, 1.0, 0.8, 3.0))
+    return refine(scene, [COARSE_M[1:]], {7}, Body(0.4), MotionLimits(1.0, 1.0, 0.8, 3.0))
 
 
 def page(scene: Scene, cloud_m: np.ndarray | None = None) -> str:

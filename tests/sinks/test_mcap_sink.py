@@ -12,7 +12,9 @@ from mcap.reader import make_reader
 from patience import eventually
 from recordings import Recording, small
 from results import result
+from ros_messages import from_ros
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from task_facts import driving, looking, written
 
 from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel
@@ -101,6 +103,18 @@ def test_json_says_what_foxglove_asks_for(run):
         assert said[channel.topic].keys() == known.keys()
     assert said["/status"]["phase"] == "searching"
     assert said["/latency"]["tick"]["n"] > 0
+
+
+def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, tmp_path):
+    sink = make()
+    at_s = {0: None, 1: looking(), 2: driving(0), 3: driving(9), 8: driving(10), 9: None, 20: None}
+    for now_s, task in at_s.items():
+        sink.tick(tick(seen(10 * now_s), task=lambda task=task: task))
+    sink.close()
+    told = [m for m in McapReading(files_of(tmp_path)[0]) if m.topic == "/trajectory"]
+    paths = [from_ros(m.payload, "nav_msgs/msg/Path") for m in told]
+    n = len(written()[1].poses)
+    assert [(p.header.stamp.sec, len(p.poses)) for p in paths] == [(2, n), (8, n), (9, 0)]
 
 
 def test_pictures_have_their_colours(make, tmp_path):

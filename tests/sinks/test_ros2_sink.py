@@ -12,6 +12,8 @@ from results import result
 from ros_messages import from_ros
 from ros_router import ours, router, zenoh_settings
 from simulated import simulated
+from task_facts import driving as driven_task
+from task_facts import written
 
 from edge.bus.ros2 import names
 from edge.bus.ros2.names import BRIDGE, RMW_ZENOH, dialect_of
@@ -301,6 +303,22 @@ def test_map_and_drawings(make, theirs):
     type_name, payload = eventually(lambda: heard(drawn))[0]
     _, frontiers = from_ros(payload.to_bytes(), type_name).markers
     assert len(frontiers.points) == 2
+    node.close()
+
+
+def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
+    sink = make(map_frame="world")
+    for now_ns in (10**9, 2 * 10**9):
+        sink.tick(result(now_ns, task=driven_task))
+    node = Node(theirs, 0, "rviz")
+    late = node.subscription("/edge/task_path", ("nav_msgs/msg/Path",), 8, latched=True)
+    ((type_name, payload),) = eventually(late.take)
+    path, poses = from_ros(payload.to_bytes(), type_name), written()[1].poses
+    assert (path.header.frame_id, path.header.stamp.sec) == ("world", 1)
+    assert [at.pose.position.y for at in path.poses] == poses[:, 1].tolist()
+    sink.tick(result(3 * 10**9))
+    ((type_name, payload),) = eventually(late.take)
+    assert len(from_ros(payload.to_bytes(), type_name).poses) == 0
     node.close()
 
 

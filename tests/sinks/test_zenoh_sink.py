@@ -9,7 +9,9 @@ import pytest
 import zenoh
 from patience import eventually
 from results import health, observation, result
+from ros_messages import from_ros
 from simulated import simulated
+from task_facts import driving, looking, written
 
 from edge.bus import topics
 from edge.bus.session import open_session
@@ -175,6 +177,32 @@ def test_the_mission_reaches_those_who_come_late(sink, session, ears):
     ears.hear("mission")
     late = Ears(session)
     assert json.loads(late.hear("mission"))["phase"] == "reached"
+
+
+def planned(payload: bytes) -> list[float]:
+    """Where the poses of a nav_msgs/Path lie along x."""
+    return [at.pose.position.x for at in from_ros(payload, "nav_msgs/msg/Path").poses]
+
+
+def test_a_trajectory_is_sent_when_it_changes_and_an_empty_one_when_it_is_gone(
+    clock, sink, session, ears
+):
+    there = written()[1].poses[:, 0].tolist()
+    for task in (looking(), driving(0), driving(1), driving(2)):
+        sink.tick(result(task=lambda task=task: task))
+        settle(sink, ears)
+    assert [planned(payload) for payload in ears.rest("trajectory")] == [there]
+    late, clock.now_s = Ears(session), 5.1
+    assert planned(late.hear("trajectory")) == there
+    sink.tick(result())
+    assert planned(late.hear("trajectory")) == []
+
+
+def test_without_a_task_there_is_no_word_of_a_trajectory(clock, sink, ears):
+    sink.tick(result())
+    settle(sink, ears)
+    clock.now_s = 60.0
+    assert ears.rest("trajectory") == []
 
 
 def test_the_last_word_leaves_before_it_closes(session, ears):

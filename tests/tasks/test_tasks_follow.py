@@ -7,9 +7,12 @@ import math
 import numpy as np
 import pytest
 from ros_messages import from_ros
-from small_scenes import BODY, LIMITS, fill, scene
+from small_scenes import BODY, LIMITS, scene
 
+from edge.config import Mapping
 from edge.geometry import SE2
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
 from edge.tasks.follow import blocked_ahead_m, goal_ahead, path_message
 from edge.tasks.refine import Refined, refine
 
@@ -57,39 +60,43 @@ def test_a_single_pose_is_its_own_goal():
     assert goal_ahead(trajectory, SE2(7.0, 0.0, 1.0), 1.0) == (SE2(7.0, 0.0, 1.0), 0)
 
 
+def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
+    """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map of what is within 9 m."""
+    grid = RollingMap(Mapping(input="cloud", resolution_m=0.1, extent_m=19.2, inflation_m=0.4))
+    for x0, y0, x1, y1 in boxes:
+        x, y = np.meshgrid(np.arange(x0, x1, 0.05), np.arange(y0, y1, 0.05))
+        cloud = np.stack((x, y, np.full_like(x, 0.5)), axis=-1).reshape(-1, 3).astype(np.float32)
+        grid.update_cloud(cloud, np.eye(4), SE2(0.0, 0.0, 0.0))
+    return MapView(grid)
+
+
 @pytest.mark.parametrize(
-    ("box", "value", "from_x_m", "expected_m"),
+    ("boxes", "from_x_m", "expected_m"),
     [
-        ((0, 0, 0, 0), 0, -7.0, None),
-        ((2.0, -0.5, 3.0, 0.5), 100, -7.0, 8.6),
-        ((2.0, -0.5, 3.0, 0.5), 100, 0.0, 1.6),
-        # Beside the path, near enough and not; behind the robot; not seen.
-        ((2.0, 0.2, 3.0, 0.5), 100, -7.0, 8.7),
-        ((2.0, 0.5, 3.0, 0.8), 100, -7.0, None),
-        ((2.0, -0.5, 3.0, 0.5), 100, 4.0, None),
-        ((2.0, -0.5, 3.0, 0.5), -1, -7.0, None),
+        ([], -7.0, None),
+        ([(2.0, -0.5, 3.0, 0.5)], -4.0, 5.6),
+        ([(2.0, -0.5, 3.0, 0.5)], 0.0, 1.6),
+        # Farther than is looked; beside the path, near enough and not; behind the robot.
+        ([(4.0, -0.5, 5.0, 0.5)], -7.0, None),
+        ([(2.0, 0.2, 3.0, 0.5)], 0.0, 1.6),
+        ([(2.0, 0.6, 3.0, 0.9)], 0.0, None),
+        ([(2.0, -0.5, 3.0, 0.5)], 4.0, None),
+        # The way out of what is too near blocks nothing.
+        ([(-0.3, 0.3, 0.2, 0.6)], 0.0, None),
+        ([(-0.3, 0.3, 0.2, 0.6), (3.0, -0.5, 4.0, 0.5)], 0.0, 2.6),
     ],
 )
-def test_what_blocks_it(box, value, from_x_m, expected_m):
-    trajectory, occupancy = line(), scene().occupancy
-    fill(occupancy, box, value)
+def test_what_blocks_it(boxes, from_x_m, expected_m):
+    trajectory = line()
     index = int(np.argmin(np.abs(trajectory.poses[:, 0] - from_x_m)))
-    got = blocked_ahead_m(trajectory, occupancy, BODY.clearance_m, index)
-    assert got == (None if expected_m is None else pytest.approx(expected_m, abs=0.15))
-
-
-def test_the_way_out_of_what_is_too_near_blocks_nothing():
-    occupancy = scene((-7.5, 0.3, -6.9, 1.0)).occupancy
-    assert blocked_ahead_m(line(), occupancy, BODY.clearance_m) is None
-    fill(occupancy, (3.0, -1.0, 4.0, 1.0), 100)
-    assert blocked_ahead_m(line(), occupancy, BODY.clearance_m) == pytest.approx(9.6, abs=0.15)
+    got = blocked_ahead_m(trajectory, mapped(*boxes), index)
+    assert got == (None if expected_m is None else pytest.approx(expected_m, abs=0.2))
 
 
 def test_outside_the_map_nothing_is_known():
-    occupancy = scene((-10.0, -10.0, 10.0, 10.0)).occupancy
     trajectory = line()
     trajectory.poses[:, 0] -= 40.0
-    assert blocked_ahead_m(trajectory, occupancy, 0.4) is None
+    assert blocked_ahead_m(trajectory, mapped((2.0, -0.5, 3.0, 0.5))) is None
 
 
 def test_it_is_a_path():

@@ -12,7 +12,7 @@ from task_scenes import LAWN, ROAD, STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
-from edge.tasks.functions import MOST_SHOWN, NAMES, CallError, Functions, beside, signature
+from edge.tasks.functions import MOST_SHOWN, NAMES, CallError, Functions, signature
 from edge.tasks.ground import ground_of
 from edge.tasks.trajectory import TrajectoryError
 
@@ -147,7 +147,7 @@ def test_an_arc_passes_the_side_and_keeps_its_distance(x, y, ex, ey, side):
     assume(min(math.dist(start, centre), math.dist(end, centre)) > 0.1)
     arc = np.array(functions.arc(1, start, end, side, 1.0))
     gap = np.maximum(np.abs(arc - centre) - (2.0, 1.0), 0.0)
-    assert np.hypot(*gap.T).min() >= 1.0 - 1e-9
+    assert np.hypot(*gap.T).min() >= 0.9  # chords of the curve
     angles = np.unwrap([functions.heading(centre, tuple(at)) for at in arc.tolist()])
     assert wrap_angle(angles[0] - functions.heading(centre, start)) == pytest.approx(0, abs=1e-6)
     off = wrap_angle(angles[-1] - functions.heading(centre, end))
@@ -171,10 +171,39 @@ def test_geometry(functions):
     assert functions.line((1, 1), (1, 1)) == [(1, 1), (1, 1)]
 
 
-def test_a_box_is_passed_at_its_corner():
-    van = GROUND.scene.objects[1]
-    reach_m = math.dist(beside(van, math.pi / 4, 0.5), (8.0, 0.0))
-    assert reach_m == pytest.approx((2 + 1) * math.sqrt(0.5) + 0.5)
+def test_an_arc_round_something_long_has_no_leap():
+    scene = street(Thing("fence", 0.0, 8.0, (16.0, 0.4)))
+    functions = Functions(ground_of(scene, 0.3), LIMITS)
+    arc = np.array(functions.arc(1, (0.0, 0.0), (0.0, 15.0), "left"))
+    assert np.hypot(*np.diff(arc, axis=0).T).max() <= LIMITS.max_jump_m
+    gap = np.maximum(np.abs(arc - (0.0, 8.0)) - (8.0, 0.2), 0.0)
+    np.testing.assert_allclose(np.hypot(*gap.T), 1.0, atol=0.3)
+
+
+def test_one_stops_where_one_comes_from(functions):
+    """At the side of the van, not round it; a little farther from it where that is on the way."""
+    for start, side in (
+        ((0.0, 0.0), (5.6, 0.0)),
+        ((8.0, 9.0), (8.0, 1.4)),
+        ((16.0, 0.0), (10.4, 0.0)),
+    ):
+        x, y = functions.stopping_point(1, start)
+        assert math.dist((x, y), side) < 0.6
+        assert functions.is_free((x, y))
+
+
+def test_one_stops_before_a_thing_beyond_the_map():
+    scene = street(Thing("gate", 23.0, 0.0, (0.4, 3.0)))
+    x, y = Functions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
+    assert x > 19.0
+    assert abs(y) < 1.8
+
+
+def test_one_does_not_stop_far_from_a_thing():
+    far = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=((12.0, 12.4, -20.0, 20.0),))
+    functions = Functions(ground_of(far, 0.3), LIMITS)
+    with pytest.raises(CallError, match=r"^the robot gets no nearer to gate 1 than 6\.1 m$"):
+        functions.stopping_point(1)
 
 
 def test_every_function_has_a_name_and_a_line():

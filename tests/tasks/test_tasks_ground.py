@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, street
 
 from edge.geometry import SE2
-from edge.tasks.ground import ESCAPE_M, footprint_m, ground_of
+from edge.tasks.ground import ESCAPE_M, ground_of
+from edge.tasks.value_map import Body, value_map
 
 CLEAR_M = 0.3
 HOUSE = ((3.0, 8.0, -3.0, -2.6), (3.0, 8.0, 2.6, 3.0), (3.0, 3.4, -3.0, 3.0), (7.6, 8.0, -3.0, 3.0))
@@ -31,8 +32,9 @@ def test_clearance_is_kept_from_what_is_occupied():
     ground = ground_of(scene, CLEAR_M)
     occupied = scene.occupancy.centres_m(*np.nonzero(scene.occupancy.cells > 0))
     free = scene.occupancy.centres_m(*np.nonzero(ground.reachable))
-    gaps = np.array([np.hypot(*(occupied - at).T).min() for at in free[::97]])
-    assert gaps.min() >= CLEAR_M - 0.05 * RESOLUTION_M  # the distance transform's own error
+    to_rims = (np.maximum(abs(occupied - at) - RESOLUTION_M / 2, 0.0) for at in free[::97])
+    gaps = [np.hypot(*rims.T).min() for rims in to_rims]
+    assert CLEAR_M - 1e-9 <= min(gaps) < CLEAR_M + RESOLUTION_M
     assert not ground.is_free(8.0, 0.0)
 
 
@@ -68,6 +70,18 @@ def test_unknown_ground_is_open_only_within_a_region():
     assert not ground.is_free(10.0, 5.0)
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 0.3, 0.7]))
+def test_what_is_closed_to_who_writes_is_closed_to_who_refines(seed, clearance_m):
+    rng = np.random.default_rng(seed)
+    scene = street()
+    scene.occupancy.cells[:] = rng.choice([-1, 0, 0, 0, 0, 100], scene.occupancy.cells.shape)
+    scene.regions_grid.cells[:] = rng.choice([0, ROAD], scene.occupancy.cells.shape)
+    grids = scene.occupancy, scene.regions_grid
+    refines = value_map(*grids, {ROAD}, np.empty((0, 2)), Body(clearance_m))
+    writes = ground_of(scene, clearance_m).costmap
+    np.testing.assert_array_equal(writes.weight > 0, refines.weight > 0)
+
+
 def test_the_nearest_point_of_a_region_lies_in_it():
     ground = ground_of(street(), CLEAR_M)
     x, y = ground.nearest(0.0, 0.0, region=LAWN)
@@ -86,12 +100,3 @@ def test_a_way_keeps_to_the_regions_that_are_chosen():
     assert by_any.path_m[:, 1].max() > 12.0
     assert by_road.path_m[:, 1].min() < -8.0
     assert ground.plan((0.0, 9.0), (10.0, 9.0)).path_m.tolist() == by_any.path_m.tolist()
-
-
-@given(st.tuples(*[st.floats(0.1, 5.0)] * 2), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
-def test_a_footprint_reaches_as_far_as_its_furthest_corner(half_m, heading_rad, angle_rad):
-    corners = np.array([(sx * half_m[0], sy * half_m[1]) for sx in (-1, 1) for sy in (-1, 1)])
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
-    turned = corners @ np.array([[c, s], [-s, c]])
-    reach_m = (turned @ (math.cos(angle_rad), math.sin(angle_rad))).max()
-    assert footprint_m(np.array(half_m), heading_rad, angle_rad) == pytest.approx(reach_m)

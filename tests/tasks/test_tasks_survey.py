@@ -11,9 +11,11 @@ from scans import GROUND, Box, found_in, street
 
 from edge import config
 from edge.geometry import SE2, CameraModel, se3, wrap_angle
+from edge.mapping import layers as ly
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.chain import Chain, boxes_alone
+from edge.tasks.ground import ground_of
 from edge.tasks.survey import Survey, cloud_of, contours_of, scene_of_map
 from edge.types import MASK_SIDE, Instance, Observation
 
@@ -198,12 +200,21 @@ def test_contours_are_the_masks_or_the_boxes():
     assert len(contours_of(replace(found, mask=mask), 1)) == 1
 
 
-def of_service(instances, boxes=STREET, found=False):
+def forget(grid, inner_m, outer_m):
+    """What a map knows between two distances from the origin: as if nothing had looked there."""
+    n, res = round(outer_m / grid.resolution_m), grid.resolution_m
+    for x, y in np.ndindex(2 * n, 2 * n):
+        if inner_m < np.hypot(x - n + 0.5, y - n + 0.5) * res < outer_m:
+            grid._write(x - n, y - n, ly.UNSEEN)
+
+
+def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     observation, _ = street(boxes)
     grid = RollingMap(MAP)
     grid.update_cloud(
         observation.cloud_m, observation.T_map_base @ observation.T_base_lidar, observation.pose
     )
+    forget(grid, 0.5, blind_m)
     seen = found_in(observation, boxes) if found else None
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
 
@@ -212,6 +223,21 @@ def test_the_service_has_seen_nothing():
     scene = of_service([], ())
     assert scene.objects == scene.contours == {}
     assert [r.label for r in scene.regions.values()] == ["floor"]
+
+
+@pytest.mark.parametrize("by", ["survey", "service"])
+def test_a_robot_gets_out_of_its_blind_spot(by):
+    """Cells that no sensor sees lie all around it: the ground beyond is reached nevertheless."""
+    if by == "service":
+        scene = of_service([], blind_m=3.5)
+    else:
+        survey = survey_of(STREET, np.eye(4))
+        forget(survey.map, 0.5, 3.5)
+        scene = survey.scene()
+        assert all(thing.nearest_m for thing in scene.objects.values())
+    ground = ground_of(scene, 0.3)
+    assert ground.is_free(0.0, 0.0)
+    assert ground.is_free(6.0, 0.0)
 
 
 def test_instances_of_the_service_are_objects():

@@ -9,7 +9,15 @@ from scans import LIDAR, Box, street
 from edge.geometry import SE2, Grid
 from edge.tasks import scan_kernels as kernels
 from edge.tasks import terrain
-from edge.tasks.terrain import CELL_M, SLOPE, STEP_M, Ground, height_above, reachable, regions_of
+from edge.tasks.terrain import (
+    CELL_M,
+    SLOPE,
+    STEP_M,
+    Ground,
+    height_above,
+    regions_of,
+    with_blind_spot,
+)
 
 NOWHERE = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.2)
 HERE = SE2(0.0, 0.0, 0.0)
@@ -66,31 +74,51 @@ def test_outside_and_without_number_nothing_is_known():
     np.testing.assert_array_equal(height_above(ground, points), [1.0, np.nan, np.nan, np.nan])
 
 
-REACH = {
-    "nothing": (NOWHERE, 0.1, 0),
-    "all free": (grid(["....", "...."]), 0.1, 8),
-    "beyond a wall": (grid([".#..", ".#..", ".#.."]), 0.1, 3),
-    "beyond the unknown": (grid([".?.."]), 0.1, 1),
-    "too narrow a gap": (grid([".#..", "....", ".#.."]), 0.6, 0),
-    "wide enough": (grid([".#..", "....", "....", "....", ".#.."]), 0.6, 5),
-}
+def test_no_map_has_no_blind_spot():
+    assert with_blind_spot(NOWHERE, HERE) is NOWHERE
 
 
-@pytest.mark.parametrize("case", REACH)
-def test_reachable(case):
-    occupancy, radius_m, cells = REACH[case]
-    allowed = reachable(occupancy, HERE, radius_m)
-    if case == "too narrow a gap":  # the gap is closed, and with it every cell beside the wall
-        assert not allowed[:, 1].any()
-    elif case == "wide enough":
-        assert allowed[2, 1]
-        assert allowed[:, 3].all()
-    else:
-        assert allowed.sum() == cells
+def blind(*walls, free_m=(2.5, 6.0), wedge_rad=np.pi):
+    """A robot in the middle of 16 m by 16 m: 0.4 m of ground around it are free, and what lies
+    between two distances within an angle of ahead; walls (x0, x1, y0, y1)."""
+    grid_ = Grid(np.full((80, 80), -1, np.int8), (-8.0, -8.0), 0.2)
+    x, y = np.moveaxis(grid_.centres_m(*np.indices((80, 80))), -1, 0)
+    away, angle = np.hypot(x, y), np.abs(np.arctan2(y, x))
+    seen = (away > free_m[0]) & (away < free_m[1]) & (angle < wedge_rad)
+    grid_.cells[seen | (away < 0.4)] = 0
+    for x0, x1, y0, y1 in walls:
+        grid_.cells[(x > x0) & (x < x1) & (y > y0) & (y < y1)] = 100
+    return grid_, away, angle
 
 
-def test_far_from_all_free_ground_nothing_is_reachable():
-    assert not reachable(grid(["..."]), SE2(50.0, 0.0, 0.0), 0.1).any()
+def test_ground_up_to_where_it_is_first_seen_is_free():
+    occupancy, away, _ = blind()
+    got = with_blind_spot(occupancy, HERE).cells
+    assert (got[away < 6.0] == 0).all()
+    np.testing.assert_array_equal(got[away > 6.0], occupancy.cells[away > 6.0])
+
+
+def test_where_nothing_was_seen_nothing_is_known():
+    """Of a depth camera: beside and behind it nobody looked."""
+    occupancy, away, angle = blind(wedge_rad=0.5)
+    got = with_blind_spot(occupancy, HERE).cells
+    assert (got[(angle < 0.4) & (away < 2.5)] == 0).all()
+    outside = (angle > 0.7) & (away > 1.0)
+    assert (got[outside] == -1).all()
+
+
+def test_ground_before_a_wall_stays_unknown():
+    occupancy, away, angle = blind((1.5, 2.0, -8.0, 8.0))
+    got = with_blind_spot(occupancy, HERE).cells
+    assert (got[(angle < 0.5) & (away < 1.6) & (away > 0.6)] == -1).all()
+    assert (got[(angle > 2.0) & (away < 2.5)] == 0).all()
+
+
+def test_ground_that_the_robot_has_left_is_not_blind():
+    """It stands on a region already: what is unknown there, sensors could not see."""
+    occupancy, _, _ = blind((1.0, 1.4, -0.4, 0.4), free_m=(0.0, 6.0))
+    occupancy.cells[38:42, 48:50] = -1
+    assert with_blind_spot(occupancy, HERE) is occupancy
 
 
 def kinds(occupancy, xy_m, kind, pose=HERE, n=2):

@@ -44,7 +44,8 @@ def twin(occupancy: Grid, regions: Grid, drivable, coarse_m: np.ndarray, body: B
                 out[r, c] = math.nan
         gap_m = np.maximum(np.abs(closed - (r, c)) - 0.5, 0.0) * occupancy.resolution_m
         near_m = np.hypot(*gap_m.T).min() if len(closed) else math.inf
-        if cells[r, c] >= 50 or near_m < body.clearance_m:
+        unseen = cells[r, c] < 0 and not regions.cells[r, c]
+        if unseen or cells[r, c] >= 50 or near_m < body.clearance_m:
             out[r, c] = CLOSED
     return out
 
@@ -91,12 +92,14 @@ def test_costs_of_free_ground(change, cell, expected):
         (100, (5, 23), DRIVABLE),
         # Between the rings of a LiDAR, and where no region is.
         (-1, (5, 20), DRIVABLE),
-        (-1, (20, 20), HIGH),
+        (-1, (20, 20), CLOSED),
     ],
 )
 def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
     occupancy, regions = grids()
     occupancy.cells[5, 20] = value
+    if value < 0:
+        occupancy.cells[20, 20], regions.cells[20, 20] = value, 0
     assert weights(occupancy, regions)[cell] == expected
 
 

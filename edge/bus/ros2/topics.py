@@ -18,10 +18,11 @@ SAID: dict[str, str] = {
     "goal": "geometry_msgs/msg/PoseStamped",
     "map": "nav_msgs/msg/OccupancyGrid",
     "path": "nav_msgs/msg/Path",
+    "trajectory": "nav_msgs/msg/Path",
     "markers": "visualization_msgs/msg/MarkerArray",
 }
 """The type of each topic that we publish."""
-LATCHED = frozenset({"tf_static", "map"})
+LATCHED = frozenset({"tf_static", "map", "trajectory"})
 """Transient local: who comes late gets what was said before."""
 NAVIGATE_TO_POSE = "nav2_msgs/action/NavigateToPose"
 

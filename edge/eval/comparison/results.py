@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 import edge
 from edge.config import ConfigError, Section
@@ -25,8 +25,10 @@ from edge.eval.comparison import outcomes as records
 from edge.eval.comparison import plots, tables
 from edge.eval.comparison.run import compare_folders
 from edge.eval.comparison.statistics import Comparison
-from edge.eval.comparison.tables import TABLES
+from edge.eval.comparison.tables import TABLES, Shown
 from edge.eval.outcome import NAME as OUTCOMES_NAME
+from edge.eval.trajectories import chapter as trajectory_chapter
+from edge.eval.trajectories import tables as trajectory_tables
 from edge.host.children import python_module
 from edge.host.files import write_atomically
 from edge.report.recorder import machine
@@ -40,10 +42,13 @@ class Chapter(Section):
         text: Markdown that stands above its tables.
         episodes: words after `edge eval episodes`, a run each: configuration, worlds, targets.
         columns: by name, what is changed in the configuration, as `--column` has it.
+        trajectories: words after `edge eval trajectories`, a run each; with these it has no
+            columns, and tables and plots of its own.
         of: other sections, whose outcomes it is made of; then it runs nothing itself.
         show: the only columns to show, its own or those that `of` has; none: all.
         baseline: the column that the others are held against; None: the first.
-        tables, plots: which, in their order.
+        tables: which, in their order; None: those that are commonly wanted.
+        plots: which, in their order.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
@@ -51,21 +56,33 @@ class Chapter(Section):
     text: str = ""
     episodes: tuple[str, ...] = ()
     columns: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    trajectories: tuple[str, ...] = ()
     of: tuple[str, ...] = ()
     show: tuple[str, ...] = ()
     baseline: str | None = None
-    tables: tuple[str, ...] = ("summary", "paired", "failures")
+    tables: tuple[str, ...] | None = None
     plots: tuple[str, ...] = ()
 
-    @field_validator("tables")
-    @classmethod
-    def _known_tables(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _known(names, TABLES)
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Chapter:
+        there, drawn = (TABLES, tuple(plots.PLOTS))
+        if self.trajectories:
+            there, drawn = (trajectory_tables.NAMES, trajectory_chapter.PLOTS)
+            for name in ("columns", "show", "baseline"):
+                if getattr(self, name):
+                    raise ValueError(f"{self.name}: trajectories have no {name!r}")
+        for name, choices in [(t, there) for t in self.tables or ()] + [
+            (p, drawn) for p in self.plots
+        ]:
+            if name not in choices:
+                raise ValueError(f"unknown {name!r} (choices: {', '.join(choices)})")
+        return self
 
-    @field_validator("plots")
-    @classmethod
-    def _known_plots(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return _known(names, tuple(plots.PLOTS))
+    @property
+    def shown_tables(self) -> tuple[str, ...]:
+        if self.tables is not None:
+            return self.tables
+        return trajectory_tables.NAMES if self.trajectories else ("summary", "paired", "failures")
 
 
 class Book(Section):
@@ -82,8 +99,10 @@ class Book(Section):
         for k, chapter in enumerate(sections):
             if chapter.name in [other.name for other in sections[:k]]:
                 raise ValueError(f"{chapter.name}: there are two of that name")
-            if bool(chapter.episodes) == bool(chapter.of):
-                raise ValueError(f"{chapter.name}: give it either `episodes` or `of`")
+            if sum(map(bool, (chapter.episodes, chapter.trajectories, chapter.of))) != 1:
+                raise ValueError(
+                    f"{chapter.name}: give it either `episodes`, `trajectories` or `of`"
+                )
             for other in chapter.of:
                 if other not in running:
                     raise ValueError(f"{chapter.name}: of: no section {other!r} runs episodes")
@@ -102,13 +121,6 @@ def _check_columns(chapter: Chapter, shown: tuple[str, ...]) -> None:
         raise ValueError(
             f"{chapter.name}: baseline: {chapter.baseline!r} is no column that it shows"
         )
-
-
-def _known(names: tuple[str, ...], choices: Sequence[str]) -> tuple[str, ...]:
-    for name in names:
-        if name not in choices:
-            raise ValueError(f"unknown {name!r} (choices: {', '.join(choices)})")
-    return names
 
 
 def read(path: Path) -> Book:
@@ -132,16 +144,17 @@ def run(args: argparse.Namespace) -> int:
     book = read(args.file)
     for chapter in chosen(book, args.only):
         if not args.no_run:
-            _run_episodes(chapter, args)
+            _run_chapter(chapter, args)
     found = {
-        chapter.name: comparison
+        chapter.name: shown
         for chapter in book.sections
-        if (comparison := _comparison(chapter, book, args.out)) is not None
+        if (shown := _shown(chapter, book, args.out)) is not None
     }
     path = args.file.with_suffix(".md")
     try:
-        images = _write_plots(book, found, args.file.with_suffix(""))
-        text = document(book, found, args.file, args.out, machine())
+        images = _write_plots(found, args.file.with_suffix(""))
+        before = path.read_text("utf-8") if path.exists() else ""
+        text = document(book, found, args.file, args.out, machine(), before)
         write_atomically(path, text.encode())
     except OSError as error:
         raise FileError(f"{path}: {error.strerror or error}") from None
@@ -165,9 +178,9 @@ def chosen(book: Book, only: Sequence[str] | None) -> list[Chapter]:
     return [chapter for chapter in book.sections if chapter.name in wanted]
 
 
-def _run_episodes(chapter: Chapter, args: argparse.Namespace) -> None:
-    """What has an outcome already is not run again: `edge eval episodes` sees to that."""
-    options = ["--workers", str(args.workers)]
+def _run_chapter(chapter: Chapter, args: argparse.Namespace) -> None:
+    """What has an outcome already is not run again: the commands see to that."""
+    options = ["--workers", str(args.workers)] if chapter.episodes else []
     if args.episodes is not None:
         options += ["--limit", str(args.episodes)]
     for words in commands(chapter, args.out):
@@ -176,9 +189,8 @@ def _run_episodes(chapter: Chapter, args: argparse.Namespace) -> None:
             [*python_module("edge.cli"), *words, *options], check=False
         ).returncode
         if code:
-            raise UserError(
-                f"{chapter.name}: `edge eval episodes` ended with {code}; it says why above"
-            )
+            command = f"edge {' '.join(words[:2])}"
+            raise UserError(f"{chapter.name}: `{command}` ended with {code}; it says why above")
 
 
 def commands(chapter: Chapter, out: Path) -> list[list[str]]:
@@ -186,10 +198,9 @@ def commands(chapter: Chapter, out: Path) -> list[list[str]]:
     columns: list[str] = []
     for column, settings in chapter.columns.items():
         columns += ["--column", column, *_settings(settings)]
-    return [
-        ["eval", "episodes", *shlex.split(episodes), *columns, "--out", str(out / chapter.name)]
-        for episodes in chapter.episodes
-    ]
+    runs = [["episodes", *shlex.split(words), *columns] for words in chapter.episodes]
+    runs += [["trajectories", *shlex.split(words)] for words in chapter.trajectories]
+    return [["eval", *words, "--out", str(out / chapter.name)] for words in runs]
 
 
 def _settings(settings: Mapping[str, Any], above: str = "") -> list[str]:
@@ -204,48 +215,67 @@ def _settings(settings: Mapping[str, Any], above: str = "") -> list[str]:
     return found
 
 
-def _comparison(chapter: Chapter, book: Book, out: Path) -> Comparison | None:
+def _shown(chapter: Chapter, book: Book, out: Path) -> Shown | None:
     """What a section's outcomes say; None where it has none, or lacks its baseline's."""
+    if chapter.trajectories:
+        return trajectory_chapter.shown(out / chapter.name, chapter.shown_tables, chapter.plots)
     folders = [out / name for name in chapter.of or (chapter.name,)]
     if not all((folder / OUTCOMES_NAME).exists() for folder in folders):
         return None
     ran = {r["column"] for folder in folders for r in records.read(folder / OUTCOMES_NAME)}
-    shown = columns_of(chapter, book.sections) or tuple(sorted(ran))
-    there = [name for name in shown if name in ran]
+    wanted = columns_of(chapter, book.sections) or tuple(sorted(ran))
+    there = [name for name in wanted if name in ran]
     if not there or (chapter.baseline or there[0]) not in there:
         return None
-    return compare_folders(folders, chapter.baseline, there)[0]
+    comparison = compare_folders(folders, chapter.baseline, there)[0]
+    return of_comparison(chapter, comparison, columns_of(chapter, book.sections))
 
 
-def _write_plots(book: Book, found: Mapping[str, Comparison], folder: Path) -> list[Path]:
+def of_comparison(chapter: Chapter, comparison: Comparison, wanted: Sequence[str]) -> Shown:
+    """What a section shows of a comparison.
+
+    Args:
+        wanted: the columns that it is to have.
+    """
+    there = {table.name: table for table in tables.tables(comparison)}
+    return Shown(
+        _counted(comparison, wanted),
+        [there[name] for name in chapter.shown_tables if name in there],
+        {
+            name: (plots.PLOTS[name][1], content)
+            for name, content in plots.images(comparison, "png", chapter.plots).items()
+        },
+    )
+
+
+def _write_plots(found: Mapping[str, Shown], folder: Path) -> list[Path]:
     paths = []
-    for chapter in book.sections:
-        if chapter.name not in found:
-            continue
-        images = plots.images(found[chapter.name], "png", chapter.plots)
-        for plot, content in images.items():
-            paths.append(folder / _image(chapter, plot))
+    for name, shown in found.items():
+        for plot, (_, content) in shown.images.items():
+            paths.append(folder / _image(name, plot))
             write_atomically(paths[-1], content)
     return paths
 
 
-def _image(chapter: Chapter, plot: str) -> str:
-    return f"{chapter.name}-{plot}.png"
+def _image(chapter: str, plot: str) -> str:
+    return f"{chapter}-{plot}.png"
 
 
 # -- the document -------------------------------------------------------------------------------
 
 
 def document(
-    book: Book, found: Mapping[str, Comparison], path: Path, out: Path, computer: str
+    book: Book, found: Mapping[str, Shown], path: Path, out: Path, computer: str, before: str = ""
 ) -> str:
     """The Markdown.
 
     Args:
-        found: by section; one that is not there has not been run, which is told.
+        found: by section; one that is not there stays as the document has it, or is told not to
+            have been run.
         path: of the YAML.
         out: where outcomes are.
         computer: in words.
+        before: the document as it is.
     """
     parts = [
         f"# {book.title}",
@@ -255,32 +285,28 @@ def document(
         "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
         "episodes, but where it says which ran fewer.",
     ]
+    _, *kept = f"\n{before}".split("\n## ")
+    kept_of = {text.partition("\n")[0]: text.strip() for text in kept}
     for chapter in book.sections:
-        shown = columns_of(chapter, book.sections)
-        parts += _chapter(chapter, found.get(chapter.name), shown, path.stem, out)
+        if chapter.name not in found and chapter.title in kept_of:
+            parts.append(f"## {kept_of[chapter.title]}")
+        else:
+            parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _chapter(
-    chapter: Chapter,
-    comparison: Comparison | None,
-    shown: Sequence[str],
-    folder: str,
-    out: Path,
-) -> list[str]:
+def _chapter(chapter: Chapter, shown: Shown | None, folder: str, out: Path) -> list[str]:
     parts = [f"## {chapter.title}", chapter.text.strip()]
     lines = [f"edge {shlex.join(words)}" for words in commands(chapter, out)]
     if lines:
         parts.append("\n".join(["```sh", *lines, "```"]))
-    if comparison is None:
+    if shown is None:
         return [*parts, "Not run yet."]
-    parts.append(_counted(comparison, shown))
-    there = {table.name: table for table in tables.tables(comparison)}
-    for wanted in chapter.tables:
-        if wanted in there:
-            parts += [f"**{there[wanted].title}**", tables.markdown(there[wanted])]
-    drawn = plots.names(comparison, chapter.plots)
-    parts += [f"![{plots.PLOTS[plot][1]}]({folder}/{_image(chapter, plot)})" for plot in drawn]
+    parts.append(shown.words)
+    for table in shown.tables:
+        parts += [f"**{table.title}**", tables.markdown(table)]
+    for plot, (words, _) in shown.images.items():
+        parts.append(f"![{words}]({folder}/{_image(chapter.name, plot)})")
     return parts
 
 

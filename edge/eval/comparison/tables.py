@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
@@ -47,6 +47,19 @@ class Table(NamedTuple):
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+
+
+class Shown(NamedTuple):
+    """What a section of a document shows.
+
+    Attributes:
+        words: how much was run.
+        images: by the plot's name, what it shows and the content of its PNG.
+    """
+
+    words: str
+    tables: Sequence[Table]
+    images: Mapping[str, tuple[str, bytes]]
 
 
 def tables(comparison: Comparison) -> list[Table]:
@@ -115,10 +128,10 @@ def paired(comparison: Comparison) -> Table:
 def _pair_row(pair: Pair) -> list[str]:
     return [
         one_line(pair.column), str(pair.n),
-        _bounded(pair.sr, 1, 100.0, "+"), _bounded(pair.spl, 3, 1.0, "+"),
-        _bounded(pair.spl_ratio, 3), _bounded(pair.soft_spl, 3, 1.0, "+"),
+        bounded(pair.sr, 1, 100.0, "+"), bounded(pair.spl, 3, 1.0, "+"),
+        bounded(pair.spl_ratio, 3), bounded(pair.soft_spl, 3, 1.0, "+"),
         str(pair.won), str(pair.lost), str(pair.both),
-        _bounded(pair.path_ratio, 3), _bounded(pair.time_ratio, 3),
+        bounded(pair.path_ratio, 3), bounded(pair.time_ratio, 3),
     ]  # fmt: skip
 
 
@@ -139,8 +152,8 @@ def losses(comparison: Comparison) -> Table:
             "approach excess, m")  # fmt: skip
     rows = [
         [one_line(name), str(loss.n), f"{loss.spl:.3f}", f"{loss.failures:.3f}",
-         f"{loss.search:.3f}", f"{loss.approach:.3f}", _bounded(loss.search_m, 2),
-         _bounded(loss.approach_m, 2)]
+         f"{loss.search:.3f}", f"{loss.approach:.3f}", bounded(loss.search_m, 2),
+         bounded(loss.approach_m, 2)]
         for name, loss in comparison.losses.items()
     ]  # fmt: skip
     note = (
@@ -167,7 +180,7 @@ def _spl_sr(figures: dict[str, Figure]) -> str:
     if not figures["sr"].n:
         return DASH
     share = 100 * figures["sr"].interval.value
-    return f"{_bounded(figures['spl'].interval, 2)}, {share:.0f}"
+    return f"{bounded(figures['spl'].interval, 2)}, {share:.0f}"
 
 
 def _measured(comparison: Comparison, key: str) -> bool:
@@ -181,13 +194,13 @@ def _column(comparison: Comparison, index: int) -> str:
 
 def _figure(metric: Metric, figure: Figure, bounds: bool) -> str:
     if bounds:
-        return _bounded(figure.interval, metric.digits, metric.scale)
+        return bounded(figure.interval, metric.digits, metric.scale)
     value = figure.interval.value
     return DASH if math.isnan(value) else f"{metric.scale * value:.{metric.digits}f}"
 
 
-def _bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """`0.71 [0.66, 0.75]`."""
+def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """`0.71 [0.66, 0.75]`; without bounds where there are none."""
     if math.isnan(interval.value):
         return DASH
     value, low, high = (f"{scale * x:{sign}.{digits}f}" for x in interval)

@@ -59,7 +59,16 @@ $("swap").addEventListener("submit", (event) => {
   $("model").value = "";
 });
 
+const EXAMPLES = {
+  instruction: "find the sofa, then the bed",
+  formula: "F (sofa & F bed)",
+  task: "go around the left of the sofa, then stop at the bed",
+};
 const dialog = $("new-dialog");
+const chosen = () => new FormData(dialog.querySelector("form")).get("as");
+const example = () => ($("words").placeholder = EXAMPLES[chosen()]);
+dialog.querySelector(".choice").addEventListener("change", example);
+example();
 $("new").addEventListener("click", () => {
   $("new-error").hidden = true;
   dialog.showModal();
@@ -67,12 +76,11 @@ $("new").addEventListener("click", () => {
 $("new-close").addEventListener("click", () => dialog.close());
 dialog.querySelector("form").addEventListener("submit", async (event) => {
   event.preventDefault();
-  const as = new FormData(event.target).get("as");
   $("new-ok").disabled = true;
   say("new-ok", "Understanding…");
   $("new-error").hidden = true;
   try {
-    const answer = await post("mission/request", { do: "new", [as]: $("words").value });
+    const answer = await post("mission/request", { do: "new", [chosen()]: $("words").value });
     $("words").value = "";
     dialog.close();
     toast(`Begun: ${answer.english ?? answer.instruction}`);

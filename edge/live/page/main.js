@@ -7,6 +7,7 @@ import * as controls from "./controls.js";
 import { $, make, once } from "./dom.js";
 import * as map from "./map.js";
 import * as panels from "./panels.js";
+import * as task from "./task.js";
 
 const [NOW_MS, MAP_MS, STORY_MS, GONE_MS] = [200, 500, 1000, 1000];
 const state = { seen_ms: 0, now: null, layers: [] };
@@ -54,7 +55,16 @@ async function now() {
   failed.delete(now);
   panels.tellState(told, [...failed.values()][0]);
   controls.show(told);
+  task.show(told.moment?.task ?? null);
   map.update({ now: told.moment, radius_m: told.radius_m });
+}
+
+// What was written is long: it is asked for when there is another.
+async function scripts() {
+  const number = state.now?.moment?.task?.number;
+  if (number === undefined || number === task.number()) return;
+  const script = await get("live/task");
+  if (script) task.showScript(script);
 }
 
 async function shots() {
@@ -71,8 +81,9 @@ async function story() {
   if (!told || !state.now) return;
   const { now } = state;
   const idle = now.moment?.phase === "idle";
-  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment), idle });
-  automaton.show(idle ? automaton.NONE : told.automaton);
+  const driven = Boolean(now.moment?.task);
+  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment), idle, driven });
+  automaton.show(idle || driven ? automaton.NONE : told.automaton);
   panels.latency(told.latency);
   panels.log({ events: told.events, n_events: told.n_events });
   panels.health({ service: now.service, health: told.health, controlled: now.moment?.controlled ?? false });
@@ -127,5 +138,6 @@ new ResizeObserver(camera.draw).observe($("camera"));
 
 every(NOW_MS, now);
 every(NOW_MS, shots);
+every(NOW_MS, scripts);
 every(STORY_MS, story);
 every(MAP_MS, maps);

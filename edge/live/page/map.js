@@ -12,7 +12,7 @@ const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 2
 
 const canvas = $("map");
 const view = { x: 0, y: 0, scale: 60, follow: false, fitted: true };
-const shown = { map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2 };
+const shown = { map: null, layer: null, now: null, trail: [], targets: [], radius_m: 0.2, script: null };
 let due = false;
 
 export function draw() {
@@ -129,6 +129,7 @@ function paint() {
   scaleBar(context, height);
   line(context, trail(now), colour("trail"), 2.5);
   if (!now) return;
+  if (now.task && shown.script) trajectory(context, shown.script, now.task.index);
   line(context, now.way.map(toScreen), colour("way"), 2.5, [7, 5]);
   const open = now.candidates.filter((c) => c.kind !== "instance");
   open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top
@@ -159,6 +160,21 @@ function trail(now) {
     const jumped = before && Math.hypot(at[0] - before[0], at[1] - before[1]) > 1.5;
     return [...toScreen(at), jumped];
   });
+}
+
+// As it was written, and as it is driven: what is behind the robot is pale.
+function trajectory(context, { coarse, refined }, index) {
+  const places = refined.map(toScreen);
+  line(context, coarse.map(toScreen), colour("coarse"), 2, [3, 5]);
+  context.globalAlpha = 0.35;
+  line(context, places.slice(0, index + 1), colour("refined"), 5);
+  context.globalAlpha = 0.85;
+  line(context, places.slice(Math.max(index, 0)), colour("refined"), 5);
+  context.globalAlpha = 1;
+  if (!refined.length) return;
+  const [[x, y], heading] = [places.at(-1), refined.at(-1)[2]];
+  const [c, s] = [Math.cos(heading), Math.sin(heading)];
+  line(context, [[x - 11 * c - 7 * s, y + 11 * s - 7 * c], [x, y], [x - 11 * c + 7 * s, y + 11 * s + 7 * c]], colour("refined"), 4);
 }
 
 function line(context, places, ink, width, dash = []) {

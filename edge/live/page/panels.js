@@ -21,7 +21,8 @@ export function header({ robot, moment, service }) {
   say("robot", robot);
   document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
   if (!moment) return badge("", service.state);
-  const phase = moment.paused && !isDone(moment) ? "paused" : moment.phase;
+  const at = isDone(moment) ? moment.phase : (moment.task?.phase ?? moment.phase);
+  const phase = moment.paused && !isDone(moment) ? "paused" : at;
   badge(phase, phase);
   say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
   say("reason", moment.reason || (moment.target ? `now: ${moment.target}` : ""));
@@ -67,19 +68,21 @@ export function gone(since_ms) {
   banner("bad", since_ms ? `The service does not answer: last seen ${clock(since_ms / 1000)}, ${s} s ago. Trying again…` : "The service does not answer. Trying again…");
 }
 
-function pairs(id, rows) {
+export function pairs(id, rows) {
   $(id).replaceChildren(...rows.flatMap(([name, text, kind]) => [
     make("dt", { text: name }), make("dd", kind ? { text, class: kind } : { text }),
   ]));
 }
 
-// While none was given, there is one that the detector was made ready for; it is not to be done.
-export const mission = once(({ mission: m, steps, done, idle }) => {
-  say("english", idle ? "The robot stands until it is given a mission." : m.english);
-  say("formula", idle ? "" : m.formula);
-  say("translated", idle ? "" : `state ${m.state} of ${m.states}, by ${m.translated_by}`);
-  const rows = done ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
-  if (m.reached.length) rows.push(["reached", m.reached.join(", "), "ok"]);
+// While none was given, there is one that the detector was made ready for; it is not to be done. That
+// of a task only says what is to be found for it: `task.js` shows the task.
+export const mission = once(({ mission: m, steps, done, idle, driven }) => {
+  say("what", driven ? "Task" : "Mission");
+  say("english", idle ? "The robot stands until it is given a mission." : driven ? "" : m.english);
+  say("formula", idle || driven ? "" : m.formula);
+  say("translated", idle ? "" : driven ? "" : `state ${m.state} of ${m.states}, by ${m.translated_by}`);
+  const rows = done || driven ? [] : [["plan", m.plan.join(" → ") || "nothing left to reach"], ["why", m.why]];
+  if (m.reached.length && !driven) rows.push(["reached", m.reached.join(", "), "ok"]);
   if (m.failed.length) rows.push(["failed", m.failed.join(", "), "bad"]);
   if (m.forbidden.length) rows.push(["not now", m.forbidden.join(", "), "warn"]);
   for (const warning of m.warnings) rows.push(["note", warning, "warn"]);

@@ -61,11 +61,11 @@ class ExpectedPlanner:
     With `prior: cooccurrence` the rate is times the lift of `Table.lift`, at most 1.
     Known are D and R, failed objects are neither available nor met.
 
-    With `universe_extra` the model is ViTL V-C's executor instead (`edge.eval.executor`): an
-    attempt costs 1 and with probability p_obs finds and reaches its target; else one other object
-    that is not known yet, each as likely, is seen but not reached, and where none is left nothing
-    is learned. There the chance to meet an object does depend on the target: where p_obs is so
-    low that an object is met sooner by chance, the best plan looks for another one.
+    With `universe_extra` the model is ViTL V-C's executor instead (`edge.eval.planning.executor`):
+    an attempt costs 1 and with probability p_obs finds and reaches its target; else one other
+    object that is not known yet, each as likely, is seen but not reached, and where none is left
+    nothing is learned. There the chance to meet an object does depend on the target: where p_obs
+    is so low that an object is met sooner by chance, the best plan looks for another one.
 
     Values are solved at the first plan with a set of failed objects and kept for the last two.
     One thread at a time.

@@ -76,7 +76,7 @@ def made(tmp_path, *options) -> list[str]:
         (("name: alone", "name: first"), "first: there are two of that name"),
         (("name: alone", "name: ../up"), "should match pattern"),
         (("baseline: slow", "baseline: quick"), "first: baseline: 'quick' is no column that it"),
-        (("    of: [first]\n", ""), "both: give it either `episodes` or `of`"),
+        (("    of: [first]\n", ""), "both: give it either `episodes`, `traj"),
         (("sections:", "sections: {"), "not YAML"),
         ((BOOK, ""), "expected a section"),
     ],
@@ -151,6 +151,19 @@ def test_what_is_there_is_written_the_same_again(file, tmp_path):
     assert written[0] == written[1]
 
 
+def test_what_is_not_there_stays_as_the_document_has_it(file, tmp_path):
+    outcomes_in(tmp_path / "out" / "first")
+    assert main(made(tmp_path, "--no-run")) == 0
+    path = tmp_path / "results.md"
+    before = path.read_text().replace("Not run yet.", "Run elsewhere.")
+    path.write_text(before)
+    assert main(made(tmp_path, "--no-run")) == 0
+    assert path.read_text() == before
+    (tmp_path / "out" / "first" / "outcomes.jsonl").unlink()
+    assert main(made(tmp_path, "--no-run")) == 0
+    assert path.read_text() == before
+
+
 def test_a_run_that_fails_ends_it(file, tmp_path, monkeypatch, capsys):
     failed = argparse.Namespace(returncode=78)
     monkeypatch.setattr(subprocess, "run", lambda words, check: failed)
@@ -161,10 +174,11 @@ def test_a_run_that_fails_ends_it(file, tmp_path, monkeypatch, capsys):
 
 def test_columns_that_ran_fewer_episodes_are_named(file):
     records = many({"slow": 2.0, "fast": 1.5}, 2)[:-1]
-    text = results.document(
-        results.read(file), {"first": compare(gather(records), "slow", None, 50)}, file,
-        Path("out"), "a machine",
-    )  # fmt: skip
+    book = results.read(file)
+    shown = results.of_comparison(
+        book.sections[0], compare(gather(records), "slow", None, 50), ("slow", "fast")
+    )
+    text = results.document(book, {"first": shown}, file, Path("out"), "a machine")
     assert "8 episodes in 2 worlds. Of these ran fewer: fast 7." in text
 
 

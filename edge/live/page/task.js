@@ -1,0 +1,61 @@
+// A task in free words: what was asked and understood, what a model wrote, how far it is driven.
+
+import { $, make, once, say } from "./dom.js";
+import * as map from "./map.js";
+import { pairs } from "./panels.js";
+
+let script = null;
+
+export const number = () => script?.number;
+
+// `at`: what changes all the time; null: no task is under way.
+export function show(at) {
+  $("task").hidden = !at;
+  for (const kind of ["coarse", "refined"]) {
+    document.querySelector(`.legend .${kind}`).hidden = !at || !script?.[kind].length;
+  }
+  if (!at) drop();
+  else if (script) facts(rowsOf(at, script));
+}
+
+export function showScript(told) {
+  script = told;
+  map.update({ script });
+  say("asked", script.instruction);
+  say("understood", script.understood);
+  rounds(script.rounds);
+  $("prompt-fold").hidden = !script.prompt;
+  say("prompt", script.prompt);
+}
+
+function drop() {
+  if (!script) return;
+  script = null;
+  map.update({ script });
+}
+
+const facts = once((rows) => pairs("task-facts", rows));
+
+function rowsOf(at, s) {
+  const rows = [["written by", s.writer]];
+  if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
+  if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m of it, ${s.time_s.toFixed(0)} s in all`]);
+  if (s.refinements > 1) rows.push(["refined anew", `${s.refinements - 1} times: the map had changed`]);
+  return [...rows, ...s.notes.map((note) => ["note", note, "warn"])];
+}
+
+// The newest is unfolded.
+const rounds = once((all) => {
+  $("rounds").replaceChildren(...all.map((round, i) => {
+    const outcome = round.error ? make("span", { class: "bad", text: "refused" }) : make("span", { class: "ok", text: "taken" });
+    const parts = [
+      round.said && make("p", { text: round.said }),
+      round.code && make("pre", { class: "code", text: round.code }),
+      round.printed && make("div", {}, make("small", { text: "printed" }), make("pre", { class: "code", text: round.printed })),
+      round.error && make("p", { class: "error", text: round.error }),
+    ].filter(Boolean);
+    const fold = make("details", { class: "round" }, make("summary", { text: `Answer ${i + 1}: ` }, outcome), ...parts);
+    fold.open = i === all.length - 1;
+    return fold;
+  }));
+});

@@ -1,0 +1,136 @@
+"""A trajectory in the camera's picture: the strip of ground that the robot is to drive over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from edge.geometry import CameraModel, invert
+from edge.tasks.scene import Scene
+from edge.tasks.speeds import headings_rad
+
+COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)
+NEAREST_M = 0.3
+COVER, HIDDEN_COVER = 0.5, 0.16
+"""How much of the picture the strip covers; less where a thing stands before it."""
+LEAST_PX = 1280
+"""Smaller pictures are enlarged until they are so wide."""
+_STEP = 3
+"""Every how many poses the strip has a seam."""
+_WHITE = (255, 255, 255)
+
+
+def drawn(
+    scene: Scene, coarse_m: np.ndarray | None, poses_m: np.ndarray | None, half_m: float
+) -> np.ndarray | None:
+    """The scene's picture with a trajectory in it.
+
+    Args:
+        coarse_m: (n, 3) float64 in `map`, as it was written: a dashed line; None: there is none.
+        poses_m: (n, 3) float64 in `map`, as it was refined: a strip; None: there is none.
+        half_m: of the strip's width: the robot's radius.
+
+    Returns:
+        (h, w, 3) uint8; None where the scene has no picture.
+    """
+    if scene.rgb is None or scene.camera is None or scene.T_map_camera is None:
+        return None
+    scale = max(1.0, LEAST_PX / scene.camera.width_px)
+    size = round(scene.camera.width_px * scale), round(scene.camera.height_px * scale)
+    image = scene.rgb.copy() if scale == 1.0 else cv2.resize(scene.rgb, size)
+    if poses_m is not None and len(poses_m) > 1:
+        _strip(image, scene, poses_m, half_m, scale)
+    if coarse_m is not None and len(coarse_m) > 1:
+        for a, b in _pieces(coarse_m, 0.5)[::2]:
+            ends = _pixels(scene, np.stack([a, b]), scale)
+            if len(ends) == 2:
+                cv2.line(image, *ends.tolist(), COARSE_RGB, 2, cv2.LINE_AA)
+    if poses_m is not None and len(poses_m):
+        _end(image, scene, poses_m[-1], half_m, scale)
+    return image
+
+
+def _strip(
+    image: np.ndarray, scene: Scene, poses_m: np.ndarray, half_m: float, scale: float
+) -> None:
+    """From far to near, so that what is nearer lies on top."""
+    heading = headings_rad(poses_m[:, :2])
+    aside = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
+    seams = np.unique(np.append(np.arange(0, len(poses_m), _STEP), len(poses_m) - 1))
+    eye = scene.T_map_camera[:3, 3]
+    flat, faint = np.zeros(image.shape[:2], np.uint8), np.zeros(image.shape[:2], np.uint8)
+    for i, k in zip(seams[:-1].tolist(), seams[1:].tolist(), strict=True):
+        corners = np.stack(
+            [poses_m[i] + aside[i], poses_m[k] + aside[k], poses_m[k] - aside[k],
+             poses_m[i] - aside[i]]
+        )  # fmt: skip
+        outline = _pixels(scene, corners, scale)
+        if len(outline) < 3:
+            continue
+        middle = 0.5 * (poses_m[i] + poses_m[k])
+        hidden = _is_hidden(scene, middle, float(np.linalg.norm(middle - eye)))
+        cv2.fillPoly(faint if hidden else flat, [outline], 255, cv2.LINE_AA)
+    cover = np.maximum(COVER * flat, HIDDEN_COVER * faint)[..., None] / 255.0
+    image[:] = (image * (1.0 - cover) + np.array(REFINED_RGB) * cover).astype(np.uint8)
+
+
+def _end(image: np.ndarray, scene: Scene, end_m: np.ndarray, half_m: float, scale: float) -> None:
+    """A ring on the ground where it ends."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    ring = end_m + half_m * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    outline = _pixels(scene, ring, scale)
+    if len(outline) > 2:
+        cv2.polylines(image, [outline], True, _WHITE, 4, cv2.LINE_AA)
+        cv2.polylines(image, [outline], True, REFINED_RGB, 2, cv2.LINE_AA)
+
+
+def _is_hidden(scene: Scene, point_m: np.ndarray, away_m: float) -> bool:
+    """Whether a thing that is nearer covers a point."""
+    at = _pixels(scene, point_m[None], 1.0)
+    if not len(at):
+        return False
+    eye = scene.T_map_camera[:3, 3]
+    for number, outlines in scene.contours.items():
+        thing = scene.objects[number]
+        nearest_m = np.linalg.norm(thing.points_m - eye, axis=1).min(initial=np.inf)
+        inside = any(cv2.pointPolygonTest(o, at[0].tolist(), False) >= 0 for o in outlines)
+        if inside and nearest_m < away_m:
+            return True
+    return False
+
+
+def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
+    """(k, 2) int32: the polygon of some points in the picture, cut off before the camera."""
+    camera: CameraModel = scene.camera
+    T = invert(scene.T_map_camera)
+    seen = _before(points_m @ T[:3, :3].T + T[:3, 3])
+    if not len(seen):
+        return np.zeros((0, 2), np.int32)
+    u = camera.fx_px * seen[:, 0] / seen[:, 2] + camera.cx_px + 0.5
+    v = camera.fy_px * seen[:, 1] / seen[:, 2] + camera.cy_px + 0.5
+    limit = 8.0 * max(camera.width_px, camera.height_px)  # OpenCV counts in 32 bits
+    return np.rint(scale * np.clip(np.stack([u, v], axis=1), -limit, limit)).astype(np.int32)
+
+
+def _before(polygon: np.ndarray) -> np.ndarray:
+    """What of a polygon (n, 3) in the optical frame lies before the camera (Sutherland & Hodgman
+    1974, of one plane)."""
+    out = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        ahead = a[2] >= NEAREST_M, b[2] >= NEAREST_M
+        if ahead[0]:
+            out.append(a)
+        if ahead[0] != ahead[1]:
+            out.append(a + (NEAREST_M - a[2]) / (b[2] - a[2]) * (b - a))
+    return np.array(out).reshape(-1, 3)
+
+
+def _pieces(line_m: np.ndarray, length_m: float) -> Sequence[tuple[np.ndarray, np.ndarray]]:
+    """A polyline in pieces of about a length, for a dashed line."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line_m, axis=0), axis=1)))
+    at = np.linspace(0.0, along[-1], max(2, round(along[-1] / length_m) + 1))
+    points = np.stack([np.interp(at, along, axis) for axis in line_m.T], axis=1)
+    return list(pairwise(points))

@@ -1,0 +1,105 @@
+"""What of a thing stands in the way: how near one is to it, and where one passes it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from edge.geometry import SE2, Grid
+from edge.tasks.scene import SceneObject
+from edge.trajectory.smoothing import resample
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """A thing seen from above.
+
+    It is what of its box is not known to be free: the box around a hedge in a bend, or a sofa with
+    a corner, holds ground that one may stand on, and of a car a LiDAR sees two sides.
+
+    Attributes:
+        middle_m: (2,) float64, of its box, in `map`.
+        cells_m: (n, 2) float64, n >= 1: middles of the cells that it covers; where the map has
+            nothing in its box, points along the box's rim.
+        hull_m: (k, 2) float64 from the middle, the corners of the convex hull of those cells.
+        rim_m: from a cell's middle to its rim.
+    """
+
+    middle_m: np.ndarray
+    cells_m: np.ndarray
+    hull_m: np.ndarray
+    rim_m: float
+
+    def gaps_m(self, points_m: np.ndarray) -> np.ndarray:
+        """(n,) how far points (n, 2) are from the nearest of its cells; 0 on one."""
+        away_m, _ = cKDTree(self.cells_m).query(points_m)
+        return np.maximum(away_m - self.rim_m, 0.0)
+
+    def nearest(self, point_m: tuple[float, float]) -> tuple[float, float]:
+        """The middle of its cell nearest to a point."""
+        k = int(np.argmin(np.hypot(*(self.cells_m - point_m).T)))
+        x_m, y_m = self.cells_m[k].tolist()
+        return x_m, y_m
+
+    def beside(self, angle_rad: float, distance_m: float) -> tuple[float, float]:
+        """The point in a direction from the middle that is so far from the hull."""
+        ray = np.array([math.cos(angle_rad), math.sin(angle_rad)])
+        along_m = self.hull_m @ ray
+        # Outwards of there the distance from a convex hull only grows.
+        low_m, high_m = max(float(along_m.mean()), 0.0), max(float(along_m.max()), 0.0) + distance_m
+        while high_m - low_m > 1e-4:
+            middle_m = 0.5 * (low_m + high_m)
+            if self._from_hull_m(middle_m * ray) < distance_m:
+                low_m = middle_m
+            else:
+                high_m = middle_m
+        x_m, y_m = self.middle_m.tolist()
+        return SE2(x_m, y_m, angle_rad).ahead(high_m)
+
+    def _from_hull_m(self, point_m: np.ndarray) -> float:
+        x_m, y_m = point_m.tolist()
+        return -cv2.pointPolygonTest(self.hull_m.astype(np.float32), (x_m, y_m), True)
+
+
+def outline_of(thing: SceneObject, occupancy: Grid) -> Outline:
+    """The outline of a thing.
+
+    Args:
+        occupancy: of its scene.
+    """
+    middle_m, half_m = thing.position_m[:2], 0.5 * thing.size_m[:2]
+    c, s = math.cos(thing.heading_rad), math.sin(thing.heading_rad)
+    turn = np.array([[c, s], [-s, c]])
+    rim_m = 0.5 * occupancy.resolution_m
+    cells_m = _covered(occupancy, middle_m, half_m, turn, rim_m)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    if not len(cells_m):
+        box_m = (corners * half_m) @ turn
+        cells_m = resample(np.concatenate([box_m, box_m[:1]]), occupancy.resolution_m) + middle_m
+        rim_m = 0.0
+    around_m = (cells_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
+    hull_m = cv2.convexHull(around_m.astype(np.float32))[:, 0].astype(np.float64)
+    return Outline(middle_m, cells_m, hull_m, rim_m)
+
+
+def _covered(
+    occupancy: Grid, middle_m: np.ndarray, half_m: np.ndarray, turn: np.ndarray, margin_m: float
+) -> np.ndarray:
+    """(n, 2): middles of the cells in a box that are not known to be free."""
+    reach_m = float(np.hypot(*half_m)) + margin_m
+    low, high = (
+        np.floor(occupancy.of_metres(middle_m + side * reach_m)).astype(np.int64)
+        for side in (-1, 1)
+    )
+    (c0, r0), (c1, r1) = np.maximum(low, 0), np.minimum(high + 1, occupancy.cells.shape[::-1])
+    if c0 >= c1 or r0 >= r1:
+        return np.empty((0, 2))
+    rows, columns = np.mgrid[r0:r1, c0:c1]
+    centres_m = occupancy.centres_m(rows, columns)
+    local_m = np.abs((centres_m - middle_m) @ turn.T)
+    mine = (local_m <= half_m + margin_m).all(axis=-1) & (occupancy.cells[r0:r1, c0:c1] != 0)
+    return centres_m[mine]

@@ -1,0 +1,419 @@
+"""Instructions that a small grammar knows, read as steps.
+
+    task   = step { ("then" | "and" | "," | ".") step } ["stop"]
+    step   = go ("to" | "near" | …) thing
+           | (go "past" | "pass" | go "around") [side "of"] thing [on its side]
+           | go (side "of" | "in front of" | "behind") thing
+           | go "between" (thing "and" thing | "the two" things)
+           | go "straight" number "metres"
+           | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
+    thing  = [article] { description } name { place } | "object" number | "it"
+             with `which` anywhere before the places
+    which  = order | "second" | "left" | "right"
+    order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost" | "from the left"
+    place  = "on the left" | "on the right" | "ahead" | "behind you" | "near" thing
+           | order
+
+Which thing is meant is told from where the robot stands when it is asked, as its user sees it: a
+number counts from the nearest, from the left what is ahead is counted.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NoReturn
+
+import numpy as np
+
+from edge import names
+from edge.mission.language.words import Reader, Token
+from edge.tasks.outline import outline_of
+from edge.tasks.phrases import tokenise
+from edge.tasks.scene import Scene, SceneObject
+from edge.text import one_line
+
+ASIDE_RAD = math.radians(5)
+"""What is nearer to straight ahead is neither on the left nor on the right."""
+AHEAD_RAD = math.radians(45)
+NEAR_M = 3.0
+
+Kind = Literal["to", "past", "around", "beside", "between", "straight", "stop"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One part of an instruction.
+
+    Attributes:
+        things: two of "between", none of "straight" and a mere "stop", else one.
+        side: of `edge.tasks.functions.SIDES_RAD`; "" where none is said.
+        distance_m: of "straight".
+        said: its part of the instruction.
+    """
+
+    kind: Kind
+    things: tuple[SceneObject, ...] = ()
+    side: str = ""
+    distance_m: float = 0.0
+    said: str = ""
+
+    def __str__(self) -> str:
+        called = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
+        match self.kind:
+            case "straight":
+                return f"straight on for {self.distance_m:g} m"
+            case "past" | "around" if self.side:
+                return f"{self.kind} the {self.side} of {called}"
+            case "beside":
+                return f"{self.side}{OF.get(self.side, '')} {called}"
+        return f"{self.kind} {called}".strip()
+
+
+def read(instruction: str, scene: Scene | _Unseen) -> list[Step]:
+    """The steps of an instruction, at least one.
+
+    Raises:
+        TranslationError: it is not understood; it names the part.
+    """
+    reader = Reader(instruction, tokenise(instruction))
+    steps: list[Step] = []
+    reader.skip("filler", "first")
+    while not reader.sees("end"):
+        start = reader.peek()
+        step = _step(reader, scene, steps)
+        end = reader.peek(-1).end
+        steps.append(replace(step, said=instruction[start.start : end]))
+        if not reader.sees("end", "then", "and", "comma", "stop mark"):
+            reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
+        joint = reader.peek()
+        reader.skip("then", "and", "comma", "stop mark", "filler", "first")
+        if joint.kind in ("then", "and") and reader.sees("end"):
+            reader.refuse("nothing comes after it", joint)
+        if start.kind == "stop" and not reader.sees("end"):
+            reader.refuse("a way ends where the robot stops; nothing can come after it", start)
+    if not steps:
+        reader.refuse("say where to go")
+    if steps[-1].kind != "stop":
+        return steps
+    if len(steps) == 1:
+        reader.refuse("say where to go first", reader.tokens[0])
+    return steps[:-1]
+
+
+def named(instruction: str) -> tuple[str, ...]:
+    """What an instruction names, before anything of it was seen: its grammar alone is read.
+
+    Returns:
+        Names as they are said, in the singular, each thing once: of words before a noun that is
+        known, which only describe, nothing is left.
+
+    Raises:
+        TranslationError: it is not understood; it names the part.
+    """
+    unseen = _Unseen()
+    read(instruction, unseen)
+    return tuple(unseen.names.values())
+
+
+@dataclass(frozen=True, slots=True)
+class _Unseen:
+    """In the place of a scene: each name that is read stands for one thing.
+
+    Attributes:
+        names: those that were read, by the one name of what they stand for.
+    """
+
+    names: dict[str, str] = field(default_factory=dict)
+
+    def thing(self, words: Sequence[Token] = ()) -> SceneObject:
+        """What words stand for; without any, whatever has some number."""
+        if words:
+            nouns = list(names.head_nouns(" ".join(token.text for token in words)))
+            noun = names.singular(next(filter(names.is_known, nouns), nouns[0]))
+            self.names.setdefault(names.canonical(noun), noun)
+        return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
+
+
+def _step(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> Step:
+    verb = reader.take("go", "pass", "stop")
+    reader.skip("first", "filler")
+    if verb is None and not (before and reader.sees(*_RELATIONS)):
+        reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
+    if verb and verb.kind == "pass":
+        return _passing(reader, scene, before, "past")
+    relation = reader.take(*_RELATIONS)
+    if relation is None:
+        if verb and verb.kind == "stop":
+            return Step("stop")
+        reader.refuse("expected where: to, past, around, between, left of, straight, …")
+    if verb and verb.kind == "go" and relation.text == "by":
+        reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
+    if verb and verb.kind == "stop" and relation.kind in ("past", "around", "straight"):
+        reader.refuse("a robot cannot stop there; say 'at', 'left of', 'behind', …", relation)
+    match relation.kind:
+        case "past" | "around":
+            return _passing(reader, scene, before, relation.kind)
+        case "between":
+            return Step("between", _two(reader, scene, before))
+        case "straight" if reader.sees("to"):
+            reader.refuse("a way that is straight to a thing is not known; say 'to'", relation)
+        case "straight":
+            return Step("straight", distance_m=_metres(reader))
+        case "to" | "at":
+            return Step("to", (_thing(reader, scene, before),))
+    return Step(
+        "beside", (_thing(reader, scene, before),), _SIDE_OF.get(relation.kind, relation.kind)
+    )
+
+
+OF = {"left": " of", "right": " of"}
+_SIDE_OF = {
+    "left of": "left", "its left": "left", "right of": "right", "its right": "right",
+}  # fmt: skip
+_RELATIONS = (
+    "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
+    "straight",
+)  # fmt: skip
+
+
+def _passing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], kind: Kind) -> Step:
+    """`past the left of the van`, `around the van on its left`, `past the van`."""
+    side = reader.take("left of", "right of")
+    thing = _thing(reader, scene, before)
+    side = side or reader.take("its left", "its right")
+    return Step(kind, (thing,), _SIDE_OF[side.kind] if side else "")
+
+
+def _two(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> tuple[SceneObject, ...]:
+    """`the van and the tree`, `the two cars`, `the cars`."""
+    start = reader.peek()
+    if reader.sees("article") and reader.sees("number", ahead=1) and reader.peek(1).text == "2":
+        reader.at += 2
+    found = _things(reader, scene, before)
+    if reader.take("and"):
+        found = [_only(found, reader, start), _thing(reader, scene, before)]
+        if found[0] is found[1]:
+            reader.refuse("it is the same thing twice", start)
+    if len(found) != 2 and isinstance(scene, Scene):
+        reader.refuse(f"there are {len(found)} of them; name two: 'between … and …'", start)
+    return tuple(found)
+
+
+def _metres(reader: Reader) -> float:
+    reader.skip("for")
+    start = reader.peek()
+    token = reader.take("number")
+    if token is None or not reader.take("metres"):
+        reader.refuse("say how far, as 'straight for 5 metres'", start)
+    return float(token.text)
+
+
+def _thing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> SceneObject:
+    """The one thing that the noun phrase here names."""
+    start = reader.peek()
+    return _only(_things(reader, scene, before), reader, start)
+
+
+def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject:
+    if len(found) > 1:
+        listed = ", ".join(map(called, found[:4])) + (", …" if len(found) > 4 else "")
+        hint = f"it may be any of {len(found)}: {listed}; say which, as 'the nearest' or 'object 3'"
+        reader.refuse(hint, start)
+    return found[0]
+
+
+def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> list[SceneObject]:
+    """What the noun phrase here may mean, at least one thing."""
+    start = reader.peek()
+    if token := reader.take("pronoun"):
+        if not before or len(before[-1].things) != 1:
+            reader.refuse("it is not clear what this stands for; name it", token)
+        return list(before[-1].things)
+    reader.skip("article")
+    which, words = [], []
+    while token := reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id"):
+        if token.kind == "id":
+            return [_by_id(reader, scene, start)]
+        (words if token.kind == "word" else which).append(token)
+    if not words:
+        reader.refuse("expected the name of a thing", start)
+    unseen = isinstance(scene, _Unseen)
+    found = (
+        [scene.thing(words)] if unseen else _described(_named(reader, scene, words), reader, words)
+    )
+    origin = _measured_from(reader, scene, before, which)
+    while token := reader.take(*_PLACES, "at", *_ORDER):
+        if token.kind in _ORDER:
+            which.append(token)
+            origin = origin or _measured_from(reader, scene, before, [token])
+            continue
+        other = _thing(reader, scene, before) if token.kind == "at" else None
+        if unseen:
+            continue
+        if other is not None:
+            found = _kept(found, lambda t, o=other: t is not o and _gap_m(scene, t, o) <= NEAR_M)
+        else:
+            found = _kept(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
+        if not found:
+            reader.refuse("no such thing is there", token)
+    return found if unseen else _chosen(found, reader, scene, which, origin)
+
+
+def _measured_from(
+    reader: Reader, scene: Scene | _Unseen, before: Sequence[Step], which: Sequence[Token]
+) -> SceneObject | None:
+    """The thing of `nearest to the sign`; None: the robot is meant."""
+    if any(token.kind in ("nearest", "farthest") for token in which) and (
+        reader.take("to") or reader.take("from")
+    ):
+        return _thing(reader, scene, before)
+    return None
+
+
+def _by_id(reader: Reader, scene: Scene | _Unseen, start: Token) -> SceneObject:
+    token = reader.take("number")
+    if isinstance(scene, _Unseen):
+        return scene.thing() if token else reader.refuse("say its number", start)
+    thing = scene.objects.get(int(token.text)) if token and token.text.isdecimal() else None
+    if thing is None:
+        reader.refuse(f"no object has that number; there are {_listed(scene)}", start)
+    return thing
+
+
+def _named(reader: Reader, scene: Scene, words: list[Token]) -> list[SceneObject]:
+    """The things whose kind the longest possible end of some words names; the words that are left
+    before it stay in `words`, as they describe."""
+    for begin in range(len(words)):
+        if kinds := _of_kind(scene, words[begin:]):
+            del words[begin:]
+            return kinds
+    for end in range(len(words) - 1, 0, -1):
+        if any(_of_kind(scene, words[begin:end]) for begin in range(end)):
+            reader.refuse(f"no word that is known after {words[end - 1].text!r}", words[end])
+    reader.refuse(f"nothing of that name is here; there are {_listed(scene)}", words[0])
+
+
+def _of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
+    name = " ".join(token.text for token in words)
+    return _kept(list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name))
+
+
+def _described(
+    found: list[SceneObject], reader: Reader, words: Sequence[Token]
+) -> list[SceneObject]:
+    """Those of which each word is said."""
+    for token in words:
+        fitting = _kept(found, lambda t, word=token.text: word in _words_of(t))
+        if not fitting:
+            hint = f"that is not said of any here: {', '.join(map(called, found[:4]))}"
+            reader.refuse(hint, token)
+        found = fitting
+    return found
+
+
+def _chosen(
+    found: list[SceneObject],
+    reader: Reader,
+    scene: Scene,
+    which: Sequence[Token],
+    origin: SceneObject | None,
+) -> list[SceneObject]:
+    """Those that sides, an order and a number in it pick out, as the robot sees them.
+
+    Args:
+        origin: what `nearest` and `farthest` are measured from; None: the robot.
+    """
+    of_order: dict[bool, Token] = {}
+    for token in which:
+        if token.kind in ("left", "right"):
+            side = _PLACES[f"on the {token.kind}"]
+            kept = _kept(found, lambda t, side=side: side(_bearing_rad(scene, t)))
+            if not kept:
+                _none_there(found, reader, token)
+            found = kept
+            continue
+        if of_order.setdefault(token.kind in _ORDER, token) is not token:
+            reader.refuse("it is chosen in two ways; say one", token)
+    if not of_order:
+        return found
+    order, number = of_order.get(True), of_order.get(False)
+    place = int(number.text) - 1 if number and number.kind == "ordinal" else 0
+    kind = order.kind if order else "nearest"
+    found = [thing for thing in found if thing is not origin]
+    if kind not in ("nearest", "farthest"):
+        ahead = _kept(found, lambda t: abs(_bearing_rad(scene, t)) < math.pi / 2)
+        found = ahead or found  # from left to right goes what is in view
+    if origin is not None:
+        away_m = {t.id: _gap_m(scene, t, origin) for t in found}
+        found = sorted(found, key=lambda t: away_m[t.id] * (-1.0 if kind == "farthest" else 1.0))
+    else:
+        found = sorted(found, key=lambda t: _ORDER[kind](scene, t))
+    if not 0 <= place < len(found):
+        _none_there(found, reader, number or order)
+    return [found[place]]
+
+
+def _none_there(found: list[SceneObject], reader: Reader, token: Token | None) -> NoReturn:
+    there = ", ".join(map(called, found[:4])) or "no others"
+    reader.refuse(f"there is none; there are {there}", token)
+
+
+def centre_m(thing: SceneObject) -> tuple[float, float]:
+    """The middle of a thing on the ground, in `map`."""
+    x, y = thing.position_m[:2].tolist()
+    return x, y
+
+
+def _distance_m(scene: Scene, thing: SceneObject) -> float:
+    return scene.pose.distance_to(*centre_m(thing))
+
+
+def _bearing_rad(scene: Scene, thing: SceneObject) -> float:
+    return scene.pose.bearing_to(*centre_m(thing))
+
+
+def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
+    """Between the outlines of two things."""
+    cells_m = outline_of(b, scene.occupancy).cells_m
+    return float(outline_of(a, scene.occupancy).gaps_m(cells_m).min())
+
+
+def _kept(found: list[SceneObject], keep: Callable[[SceneObject], bool]) -> list[SceneObject]:
+    return [thing for thing in found if keep(thing)]
+
+
+def _words_of(thing: SceneObject) -> set[str]:
+    return set(re.findall(r"[^\W_]+", f"{thing.label} {thing.caption}".lower()))
+
+
+def called(thing: SceneObject) -> str:
+    """What a thing is called where several could be meant."""
+    said = one_line(thing.caption, 40)
+    return f"{thing.label} {thing.id}" + (f" ({said})" if said else "")
+
+
+def _listed(scene: Scene) -> str:
+    labels = dict.fromkeys(thing.label for thing in scene.objects.values())
+    return one_line(", ".join(labels), 120) or "no things"
+
+
+_PLACES: dict[str, Callable[[float], bool]] = {
+    "on the left": lambda bearing_rad: bearing_rad > ASIDE_RAD,
+    "on the right": lambda bearing_rad: bearing_rad < -ASIDE_RAD,
+    "straight": lambda bearing_rad: abs(bearing_rad) < AHEAD_RAD,
+    "here ahead": lambda bearing_rad: abs(bearing_rad) < AHEAD_RAD,
+    "here behind": lambda bearing_rad: abs(bearing_rad) > math.pi - AHEAD_RAD,
+}
+"""Kind of phrase → whether what lies in that direction from the robot is meant."""
+_ORDER: dict[str, Callable[[Scene, SceneObject], float]] = {
+    "nearest": lambda scene, thing: _distance_m(scene, thing),
+    "farthest": lambda scene, thing: -_distance_m(scene, thing),
+    "leftmost": lambda scene, thing: -_bearing_rad(scene, thing),
+    "rightmost": lambda scene, thing: _bearing_rad(scene, thing),
+    "from the left": lambda scene, thing: -_bearing_rad(scene, thing),
+    "from the right": lambda scene, thing: _bearing_rad(scene, thing),
+}
+"""Kind of phrase → what the things are sorted by; the first is meant, or that of a number."""

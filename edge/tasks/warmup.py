@@ -1,0 +1,59 @@
+"""Compile the kernels of tasks before a person waits for a trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from edge.config import Mapping, Robot, Tasks, TrajectoryLimits
+from edge.geometry import CameraModel, optical, se3
+from edge.mapping.grid import RollingMap
+from edge.mapping.view import MapView
+from edge.motion.pursuit import MotionLimits
+from edge.tasks.objects import ObjectMap
+from edge.tasks.refine import refine
+from edge.tasks.survey import add_found, scene_of_map
+from edge.tasks.value_map import Body
+from edge.tasks.write import write
+from edge.types import Detections, Instance, Observation
+
+_WALL_M, _CAMERA_M = 3.0, 0.6
+_CLEARANCE_M = 0.1
+
+
+def warm_up() -> None:
+    """Do a small task: a box is looked at, a trajectory to it written by the rules and refined.
+
+    Whatever the configuration, these are the kernels that a service calls for a task.
+    """
+    seen = room()
+    box = np.array([[20, 6, 28, 20]], np.float32)
+    found = Detections(seen, box, np.ones(1, np.float32), np.zeros(1, np.int32), ("box",))
+    objects = ObjectMap()
+    for way in (seen, _as_cloud(seen)):
+        add_found(objects, replace(found, observation=way), 2.0 * _WALL_M)
+    grid = RollingMap(Mapping(extent_m=4.0 * _WALL_M))
+    grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base @ seen.T_base_camera, seen.pose)
+    points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
+    thing = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
+    scene = scene_of_map(MapView(grid), seen, (thing,), _CLEARANCE_M)
+    limits = Tasks(trajectory=TrajectoryLimits(clearance_m=_CLEARANCE_M))
+    coarse = write("go to the box", scene, limits).coarse
+    refine(scene, coarse.segments, coarse.regions, Body(_CLEARANCE_M), MotionLimits.of(Robot()))
+
+
+def room() -> Observation:
+    """A wall ahead over a bare floor, in a depth image."""
+    camera = CameraModel.from_hfov(48, 40, 1.6)
+    rows = np.arange(camera.height_px) - camera.cy_px
+    with np.errstate(divide="ignore"):
+        floor_m = np.where(rows > 0.0, camera.fy_px * _CAMERA_M / rows, np.inf)
+    depth_m = np.minimum(np.broadcast_to(floor_m[:, None], (40, 48)), _WALL_M).astype(np.float32)
+    T = optical(se3(z_m=_CAMERA_M))
+    return Observation(0, 0, np.eye(4), depth_m=depth_m, camera=camera, T_base_camera=T)
+
+
+def _as_cloud(seen: Observation) -> Observation:
+    cloud_m = np.random.default_rng(0).uniform(0.5, _WALL_M, (64, 3)).astype(np.float32)
+    return replace(seen, depth_m=None, cloud_m=cloud_m)

@@ -1,0 +1,74 @@
+"""The task-level benchmark: one planner over 2000 tasks and ten p_obs, and its parts."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.eval.planning.executor import Problem, Situation, draws_of, run_episode
+from edge.eval.planning.lifted import compiled, lift
+from edge.eval.planning.planners import PLANNERS
+from edge.eval.planning.sweep import Settings, run_tasks
+from edge.eval.planning.templates import generate
+from edge.mission.ltl import parse
+
+P_OBS = tuple(i / 10 for i in range(1, 11))
+SAMPLE = 200
+CASE_2 = (
+    "(F(couch & F(toilet & F(bed & F chair))) | F(bed & F(plant | toilet)) "
+    "| F(tv & F(plant & F couch))) & (!couch W toilet) & (!bed W tv) & (!plant W chair)"
+)
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    """The benchmark's first tasks, of all families as the whole is, and compiled kernels."""
+    found = generate(SAMPLE)
+    run_tasks(found[:1], Settings(tuple(PLANNERS), (0.5,)))
+    return found
+
+
+@pytest.mark.parametrize("planner", ["vitl", "expected"])
+def test_tasks_sample(benchmark, tasks, planner):
+    """A tenth of the benchmark, automata compiled, plans made anew in every round."""
+    benchmark.extra_info["budget"] = f"eval_planning_{SAMPLE}_{planner}"
+    settings = Settings((planner,), P_OBS)
+    results = benchmark.pedantic(run_tasks, args=(tasks, settings), rounds=5, warmup_rounds=1)
+    assert results.complete.all()
+
+
+def test_task_episode(benchmark):
+    """One run of case study 2 with the plans already made."""
+    benchmark.extra_info["budget"] = "eval_planning_episode"
+    lifted = lift(parse(CASE_2))
+    problem = Problem.of(lifted.automaton, lifted.others)
+    choose = PLANNERS["vitl"].make(problem)(0.5)
+    draws = [draws_of(0, task, 0.5, 0) for task in range(64)]
+
+    def run():
+        return [run_episode(problem, 0.5, choose, one) for one in draws]
+
+    run()
+    episodes = benchmark(run)
+    benchmark.extra_info["episodes"] = len(draws)
+    assert all(episode.outcome == 0 for episode in episodes)
+
+
+def test_optimal_policy(benchmark):
+    """The exact optimum of case study 2 at one p_obs: 32 states, 64 sets of known objects."""
+    benchmark.extra_info["budget"] = "eval_planning_optimum"
+    problem = Problem.of(compiled(lift(parse(CASE_2)).formula), 0)
+    optimum = PLANNERS["optimal"].make(problem)
+    optimum(0.5)(Situation(0))
+    assert benchmark(lambda: optimum(0.5)(Situation(0))) >= 0
+
+
+@pytest.mark.slow
+def test_tasks_whole(benchmark):
+    """Everything for one planner on one core: tasks, automata, plans and 20,000 runs."""
+    benchmark.extra_info["budget"] = "eval_planning_2000_vitl"
+
+    def whole():
+        compiled.cache_clear()
+        return run_tasks(generate(2000), Settings(("vitl",), P_OBS))
+
+    assert benchmark.pedantic(whole, rounds=1).complete.all()

@@ -1,0 +1,38 @@
+"""Episodes of each source: what is named is in the scene, and what is meant can be driven."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from edge.eval.trajectories.episodes import episodes
+from edge.eval.trajectory_metrics import contacts
+
+SOURCES = {
+    "streets": "streets[0:4]",
+    "house": "house:demo",
+    "kitti": "kitti:{}/logs/semantic_kitti_05",
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_an_episode_is_whole(source, request):
+    shared = request.getfixturevalue("shared_dir") if source == "kitti" else ""
+    found = list(islice(episodes([SOURCES[source].format(shared)]), 4))
+    assert len({one.id for one in found}) == 4
+    for one in found:
+        scene, task = one.scene, one.task
+        assert one.source == source
+        assert contacts(task.reference_m, one.truth, one.robot_m) == 0
+        np.testing.assert_allclose(task.reference_m[0], (scene.pose.x_m, scene.pose.y_m))
+        labels = [thing.label for thing in scene.objects.values()]
+        things = {thing.id: thing for thing in one.things}
+        for number in task.things:
+            assert things[number].label in labels
+            assert things[number].label in task.instruction
+
+
+def test_no_more_than_asked_for_of_each():
+    assert len(list(episodes(["streets[0:9]", "streets[20:30]"], limit=2))) == 4

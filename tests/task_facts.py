@@ -1,0 +1,57 @@
+"""Tasks at every stage, made by the real writer and refined for real, for those who show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from task_scenes import STREET, street
+
+from edge.config import Tasks
+from edge.motion.pursuit import MotionLimits
+from edge.tasks.facts import TaskFacts
+from edge.tasks.refine import Refined, refine
+from edge.tasks.value_map import Body
+from edge.tasks.write import Round, Written, write
+
+INSTRUCTION = "go past the left of the van, then stop at the gate"
+LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.8, turn_accel_radps2=3.0)
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\x1b[2J\u202e\ud800'\""
+
+
+@cache
+def written() -> tuple[Written, Refined]:
+    scene = street(*STREET)
+    by_rules = write(INSTRUCTION, scene, Tasks())
+    coarse = by_rules.coarse
+    body = Body(clearance_m=0.3, tube_m=1.0)
+    return by_rules, refine(scene, coarse.segments, coarse.regions, body, LIMITS)
+
+
+def looking(**fields: Any) -> TaskFacts:
+    return replace(TaskFacts(INSTRUCTION, "looking", "rules", missing=("van", "gate")), **fields)
+
+
+def driving(index: int = 40, **fields: Any) -> TaskFacts:
+    """It was written by the rules and is driven."""
+    by_rules, refined = written()
+    task = TaskFacts(
+        INSTRUCTION, "driving", "rules", understood=by_rules.understood,
+        coarse_m=by_rules.coarse.points_m, refined=refined, index=index, refinements=1,
+        notes=refined.notes,
+    )  # fmt: skip
+    return replace(task, **fields)
+
+
+def by_a_model(said: str = HOSTILE, **fields: Any) -> TaskFacts:
+    """A model wrote it, at the second answer, and calls everything by hostile names."""
+    rounds = (
+        Round(said, "", "", f"the answer has no ```python block: {said}"),
+        Round(said, f"# {said}\nprint(1)\ngive_trajectory([(1, 0)])", f"1\n{said}", ""),
+    )
+    more: dict[str, Any] = {
+        "writer": f"model {said}", "understood": "", "prompt": f"You plan.\n{said}",
+        "rounds": rounds, "notes": (said,),
+    }  # fmt: skip
+    return driving(**{**more, **fields})

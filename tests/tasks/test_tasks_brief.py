@@ -1,0 +1,50 @@
+"""From a task in words to what the detector looks for."""
+
+from __future__ import annotations
+
+import pytest
+from simulated import simulated
+
+from edge.errors import UserError
+from edge.tasks.brief import prepare_task, prepared
+
+RULES = simulated({"mission": {"target": "bed", "max_targets": 3}})
+MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target": "bed"}})
+
+
+@pytest.mark.parametrize(
+    ("config", "task", "targets", "to_see"),
+    [
+        (RULES, "go straight for 3 metres", ("bed",), ()),
+        (RULES, "go past the couch and stop at the desk", ("couch", "desk"), ("couch", "desk")),
+        (MODEL, "circle something", ("bed",), ()),
+        (MODEL, "Circle the couch; keep off potted plants.", ("couch", "potted plant"), ()),
+    ],
+)
+def test_what_it_names_is_looked_for(config, task, targets, to_see):
+    brief = prepare_task(config, task)
+    assert (brief.targets, brief.to_see) == (targets, to_see)
+    assert brief.translation.instruction == brief.translation.understood == task
+
+
+@pytest.mark.parametrize(
+    ("config", "task", "said"),
+    [
+        (RULES, "", "task: it is empty"),
+        (MODEL, " \n", "task: it is empty"),
+        (MODEL, "x" * 2001, "at most 2000 are taken"),
+        (RULES, "dance", "did not understand 'dance'"),
+        (RULES, "go to the bed, the sofa, to the desk and to the car", "did not understand"),
+        (RULES, "go past the bed, past the sofa, past the desk and to the car", "at most 3"),
+    ],
+)
+def test_what_is_no_task_is_refused_in_one_line(config, task, said):
+    with pytest.raises(UserError) as caught:
+        prepare_task(config, task)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_a_task_it_is_a_mission():
+    assert prepared(RULES).to_see is None
+    assert prepared(RULES, formula="F sofa").targets == ("sofa",)

@@ -1,0 +1,55 @@
+"""What of a task has changed, and its trajectory thinned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from task_facts import by_a_model, looking, written
+
+from edge.tasks.facts import lengths_m, same_words, thinned
+
+
+def test_no_task_is_the_same_as_none():
+    assert same_words(None, None)
+    assert not same_words(None, looking())
+    assert not same_words(looking(), None)
+
+
+def test_how_far_it_is_driven_changes_no_words():
+    task = by_a_model()
+    assert same_words(task, replace(task, index=task.index + 7, coarse_m=task.coarse_m.copy()))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"phase": "failed"}, {"rounds": ()}, {"refined": None}, {"coarse_m": None}, {"notes": ()},
+        {"coarse_m": np.zeros((1, 2))}, {"refinements": 2}, {"missing": ("van",)}, {"prompt": ""},
+    ],
+    ids=lambda change: next(iter(change)),
+)  # fmt: skip
+def test_all_else_does(change):
+    task = by_a_model()
+    assert not same_words(task, replace(task, **change))
+
+
+@given(st.integers(1, 300), st.integers(1, 500), st.data())
+def test_a_thinned_trajectory_ends_where_it_ends_and_tells_where_the_robot_is(n, most, data):
+    index = data.draw(st.integers(0, n - 1))
+    poses = np.column_stack([np.arange(n), np.arange(n) * 2, np.zeros(n), np.arange(n) / n])
+    drawn, at = thinned(replace(written()[1], poses=poses), index, most)
+    assert len(drawn) <= most
+    assert drawn[-1].tolist() == poses[-1, [0, 1, 3]].tolist()
+    behind = drawn[:, 0] <= index
+    assert at == np.count_nonzero(behind) - 1
+
+
+def test_lengths_are_along_the_path():
+    x_m, y_m = np.array([[0, 0], [3, 0], [3, 4], [3, 4], [0, 4]], np.float64).T
+    refined = replace(written()[1], poses=np.column_stack([x_m, y_m, 9 * x_m, y_m]))
+    assert [lengths_m(refined, k) for k in range(6)] == [(10, n) for n in (0, 3, 7, 7, 10, 10)]
+    assert lengths_m(replace(refined, poses=refined.poses[:1]), 0) == (0.0, 0.0)

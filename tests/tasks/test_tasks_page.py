@@ -1,0 +1,80 @@
+"""docs/tasks.md: its sentences, its configuration and its code do what it says."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from edge.config import Tasks, load
+from edge.errors import UserError
+from edge.eval.trial.views import street_view
+from edge.tasks.chain import see
+from edge.tasks.functions import NAMES
+from edge.tasks.write import write
+from edge.types import Detections, Observation
+
+PAGE = (Path(__file__).parents[2] / "docs/tasks.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| `([^`|]+)` \| ([^|`]+) \|$", PAGE, re.MULTILINE)
+UNDERSTOOD = [
+    row for row in ROWS if re.match(r"to |past |around |straight |left |between ", row[1])
+]
+REFUSED = [row for row in ROWS if row not in UNDERSTOOD]
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@cache
+def scene():
+    return street_view(3, load("street")).scene
+
+
+def test_the_page_has_its_tables():
+    rows = [row for row in ROWS if " " in row[0] and not row[0].startswith(("robot", "trajectory"))]
+    assert len(UNDERSTOOD) == 14
+    assert len(rows) >= 19
+
+
+@pytest.mark.parametrize(("words", "understood"), UNDERSTOOD)
+def test_what_is_understood(words, understood):
+    assert write(words, scene(), load("street").tasks).understood == understood
+
+
+@pytest.mark.parametrize(("words", "answer"), [row for row in REFUSED if row[0].startswith("go ")])
+def test_what_is_refused(words, answer):
+    with pytest.raises(UserError, match=re.escape(answer.strip())):
+        write(words, scene(), load("street").tasks)
+
+
+def test_every_function_is_there():
+    assert [name for name in NAMES if f"{name}(" not in PAGE] == []
+
+
+@pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "yaml"])
+def test_the_configurations_are_ones(text):
+    """And what they show beside a model's name and address is what holds anyway."""
+    given = yaml.safe_load(text)["tasks"]
+    tasks, default = Tasks.model_validate(given), Tasks()
+    assert tasks.trajectory == default.trajectory
+    assert tasks.script == default.script
+    if "planner" in given:
+        planner = type(tasks.planner)()
+        assert tasks.planner == planner.model_copy(update={"model": "MODEL"})
+
+
+def test_a_chain_of_ones_own_sees():
+    (code,) = (text for kind, text in BLOCKS if kind == "python")
+    picture = Observation(0, 0, np.eye(4), rgb=np.zeros((20, 30, 3), np.uint8))
+
+    def my_detector(observation, tags):
+        box = np.array([[1, 2, 10, 12]], np.float32)
+        return Detections(
+            observation, box, np.ones(1, np.float32), np.ones(1, np.int32), tuple(tags)
+        )
+
+    names = {"my_detector": my_detector}
+    exec(code, names)
+    assert see(names["chain"], picture).caption == ("a person",)
