@@ -17,6 +17,8 @@ CLONE = Path(__file__).resolve().parents[2]
 TASK = "go around the left of the sofa, then stop at the desk"
 BESIDE_M = 2.0
 """Who goes around a thing stays as near to its outline."""
+AT_THE_DESK_M = 1.3
+"""The chair before the desk, or the bin beside it, is taken for a part of it: that costs 0.3 m."""
 
 
 @pytest.fixture
@@ -34,12 +36,11 @@ def house(shared_dir, monkeypatch) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("start", "desk_m"),
-    # On the second way the trash can beside the desk is taken for a part of it.
-    [("null", 1.0), ("[3.6, -3.9, 2.6]", 1.5)],
+    "start",
+    ["null", "[3.6, -3.9, 2.6]"],
     ids=["the sofa has to be looked for", "the sofa is in sight"],
 )
-def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start, desk_m):
+def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start):
     loop = ClosedLoop(load("aws-house", {**house, "EDGE__SIM__START": start}), task=TASK)
     trail_m = [[], []]  # before there was a trajectory, and on it
     while not loop.service.status.done:
@@ -48,7 +49,7 @@ def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start, desk
         trail_m[loop.service.task.phase != "looking"].append((pose.x_m, pose.y_m))
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.drive.motion.collisions == 0
-    assert loop.distance_m("desk") <= desk_m
+    assert loop.distance_m("desk") <= AT_THE_DESK_M
     (sofa,) = (thing for thing in loop.world.objects if thing.label == "sofa")
     driven_m = np.array(trail_m[1])
     beside = np.array([sofa.distance_m(x, y) <= BESIDE_M for x, y in driven_m])
