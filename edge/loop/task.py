@@ -25,7 +25,7 @@ from edge.loop.semantic_map import SemanticMap
 from edge.mapping.view import MapView
 from edge.mission.language.words import TranslationError
 from edge.mission.run import MissionRun
-from edge.motion.pursuit import MotionLimits
+from edge.motion.pursuit import MotionLimits, index_ahead
 from edge.tasks.facts import TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
 from edge.tasks.objects import ObjectMap
@@ -356,6 +356,9 @@ class TaskRun:
                 self._mission.complete("driven to its end", now_ns)
             else:
                 self._ask(map, observation, None, nearer_to=thing)
+        elif state == "reached":
+            # Where the path doubles back, the robot is as near to a part of it that lies behind.
+            self._index = index_ahead(refined.poses[:, :2], self._index, AHEAD_M)
         elif stuck or state == "failed":
             why = "the robot is held up"
             if not stuck:
@@ -482,9 +485,9 @@ def _nearer(order: _Order, thing: int) -> Draft:
 
 
 def _scene(order: _Order) -> Scene:
-    radius_m, seen = _body(order.config).clearance_m, order.objects.objects.values()
+    radius_m = _body(order.config).clearance_m
     return scene_of_map(
-        order.view, order.observation, order.instances, radius_m, order.found, seen=seen
+        order.view, order.observation, order.instances, radius_m, order.found, seen=order.objects
     )
 
 
