@@ -45,16 +45,26 @@ def pytest_xdist_auto_num_workers() -> int:
     return min(len(os.sched_getaffinity(0)) + 1, MOST_WORKERS)
 
 
-# Kernels that this checkout has not compiled yet: each worker would compile all of them, for half a
-# minute. It is done once, while they collect.
+# Kernels that this checkout has not compiled yet: each worker would compile all of them, for a
+# minute and a half. It is done once, while they collect.
 COMPILE = """
-from simulated import simulated
-from edge.eval.closed_loop import ClosedLoop
-from edge.loop.warmup import warm_up
-lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
-config = simulated({**lockstep, "sensors": {"lidar": {}}})
-warm_up(config)
-ClosedLoop(config).run(5.0)
+import tempfile
+from pathlib import Path
+import numpy as np
+from small_house import small_house
+from edge.eval.columns import make_columns
+from edge.eval.drive import in_process, run_episode
+from edge.eval.episodes import make_episode, sensing_of
+from edge.eval.trajectory_metrics import likeness
+from edge.geometry import Grid
+with tempfile.TemporaryDirectory() as folder:
+    config = small_house(Path(folder), sensors={"lidar": {}})
+    world = config.sim.world.model_dump()
+    episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, sensing_of(config), "bed")
+    outcome = run_episode(make_columns(config, {"own": {}})[0], episode, in_process)
+    assert outcome.success, outcome
+a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
+likeness(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
 _compiling: list[subprocess.Popen] = []
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.chat import ChatError
+from edge.chat import ChatError, LateError
 from edge.config import Tasks, WriterModel
 from edge.errors import UnavailableError, UserError
 from edge.eval.trajectories.episodes import Episode
@@ -42,6 +42,7 @@ CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
     (RefineError, "not refined"),
     (TrajectoryError, "cannot be done"),
+    (LateError, "too late"),
     (ChatError, "no answer"),
     (WriteError, "nothing written"),
 )
