@@ -43,6 +43,10 @@ class CutOffError(ChatError):
         self.answer = answer
 
 
+class LateError(ChatError):
+    """No whole answer came within the time limit."""
+
+
 class ChatClient:
     """Asks one model on one server.
 
@@ -131,7 +135,7 @@ class ChatClient:
     ) -> Reply:
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
-            raise self._error(_reason(TimeoutError(), self.time_limit_s))
+            raise self._late()
         request = {"model": self.model, "messages": messages, "stream": False, **options}
         reply = self._exchange(json.dumps(request).encode(), left_s)
         if 300 <= reply.status < 400:
@@ -148,12 +152,14 @@ class ChatClient:
         exchange, request = Exchange(), self._request(body, left_s)
         with self._lock:
             if self._closed:
-                raise self._error(_reason(GivenUpError(), self.time_limit_s))
+                raise self._error(_reason(GivenUpError()))
             self._under_way.add(exchange)
         try:
             return exchange.carry_out(self._http, request, self.max_answer_bytes, left_s)
+        except (TimeoutError, httpx.TimeoutException):
+            raise self._late() from None
         except Exception as error:
-            raise self._error(_reason(error, self.time_limit_s)) from None
+            raise self._error(_reason(error)) from None
         finally:
             with self._lock:
                 self._under_way.discard(exchange)
@@ -233,6 +239,12 @@ class ChatClient:
     def _error(self, what: str) -> ChatError:
         return ChatError(f"{self.url}: {what}")
 
+    def _late(self) -> LateError:
+        return LateError(
+            f"{self.url}: no whole answer within {self.time_limit_s:g} s; raise time_limit_s or "
+            "use a faster model"
+        )
+
     def __repr__(self) -> str:
         return f"ChatClient({self.url!r}, {self.model!r})"
 
@@ -244,13 +256,11 @@ def _split(url: str) -> SplitResult:
         raise ChatError(str(error)) from None
 
 
-def _reason(error: Exception, limit_s: float) -> str:
+def _reason(error: Exception) -> str:
     """What went wrong, and what to do."""
     match error:
         case GivenUpError():
             return "no longer waited for"
-        case TimeoutError() | httpx.TimeoutException():
-            return f"no whole answer within {limit_s:g} s; raise time_limit_s or use a faster model"
         case httpx.HTTPError() | UnicodeError():
             return failure(error)
     raise error

@@ -45,8 +45,8 @@ def pytest_xdist_auto_num_workers() -> int:
     return min(len(os.sched_getaffinity(0)) + 1, MOST_WORKERS)
 
 
-# Kernels that this checkout has not compiled yet: each worker would compile all of them, for a minute
-# and a half. It is done once, while they collect.
+# Kernels that this checkout has not compiled yet: each worker would compile all of them, for a
+# minute and a half. It is done once, while they collect.
 COMPILE = """
 import tempfile
 from pathlib import Path

@@ -134,6 +134,10 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         help="Lang2LTL's symbolic utterances (symbolic_batch12_noperm.csv); without it that set "
         "is skipped",
     )  # fmt: skip
+    option(
+        "--clean-up", type=Path, metavar="JSONL",
+        help="what people wrote for a robot in coloured rooms (golden.jsonl of Clean-up World)",
+    )  # fmt: skip
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))

@@ -1,9 +1,10 @@
 """`edge eval translate`: how many instructions a translator gets right, by language equivalence.
 
-Two sets: the 2000 tasks of the task-level benchmark (ViTL V-C), and Lang2LTL's symbolic
-utterances (Liu et al., CoRL 2023), whose formulas are about endless words. A mission ends, so a
-formula of theirs applies to the words that fulfil it when nothing more is reached afterwards; it
-counts where there is such a word with one object or nothing per step. "Visit a for ever" has none.
+Three sets: the 2000 tasks of the task-level benchmark (ViTL V-C); Lang2LTL's symbolic utterances
+(Liu et al., CoRL 2023), whose formulas are about endless words; and what people wrote for a robot
+in a house of coloured rooms (Gopalan et al., RSS 2018). A mission ends, so a formula about endless
+words applies to the words that fulfil it when nothing more is reached afterwards; it counts where
+there is such a word with one object or nothing per step. "Visit a for ever" has none.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import csv
 import io
 import json
+import re
 import sys
 import time
 from collections import Counter
@@ -26,7 +28,17 @@ from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.planning.templates import generate
 from edge.host.bars import counted
 from edge.host.files import open_regular, save
-from edge.mission.ltl import STRENGTH, UNARY, Formula, FormulaError, ap, conj, disj, to_text
+from edge.mission.ltl import (
+    STRENGTH,
+    UNARY,
+    Formula,
+    FormulaError,
+    ap,
+    conj,
+    disj,
+    renamed,
+    to_text,
+)
 from edge.mission.translate import TranslationError, Translator, make_translator
 from edge.text import aligned, one_line
 
@@ -93,6 +105,43 @@ def lang2ltl_cases(path: Path) -> tuple[list[Case], Counter[str]]:
                     left_out[row["pattern_type"]] += 1
     except (OSError, ValueError, csv.Error, KeyError) as error:
         raise UserError(f"{path}: not readable as Lang2LTL's table: {error!r}") from error
+    return cases, left_out
+
+
+_ROOMS = {"B": "blue", "R": "red", "C": "green", "Y": "yellow"}
+_ROOM = re.compile(
+    r"\b(?:(?:large|small|big|little) )*(blue|red|green|yellow)"
+    r"(?: (?:(?:rectangular|square|big|large|small|colored) )?"
+    r"(?:rooms?|area|region|section|square|rectangle|rectangular|box|space|zone|block|one)\b)?",
+    re.IGNORECASE,
+)
+
+
+def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+    """The sentences that name the rooms of their formulas, "the blue" written "the blue room";
+    how many others: they name other rooms, or a thing to be carried.
+
+    Raises:
+        UserError: the file cannot be read, or is no such table.
+    """
+    cases: list[Case] = []
+    left_out: Counter[str] = Counter()
+    try:
+        with open_regular(path) as file:
+            for line in io.TextIOWrapper(file, encoding="utf-8"):
+                row = json.loads(line)
+                prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
+                rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
+                said = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
+                part = " ".join("r" if word in rooms else word for word in prefix)
+                if said != rooms:
+                    left_out[part] += 1
+                    continue
+                formula = renamed(from_prefix(" ".join(prefix)), "{} room".format)
+                sentence = _ROOM.sub(lambda found: f"{found[1].lower()} room", row["natural"])
+                cases.append(Case(part, sentence, formula, True))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{path}: not readable as the clean-up table: {error!r}") from error
     return cases, left_out
 
 
@@ -196,6 +245,8 @@ def run(args: argparse.Namespace) -> int:
         print("Lang2LTL: skipped; give its table with --lang2ltl FILE", file=sys.stderr)
     else:
         sets["Lang2LTL"] = lang2ltl_cases(args.lang2ltl)
+    if args.clean_up is not None:
+        sets["Clean-up"] = clean_up_cases(args.clean_up)
     result: dict[str, Any] = {"backend": args.backend, "seed": args.seed}
     failed: list[str] = []
     stopped_by: BaseException | None = None

@@ -298,7 +298,7 @@ class Service:
             stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
             if task is not None:
                 task.step(self.map, self.goals, observation, self._detections, stuck, now_ns)
-            if self.goals.exhausted and (task is None or task.looking):
+            if self.goals.exhausted and (task is None or task.missing):
                 mission.give_up(self.goals.why_in_vain(mission, self.map.grid), now_ns)
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):

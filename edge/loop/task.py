@@ -23,8 +23,9 @@ from edge.loop.goal import GoalTracker
 from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.view import MapView
+from edge.mission.language.words import TranslationError
 from edge.mission.run import MissionRun
-from edge.motion.pursuit import MotionLimits
+from edge.motion.pursuit import MotionLimits, index_ahead
 from edge.tasks.facts import TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
 from edge.tasks.objects import ObjectMap
@@ -44,6 +45,8 @@ AHEAD_M = 1.5
 APART_M = 0.3
 LOOK_NS = 500_000_000
 """How often the path ahead is looked at."""
+AGAIN_NS = 2_000_000_000
+"""How often it is tried to write a trajectory that what was seen so far did not allow."""
 TURNS = 3
 """On the spot, in which a model's robot comes round once before the trajectory is written."""
 SAME_PLACE_M = 0.5
@@ -59,6 +62,7 @@ class Draft:
 
     Attributes:
         refined: the trajectory; None: there is none, and `error` says why in one line.
+        hopeless: whatever else comes to be known, there will be none.
         coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
         speed_mps: that was asked for; None: none was.
         stops_at: see `edge.tasks.write.Written`.
@@ -67,6 +71,7 @@ class Draft:
 
     refined: Refined | None = None
     error: str = ""
+    hopeless: bool = False
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
     stops_at: int | None = None
@@ -141,6 +146,8 @@ class TaskRun:
         self._index = self._refinements = 0
         self._order: _Order | None = None  # that the worker is at
         self._why = ""  # a trajectory before this one could not be driven on
+        self._refused = ""  # why none can be written from what was seen so far
+        self._all_seen = False
         self._held_up_at: SE2 | None = None
         self._looked_ns = 0
 
@@ -149,9 +156,15 @@ class TaskRun:
         return isinstance(self.config.tasks.planner, WriterModel)
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """What it names and has to be seen yet."""
+        return self._mission.plan.steps if self.phase == "looking" else ()
+
+    @property
     def looking(self) -> bool:
-        """Whether what it names is still looked for, as a mission's target is."""
-        return self.phase == "looking" and bool(self._mission.plan.steps)
+        """Whether the robot searches, as for a mission's target: for what it names, or for ground
+        that a trajectory can lead over."""
+        return self.phase == "looking" and bool(self.missing or self._refused)
 
     # -- in each tick -----------------------------------------------------------------------
 
@@ -175,7 +188,9 @@ class TaskRun:
             self._see(detections)
         if (draft := self._worker.poll()) is not None and self._order is not None:
             self._take(draft, self._order, now_ns)
-        if self.phase == "looking" and not self.looking:
+        if self._refused and self.phase == "looking" and not self.missing:
+            self._look_on(map, goals, observation, now_ns)
+        elif self.phase == "looking" and not self.missing:
             self._look_round(goals, pose, stuck)
         if self.phase == "writing" and self._order is None and not self._mission.done:
             if not self._by_model:
@@ -215,7 +230,7 @@ class TaskRun:
             instruction=mission.brief.translation.instruction,
             phase=outcome if outcome in ("reached", "failed") else self.phase,
             writer=f"{planner.model} at {planner.url}" if self._by_model else planner.kind,
-            missing=mission.plan.steps if self.looking else (),
+            missing=self.missing,
             understood=draft.understood,
             prompt=draft.prompt,
             rounds=draft.rounds if self._order is None else tuple(self._order.rounds),
@@ -239,6 +254,18 @@ class TaskRun:
             self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + math.tau / TURNS)
         else:
             self._turning, self.phase = None, "writing"
+
+    def _look_on(
+        self, map: SemanticMap, goals: GoalTracker, observation: Observation, now_ns: int
+    ) -> None:
+        """Try again now and then while the map grows, and once it does no more."""
+        if self._order is not None:
+            return
+        if self._all_seen:
+            self._mission.fail(_line(self._refused), now_ns)
+        elif goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
+            self._looked_ns, self._all_seen = now_ns, goals.exhausted
+            self._ask(map, observation, None)
 
     def _see(self, found: Detections) -> None:
         """What the targets look like all round is gathered beside the loop."""
@@ -269,7 +296,8 @@ class TaskRun:
             for label in self._mission.brief.targets
             for one in map.tracker.of(label, doubted=False)
         }
-        self.phase = "writing"
+        if not self._refused:
+            self.phase = "writing"
         self._order = _Order(
             self.config,
             self._mission.brief.translation.instruction,
@@ -296,12 +324,16 @@ class TaskRun:
                 draft = replace(self._draft, refined=draft.refined, stops_at=None)
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
-            self.phase = "driving"
+            self.phase, self._refused = "driving", ""
             mission.tell(_line(_told(draft, order)), now_ns)
         elif order.nearer_to is not None:
             mission.complete("driven to its end", now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
+        elif not (draft.hopeless or self._why or self._by_model):
+            if not self._refused:
+                mission.tell(_line(f"{draft.error}: looking further"), now_ns)
+            self.phase, self._refused, self._looked_ns = "looking", draft.error, now_ns
         else:
             self._draft = draft
             after = f"{self._why}; written again: " if self._why else ""
@@ -324,6 +356,9 @@ class TaskRun:
                 self._mission.complete("driven to its end", now_ns)
             else:
                 self._ask(map, observation, None, nearer_to=thing)
+        elif state == "reached":
+            # Where the path doubles back, the robot is as near to a part of it that lies behind.
+            self._index = index_ahead(refined.poses[:, :2], self._index, AHEAD_M)
         elif stuck or state == "failed":
             why = "the robot is held up"
             if not stuck:
@@ -393,7 +428,7 @@ def _done(order: _Look | _Order) -> Draft | None:
             return _nearer(order, order.nearer_to)
         return _refined(order) if order.before is not None else _written(order)
     except UserError as error:
-        return Draft(error=str(error))
+        return Draft(error=str(error), hopeless=isinstance(error, TranslationError))
     except Exception as error:
         log.exception("writing a trajectory")
         return Draft(error=f"a fault of edge itself: {type(error).__name__}: {error}")
@@ -423,7 +458,8 @@ def _written(order: _Order) -> Draft:
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
     except UserError as error:
-        return replace(draft, error=str(error), rounds=tuple(order.rounds))
+        hopeless = isinstance(error, TranslationError)
+        return replace(draft, error=str(error), hopeless=hopeless, rounds=tuple(order.rounds))
     return replace(draft, refined=refined, rounds=tuple(order.rounds))
 
 
@@ -449,9 +485,9 @@ def _nearer(order: _Order, thing: int) -> Draft:
 
 
 def _scene(order: _Order) -> Scene:
-    radius_m, seen = _body(order.config).clearance_m, order.objects.objects.values()
+    radius_m = _body(order.config).clearance_m
     return scene_of_map(
-        order.view, order.observation, order.instances, radius_m, order.found, seen=seen
+        order.view, order.observation, order.instances, radius_m, order.found, seen=order.objects
     )
 
 

@@ -330,7 +330,8 @@ def _refined_of(said: dict[str, Any]) -> Refined:
 def _draft(d: Draft) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m), "speed_mps": d.speed_mps,
+        "hopeless": d.hopeless, "speed_mps": d.speed_mps,
+        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
         "stops_at": d.stops_at, "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
@@ -341,6 +342,7 @@ def draft_of(said: dict[str, Any]) -> Draft:
     refined, coarse_m = said["refined"], said["coarse_m"]
     return Draft(
         None if refined is None else _refined_of(refined), said["error"],
+        said["hopeless"],
         None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
         said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
     )  # fmt: skip

@@ -9,8 +9,8 @@ from edge.config import Config, WriterModel
 from edge.mission import ltl
 from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
 from edge.mission.translate import Translation
-from edge.tasks import rules
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
+from edge.tasks.reading import named
 
 _MOST_WORDS = 4
 """Of a name that is looked for in an instruction."""
@@ -47,7 +47,7 @@ def prepare_task(config: Config, task: str) -> Brief:
     if isinstance(config.tasks.planner, WriterModel):
         to_see, targets = (), known_names(task)[: config.mission.max_targets]
     else:
-        to_see = targets = rules.named(task)
+        to_see = targets = named(task)
     translation = Translation(task, ltl.TRUE, task, config.tasks.planner.kind)
     return brief_of_task(config.mission, translation, targets or (config.mission.target,), to_see)
 

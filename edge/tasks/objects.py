@@ -23,6 +23,8 @@ _CLOSE_M = 0.05
 """What a point lies off a side counts about this much at least."""
 _FIT_POINTS = 400
 MOST_POINTS = 4096
+AGREED = 3
+"""A place is of a thing that is in many pictures where so many show it there."""
 LEAST_POINTS = 5
 """With fewer there is no telling where and how large it is."""
 
@@ -177,6 +179,7 @@ class ObjectMap:
     def __init__(self) -> None:
         self.objects: dict[int, MapObject] = {}
         self._newest = 0
+        self._votes: Counter[tuple[str, int, int, int]] = Counter()
 
     def add(
         self,
@@ -209,6 +212,21 @@ class ObjectMap:
         _absorb(one, new)
         self._unite(one)
         return one
+
+    def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
+        """One picture says that a thing of that label is there (1), or something else (-1)."""
+        label = names.canonical(label)
+        for voxel in np.unique(np.floor(points_m / VOXEL_M).astype(np.int64), axis=0).tolist():
+            self._votes[(label, *voxel)] += by
+
+    def agreed_m(self, thing: MapObject) -> np.ndarray:
+        """(n, 3) float32, the points of a thing for which `AGREED` more pictures speak than against
+        them, or a third of all that there are; all, where that leaves too few."""
+        voxels = np.floor(thing.points_m / VOXEL_M).astype(np.int64).tolist()
+        votes = np.array([self._votes[(thing.label, *voxel)] for voxel in voxels])
+        agreed = (votes > 0) & (votes >= min(AGREED, thing.hits / 3))
+        enough = agreed.sum() >= LEAST_POINTS
+        return thing.points_m[agreed] if enough else thing.points_m
 
     def _unite(self, one: MapObject) -> None:
         """What has grown may touch what was apart from it before."""

@@ -12,7 +12,8 @@ BESIDE = 0.25
 """Share of a box's size that is looked at on each side of it, to see what goes on beyond it."""
 GAP_M, GAP_SHARE = 0.5, 0.015
 """Surfaces are apart where depth leaps by more; scan lines on one surface lie further apart the
-farther it is."""
+farther it is. A side at a grazing angle is cut off where its own returns do: at 20 m below 4 deg
+with a column every 0.17 deg, as a LiDAR of 64 rings has, and below 13 deg with one every 0.5."""
 LEAST_SPAN = 0.2
 """Points that reach over less of the width or height of their box are of something else in it, such
 as the hedge before a house that stands higher than the LiDAR looks."""

@@ -14,7 +14,6 @@ import numpy as np
 from edge.geometry import SE2
 from edge.tasks.functions import BESIDE_M, SIDES_RAD, CallError, Functions, Point
 from edge.tasks.reading import OF, Step, called, centre_m, read
-from edge.tasks.reading import named as named
 from edge.tasks.scene import SceneObject
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line

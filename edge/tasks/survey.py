@@ -100,9 +100,11 @@ class Survey:
         if ground_kind is not None:
             self._add_ground(points_m[:, :2], ground_kind)
         seen = see(self._chain, observation)
-        shown = _shown(seen.found, cloud_m, T_base_cloud, points_m, above)
+        shown = _in_boxes(seen.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
         self._newest, self._contours = observation, {}
-        for i, points in enumerate(shown):
+        for i, (which, _) in enumerate(shown):
+            points = points_m[which]
+            points = points[main_cluster(points, T_map_cloud[:3, 3])]
             thing = self.objects.add(
                 seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
                 float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
@@ -142,8 +144,11 @@ class Survey:
 def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
     """Bring what the boxes of one picture show into an object map (OpenNav eq. 2).
 
+    What stands before a thing, such as the chair before a desk, is in its box too: where the
+    detector tells of other things, what a smaller box shows is not the larger one's.
+
     Args:
-        found: with a picture that has a camera, and a cloud or depth.
+        found: with a picture that has a camera, and a cloud or depth; and its context.
         range_m: what is farther away says too little of a thing.
 
     Raises:
@@ -156,8 +161,19 @@ def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
     pose, base_z_m = seen.pose, float(seen.T_map_base[2, 3])
     ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
     above = terrain.height_above(ground, points_m)
-    for i, points in enumerate(_shown(found, cloud_m, T_base_cloud, points_m, above)):
-        objects.add(found.prompts[found.class_id[i]], points, score=float(found.score[i]))
+    around, sensor_m = found.around(), (seen.T_map_base @ T_base_cloud)[:3, 3]
+    keep = above > OFF_GROUND_M
+    smallest_px2 = np.full(len(points_m), np.inf)  # box of something else that shows the point
+    if around is not None:
+        for which, area_px2 in _in_boxes(around, cloud_m, T_base_cloud, keep):
+            smallest_px2[which] = np.minimum(smallest_px2[which], area_px2)
+    for i, (which, area_px2) in enumerate(_in_boxes(found, cloud_m, T_base_cloud, keep)):
+        label, own = found.prompts[found.class_id[i]], smallest_px2[which] >= area_px2
+        points = points_m[which[own]]
+        points = points[main_cluster(points, sensor_m)]
+        objects.add(label, points, score=float(found.score[i]))
+        objects.vote(label, points, 1)
+        objects.vote(label, points_m[which[~own]], -1)
 
 
 def scene_of_map(
@@ -167,7 +183,7 @@ def scene_of_map(
     radius_m: float,
     found: Detections | None = None,
     floor: str = "floor",
-    seen: Iterable[MapObject] = (),
+    seen: ObjectMap | None = None,
 ) -> Scene:
     """A scene of what the service knows: free floor is one region for each piece of it.
 
@@ -179,48 +195,44 @@ def scene_of_map(
         seen: an object map of the same things: a tracker keeps but few points of an instance, and
             of a large thing may have several, which have no middle in common.
     """
-    objects = _whole([one for one in instances if len(one.points_m)], list(seen))
+    objects = _whole([one for one in instances if len(one.points_m)], seen or ObjectMap())
     contours = {} if found is None else _boxed(objects, found)
     occupancy = terrain.with_blind_spot(as_seen(view), observation.pose)
     return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
 
 
-def _whole(instances: Sequence[Instance], seen: Sequence[MapObject]) -> list[MapObject]:
+def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
     """Instances with all that was seen of them; those of one object are one, by their first id."""
     objects: dict[int, MapObject] = {}
     for one in sorted(instances, key=lambda instance: instance.id):
         points_m, key = one.points_m, -one.id
-        alike = [thing for thing in seen if names.same(thing.label, one.label)]
+        alike = [thing for thing in seen.objects.values() if names.same(thing.label, one.label)]
         share = [share_near(one.points_m, thing.points_m) for thing in alike]
         if share and max(share) > 0.0:
             thing = alike[int(np.argmax(share))]
-            points_m, key = thing.points_m, thing.id
+            points_m, key = seen.agreed_m(thing), thing.id
         whole = MapObject(one.id, {one.label: one.score}, points_m, score=one.score, hits=one.hits)
         objects.setdefault(key, whole)
     return list(objects.values())
 
 
-def _shown(
-    found: Detections,
-    cloud_m: np.ndarray,
-    T_base_cloud: np.ndarray,
-    points_m: np.ndarray,
-    above_m: np.ndarray,
-) -> Iterator[np.ndarray]:
-    """What each box shows of its thing: (n, 3) float32 in `map`.
+def _in_boxes(
+    found: Detections, cloud_m: np.ndarray, T_base_cloud: np.ndarray, keep: np.ndarray
+) -> Iterator[tuple[np.ndarray, float]]:
+    """What each box shows of its thing, as indices into the cloud, and the box's area in pixels.
 
     Args:
-        points_m: of the cloud, in `map`; `above_m`: their height over the ground.
+        keep: (n,) bool, points that count.
     """
     seen = found.observation
-    mine = points_of_masks(
-        cloud_m, invert(seen.T_base_camera) @ T_base_cloud, seen.camera, found.xyxy_px, found.mask,
-        above_m > OFF_GROUND_M,
-    )  # fmt: skip
-    sensor_m = (seen.T_map_base @ T_base_cloud)[:3, 3]
-    for which in mine:
-        points = points_m[which]
-        yield points[main_cluster(points, sensor_m)]
+    T_camera_cloud = invert(seen.T_base_camera) @ T_base_cloud
+    shown = points_of_masks(cloud_m, T_camera_cloud, seen.camera, found.xyxy_px, found.mask, keep)
+    return zip(shown, _areas_px2(found).tolist(), strict=True)
+
+
+def _areas_px2(found: Detections) -> np.ndarray:
+    """(n,) float32."""
+    return np.prod(found.xyxy_px[:, 2:] - found.xyxy_px[:, :2], axis=1)
 
 
 def as_seen(view: RollingMap | MapView) -> Grid:
@@ -280,7 +292,7 @@ def _boxed(objects: Iterable[MapObject], found: Detections) -> dict[int, list[np
     if camera is None:
         return {}
     T = invert(seen.T_map_base @ seen.T_base_camera)
-    area = np.prod(found.xyxy_px[:, 2:] - found.xyxy_px[:, :2], axis=1)
+    area = _areas_px2(found)
     out = {}
     for thing in objects:
         x, y, z = _moved(T, np.median(thing.points_m, axis=0)[None])[0]

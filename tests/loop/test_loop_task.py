@@ -18,7 +18,7 @@ from edge.mission.run import MissionRun
 from edge.tasks.brief import prepared
 
 STRAIGHT = "go straight for 2 metres"
-TO_THE_TABLE = "go to the table"
+TO_THE_OVEN = "go to the oven"
 
 
 def closed(task: str | None = STRAIGHT, **sections: dict) -> ClosedLoop:
@@ -58,10 +58,10 @@ def test_what_names_nothing_is_driven_at_once():
 
 
 def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
-    loop = closed(TO_THE_TABLE)
+    loop = closed(TO_THE_OVEN)
     loop.step()
     facts = loop.service.result().task()
-    assert (facts.phase, facts.missing, facts.refined) == ("looking", ("table",), None)
+    assert (facts.phase, facts.missing, facts.refined) == ("looking", ("oven",), None)
     loop.run(200)
     mission = loop.service.mission
     assert loop.service.status.phase == "reached", loop.notes.events
@@ -69,7 +69,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
     kinds = [step.kind for step in mission.steps]
     assert kinds[:4] == ["start", "target", "seen", "trajectory"]
     assert kinds[-1] == "end"
-    assert loop.distance_m("table") <= 1.0
+    assert loop.distance_m("oven") <= 1.0
     assert loop.drive.motion.collisions == 0
     assert json.dumps(status_of(loop.service.result()))
 
@@ -82,7 +82,7 @@ def test_what_is_nowhere_fails_with_what_was_missed():
 
 
 def test_the_same_observations_give_the_same_task():
-    runs = [closed(TO_THE_TABLE).run(100) for _ in range(2)]
+    runs = [closed(TO_THE_OVEN).run(100) for _ in range(2)]
     assert runs[0].service.mission.steps == runs[1].service.mission.steps
     assert runs[0].notes.goals == runs[1].notes.goals
 
@@ -137,7 +137,7 @@ def test_a_cancelled_task_stands():
 
 
 def test_a_pose_jump_voids_the_trajectory_and_another_is_written():
-    loop = until(closed(TO_THE_TABLE), "driving")
+    loop = until(closed(TO_THE_OVEN), "driving")
     before = loop.service.result().task().refined
     loop.service.forget_places(loop.drive.motion.stamp_ns)
     facts = loop.service.result().task()
@@ -198,14 +198,14 @@ def test_a_model_that_writes_none_ends_the_task_in_one_line(answer, said):
 
 def test_after_a_restart_a_task_is_read_again_and_begins_anew(tmp_path):
     config = simulated({"mission": {"checkpoint": str(tmp_path / "c")}})
-    loop = until(closed(TO_THE_TABLE), "driving")
+    loop = until(closed(TO_THE_OVEN), "driving")
     service = loop.service
-    service.keeper = Keeper(config, tmp_path / "c", TO_THE_TABLE)
+    service.keeper = Keeper(config, tmp_path / "c", TO_THE_OVEN)
     loop.step()
     service.keeper.close()
     again = Keeper(config, tmp_path / "c", None)
     brief = again.brief()
-    assert (brief.to_see, brief.translation.instruction) == (("table",), TO_THE_TABLE)
+    assert (brief.to_see, brief.translation.instruction) == (("oven",), TO_THE_OVEN)
     mission = MissionRun(brief, config.mission)
     again.resume(mission)
     assert mission.elapsed_s > 1.0

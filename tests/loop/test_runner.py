@@ -113,13 +113,13 @@ NOWHERE = "no_such_module:A"
     [("policy", {"kind": NOWHERE}), ("source", {"kind": NOWHERE}), ("sinks", [NOWHERE])],
 )
 def test_whatever_is_named_is_looked_up_before_anything_is_begun(monkeypatch, section, named):
-    monkeypatch.setattr(launch, "prepare", None)
+    monkeypatch.setattr(launch, "prepared", None)
     settings = simulated({section: named})
     with pytest.raises(ConfigError, match=section), open_service(settings, []):
         raise AssertionError
 
 
-STEPS = ["prepare", "make_detector", "make_scorers", "warm_up"]
+STEPS = ["prepared", "make_detector", "make_scorers", "warm_up"]
 
 
 @pytest.mark.parametrize("last", STEPS)

@@ -38,7 +38,7 @@ SAID = [
     ("G(bed -> F sofa)", "Whenever the bed is reached, the sofa must be reached later."),
     ("G(bed -> X sofa)", "Whenever the bed is reached, the sofa must be reached at the next step."),
     ("G(bed -> G !sofa)", "Once the bed is reached, never reach the sofa."),
-    ('F end & F "avoid bed"', 'Reach the end and "avoid bed" in any order.'),
+    ('F end & F "avoid bed"', 'Reach "end" and "avoid bed" in any order.'),
     ("bed",
      "See to it, from the first step on, that the bed is reached at that step."),
     ("F(bed & F bed)",  # the same visit may count twice, so it must not read "then the bed"

@@ -118,7 +118,7 @@ HOUSEHOLD = [
     ("the stove must be avoided", "G !stove"),
     ("the bed must be visited", "F bed"),
     ("make sure both the bed and the tv are visited", "F bed & F television"),
-    ("visit the bed without going to the tv", "F bed & (!television W bed)"),
+    ("visit the bed without going to the tv", "F bed & G !television"),
     ("visit the bed while avoiding the tv, then the sofa", "F(bed & F sofa) & (!television W bed)"),
     ("go to the bed but not to the tv", "F bed & G !television"),
     (
@@ -188,7 +188,37 @@ LETTERS = [  # ../shared/nl2ltl writes letters, without commas; `a` is also an a
 ]
 
 
-@pytest.mark.parametrize(("sentence", "formula"), [*VITL, *HOUSEHOLD, *LETTERS])
+ON_THE_WAY = [
+    ("avoid the sofa on the way to the bed", "F bed & G !sofa"),
+    ("do not pass the sofa when going to the bed", "F bed & G !sofa"),
+    ("go to the bed without the sofa", "F bed & G !sofa"),
+    ("while avoiding the sofa, go to the bed", "F bed & G !sofa"),
+    ("go to the bed by avoiding the sofa", "F bed & G !sofa"),
+    ("dont take the hallway to get to the bed", "F bed & G !hallway"),
+    ("go to the bed but do not use the hallway to get there", "F bed & G !hallway"),
+    ("go to the bed but do not enter the hallway first", "F bed & (!hallway W bed)"),
+    ("do not go to the bed until after the sofa", "!bed W sofa"),
+    ("go to the bed via the hallway", "F(hallway & F bed)"),
+    ("go through the hallway to the bed", "F(hallway & F bed)"),
+    ("drive through the hallway and into the bedroom", "F(hallway & F bedroom)"),
+    ("cross the hallway to get to the bed", "F(hallway & F bed)"),
+    ("go through the kitchen or the hallway to reach the bed", "F((kitchen | hallway) & F bed)"),
+    ("on the way to the bed, visit the sofa", "F(sofa & F bed)"),
+    ("visit the bed while passing the sofa", "F(sofa & F bed)"),
+    ("go from the door to the bed through the hallway", "F(door & F(hallway & F bed))"),
+    ("go to the sofa, then continue to the bed", "F(sofa & F bed)"),
+    ("go to the sofa go to the bed", "F(sofa & F bed)"),
+    ("visit the sofa, go to the bed, and return to the sofa", "F(sofa & F(bed & F sofa))"),
+    ("visit the sofa at least once and at most twice", "F sofa & !F(sofa & F(!sofa & F(sofa & "
+     "F(!sofa & F sofa))))"),
+    ("Go to the sofa. If you have reached the sofa, then you may go to the bed.", "F sofa"),
+    ("go to landmark two", 'F "landmark two"'),
+    ("go to the second floor and then to room 3", 'F ("second floor" & F "room three")'),
+    ("Hi robot, would you mind checking the fridge for me?", "F refrigerator"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("sentence", "formula"), [*VITL, *HOUSEHOLD, *LETTERS, *ON_THE_WAY])
 def test_means(sentence: str, formula: str) -> None:
     """The language is the expected one, and the formula's text parses back to it."""
     got = parse_english(sentence)
@@ -207,8 +237,8 @@ REFUSED = [
     ("do not go to the tv before that", "that"),
     ("visit it", "it"),
     ("go to", ""),
-    ("go to a tall, white trash can", "white trash can"),
-    ("go to the tall, white trash can", "white trash can"),
+    ("go to a tall, white trash can", "tall"),
+    ("go to the tall, white trash can", "tall"),
     ("visit the bed and the bed", "the bed and the bed"),
     ("find my keys and bring them to me", "to me"),
     ("visit the bed, then come back here", "here"),
@@ -230,7 +260,25 @@ REFUSED = [
     ("go to the bed, otherwise to the sofa", "otherwise to the sofa"),
     ("do not visit the bed until you visit the bed", "until you visit the bed"),
     ("visit the bed at least three times but at most twice", "but at most twice"),
-]
+    ("if you have reached the sofa then you may go to the bed", "if you have reached the sofa then "
+     "you may go to the bed"),
+    ("you don't have to go to the bed", "don't have to go to the bed"),
+    ("you need not go to the bed", "need not go to the bed"),
+    ("if you never find the sofa, go to the bed", "if you never find the sofa"),
+    ("if the door is open, go to the bed", "open"),
+    ("go to the bed only after visiting the sofa twice", "after visiting the sofa twice"),
+    ("turn left", "left"),
+    ("go to the sofa after dinner", "dinner"),
+    ("go to the sofa in the morning", "morning"),
+    ("go to the sofa and the bed, but avoid the former", "former"),
+    ("go to a spot in A", "in A"),
+    ("robot c", "robot c"),
+    ("go to the bed without changing floors", "changing floors"),
+    ("go to the blorf chair", "blorf chair"),
+    ("go to room 12", "room 12"),
+    ("do not go to the bed first", "do not go to the bed first"),
+    ("go to the bed and go through the hall", "go through the hall"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("sentence", "part"), REFUSED)
@@ -252,11 +300,44 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
         ("visit the bed forever", "a mission ends"),
         ("visit the bed and the sofa or the desk", "either … or …"),
         ("visit the bed frame", '"bed frame"'),
+        ("go to the firdge", "firdge: fridge\\?"),
+        ("go to the bed \x1b", "U\\+001B"),
+        ("Geh zum Sofa und dann zum Bett.", "in English only"),
+        ("Va au canapé puis au lit", "in English only"),
+        ("去沙发，然后去床", "in English only"),
     ],
 )
 def test_says_why(sentence: str, reason: str) -> None:
     with pytest.raises(TranslationError, match=reason):
         parse_english(sentence)
+
+
+ACCEPTED = [sentence for sentence, _ in (*HOUSEHOLD, *ON_THE_WAY) if '"' not in sentence]
+
+
+@pytest.mark.parametrize("sentence", ACCEPTED)
+def test_no_unknown_word_is_passed_over(sentence: str) -> None:
+    """In place of any word and between any two; words alone, so no punctuation helps."""
+    words = sentence.split()
+    for i in range(len(words) + 1):
+        for rest in (words[i:], words[i + 1 :]):
+            with pytest.raises(TranslationError):
+                parse_english(" ".join([*words[:i], "blorf", *rest]))
+
+
+MEANINGFUL = (
+    "not", "never", "twice", "without", "unless", "until", "may", "might", "again", "only",
+    "neither",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("sentence", ["go to the bed", "visit the sofa, then go to the bed"])
+@pytest.mark.parametrize("word", MEANINGFUL)
+def test_a_meaningful_word_changes_the_reading(sentence: str, word: str) -> None:
+    """Put in front, it changes the formula or is refused."""
+    read = parse_english(sentence)
+    with contextlib.suppress(TranslationError):
+        assert difference(parse_english(f"{word} {sentence}"), read) is not None
 
 
 def test_limits_are_named() -> None:
@@ -268,7 +349,7 @@ def test_limits_are_named() -> None:
 def test_exponential_formulas_are_refused() -> None:
     """Each step of two things doubles the formula."""
     for steps in (3, 100):
-        text = "visit " + ", then ".join(f"the x{i} and the y{i}" for i in range(steps))
+        text = "visit " + ", then ".join(f'the "x{i}" and the "y{i}"' for i in range(steps))
         if steps == 3:
             assert parse_english(text)
         else:
@@ -278,7 +359,7 @@ def test_exponential_formulas_are_refused() -> None:
 
 def test_long_instructions_are_read() -> None:
     """No recursion by length: 200 steps."""
-    names = [f"thing{chr(97 + i // 26)}{chr(97 + i % 26)}" for i in range(200)]
+    names = [f'"thing {chr(97 + i // 26)}{chr(97 + i % 26)}"' for i in range(200)]
     formula = parse_english(", then ".join(f"visit {name}" for name in names))
     assert to_text(formula).count("F ") == 200
 

@@ -195,7 +195,7 @@ def test_any_answer_is_a_formula_or_a_user_error(answer):
         ("the COFFEE tables and two chairs", ("coffee tables", "chairs")),
         ("the bed, table and lamp", ("bed", "table", "lamp")),
         ("the red chair", ("chair", "red chair")),
-        ("the fire hydrant", ("fire", "fire hydrant", "hydrant")),
+        ("the fire hydrant", ("fire hydrant",)),
         ("geh zum Stuhl", ("geh", "geh zum", "geh zum stuhl", "zum", "zum stuhl", "stuhl")),
         ("bed, bed; bed", ("bed",)),
     ],

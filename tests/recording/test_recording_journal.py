@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -18,11 +19,14 @@ from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop.journal import Input, Journal
 from edge.loop.prior import Rooms
+from edge.loop.task import Draft
 from edge.mission.brief import prepare
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
 from edge.recording import journal
 from edge.recording.journal import decode_page, encode_page
+from edge.tasks.legs import Leg
+from edge.tasks.refine import Refined
 from edge.types import MASK_SIDE, ContextBoxes, Detections, GoalStatus, Observation
 
 ROOT = Path(edge.__file__).parents[1]
@@ -153,6 +157,25 @@ def test_what_was_found_beside_the_loop_comes_back():
     choice = journal.choice_of(back["choice"])
     assert (choice.ids, choice.elsewhere, choice.scene) == ((3, 1), 0.25, 0.5)
     assert choice.p.tobytes() == values[:2].tobytes()
+
+
+@given(st.none() | st.floats(-math.pi, math.pi))
+def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
+    """Asked for at the end, and asked for again whenever it is planned again."""
+    line = np.array([[0.0, 0.0], [1.0, 0.0]])
+    poses = np.column_stack([line, np.zeros(2), [0.0, heading_rad or 0.0]])
+    refined = Refined(
+        poses, np.array([0.0, 0.0]), np.array([0.0, 2.0]), np.zeros(2, np.int64),
+        (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
+    )  # fmt: skip
+    (entry,) = again(Input(0, "found", {"worker": "task", "what": Draft(refined)}))
+    back = journal.draft_of(entry.fields["what"]).refined
+    assert back.heading_rad == heading_rad
+    assert (back.drivable, back.notes) == (refined.drivable, refined.notes)
+    for one, other in (
+        (back.poses, poses), (back.leg, refined.leg), (back.legs[0].points_m, line),
+    ):  # fmt: skip
+        assert (one.dtype, one.tobytes()) == (other.dtype, other.tobytes())
 
 
 def test_where_the_sensors_are_is_told_when_it_changes():

@@ -13,12 +13,15 @@ from task_scenes import STREET, Thing, street
 from edge.config import TrajectoryLimits
 from edge.geometry import SE2, wrap_angle
 from edge.mission.language.words import TranslationError
+from edge.motion.pursuit import MotionLimits
 from edge.tasks.functions import Functions
 from edge.tasks.ground import REACH_M, ground_of
 from edge.tasks.phrases import PHRASES, tokenise
 from edge.tasks.reading import named, read
+from edge.tasks.refine import refine, refine_again
 from edge.tasks.rules import carry_out
 from edge.tasks.trajectory import TrajectoryError
+from edge.tasks.value_map import Body
 
 LIMITS = TrajectoryLimits()
 SCENE = street(*STREET)
@@ -258,6 +261,27 @@ def test_a_thing_that_cannot_be_got_near_to_is_refused():
     with pytest.raises(TrajectoryError, match=r"^'go to the gate': the robot gets no nearer to"):
         driven("go to the gate", scene)
     assert REACH_M < 18.0 - 12.0
+
+
+@pytest.mark.parametrize(
+    ("words", "x_m", "y_m"),
+    [
+        ("stop at the gate", 16.0, 2.0),
+        ("stop left of the van", 8.0, 0.0),
+        ("go past the van, then stop at the blue car", 10.0, 6.0),
+    ],
+)
+def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
+    """Across the way it came too; where it leads to nothing, as it comes."""
+    _, coarse = driven(words)
+    body, motion = Body(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
+    refined = refine(
+        SCENE, coarse.segments, coarse.regions, body, motion, heading_rad=coarse.heading_rad
+    )
+    for last in (refined, refine_again(SCENE, refined, 0, body, motion)):
+        end = SE2(*last.poses[-1, [0, 1, 3]])
+        assert end.bearing_to(x_m, y_m) == pytest.approx(0.0, abs=1e-6)
+    assert driven("go past the van")[1].heading_rad is None
 
 
 def test_a_way_straight_on_that_is_blocked_is_refused():

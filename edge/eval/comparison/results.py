@@ -153,7 +153,8 @@ def run(args: argparse.Namespace) -> int:
     path = args.file.with_suffix(".md")
     try:
         images = _write_plots(found, args.file.with_suffix(""))
-        text = document(book, found, args.file, args.out, machine())
+        before = path.read_text("utf-8") if path.exists() else ""
+        text = document(book, found, args.file, args.out, machine(), before)
         write_atomically(path, text.encode())
     except OSError as error:
         raise FileError(f"{path}: {error.strerror or error}") from None
@@ -263,14 +264,18 @@ def _image(chapter: str, plot: str) -> str:
 # -- the document -------------------------------------------------------------------------------
 
 
-def document(book: Book, found: Mapping[str, Shown], path: Path, out: Path, computer: str) -> str:
+def document(
+    book: Book, found: Mapping[str, Shown], path: Path, out: Path, computer: str, before: str = ""
+) -> str:
     """The Markdown.
 
     Args:
-        found: by section; one that is not there has not been run, which is told.
+        found: by section; one that is not there stays as the document has it, or is told not to
+            have been run.
         path: of the YAML.
         out: where outcomes are.
         computer: in words.
+        before: the document as it is.
     """
     parts = [
         f"# {book.title}",
@@ -280,8 +285,13 @@ def document(book: Book, found: Mapping[str, Shown], path: Path, out: Path, comp
         "progress in place of success (Datta et al. 2020). Every column of a table drove the same "
         "episodes, but where it says which ran fewer.",
     ]
+    _, *kept = f"\n{before}".split("\n## ")
+    kept_of = {text.partition("\n")[0]: text.strip() for text in kept}
     for chapter in book.sections:
-        parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
+        if chapter.name not in found and chapter.title in kept_of:
+            parts.append(f"## {kept_of[chapter.title]}")
+        else:
+            parts += _chapter(chapter, found.get(chapter.name), path.stem, out)
     return "\n\n".join(part for part in parts if part) + "\n"
 
 

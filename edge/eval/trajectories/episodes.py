@@ -4,7 +4,7 @@
 |---|---|---|
 | `streets[0:200]` | known: boxes, occupancy and ground of the built-in street, where LiDAR shows them | the same |
 | `kitti:FOLDER` | perceived: one frame of SemanticKITTI through the chain, by the labels' boxes and masks | things by the labels of the frame's points; ground and what is occupied by those of all frames |
-| `house:CONFIG` | known: boxes of what a camera sees from the start, the floor plan of the world | the same |
+| `house:CONFIG` | known: outlines of what a camera sees from the start, the floor plan of the world | the same |
 
 Streets 0-99 are for tuning, 100-199 are held. A street has one task, whose kinds take turns; a frame
 or a start has `WANTED` of each category where it has so many.
@@ -179,12 +179,9 @@ def _house(config: Config) -> Iterator[Episode]:
     for number, pose in enumerate(free_poses(world, STARTS, _KEY, radius_m)):
         scene = house_scene(world, pose, radius_m)
         things = tuple(
-            Thing(
-                item.id, item.label, "", item.position_m[:2],
-                box_outline_m(item.position_m, item.size_m, item.heading_rad),
-            )
+            Thing(item.id, item.label, "", item.position_m[:2], item.points_m[:, :2].astype(float))
             for item in scene.objects.values()
-        )  # fmt: skip
+        )
         drivable = scene.regions_grid.cells > 0
         place = Place(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
         for task in _drawn(place, Dice(_KEY, number)):
@@ -231,7 +228,9 @@ def _house_object(
     if width > length:
         length, width, heading_rad = width, length, heading_rad + math.pi / 2
     position_m, size_m = np.array(item.center_m), np.array([length, width, height])
-    outline_m = box_outline_m(position_m, size_m, heading_rad)
+    outline_m = item.footprint_m
+    if outline_m is None:
+        outline_m = box_outline_m(position_m, size_m, heading_rad)
     points_m = np.column_stack([outline_m, np.full(len(outline_m), position_m[2])])
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
     return SceneObject(

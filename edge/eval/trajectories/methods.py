@@ -8,7 +8,8 @@
 | vlt_code | words and picture: `a_star_plan` draws straight lines, nothing is checked | driven as written |
 | a_star | as ours | A* on the occupancy to where that ends, whatever the way to it was to be |
 
-The rules see no picture: with them `llm_tg` would be `ours` once more, and is left out.
+The rules see no picture, and known places have none: there `llm_tg` would be `ours` once more, and
+is left out.
 """  # noqa: E501 (a table)
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge.chat import ChatError
+from edge.chat import ChatError, LateError
 from edge.config import Tasks, WriterModel
 from edge.errors import UnavailableError, UserError
 from edge.eval.trajectories.episodes import Episode
@@ -29,6 +30,7 @@ from edge.motion.pursuit import MotionLimits
 from edge.tasks.functions import Functions, Point
 from edge.tasks.legs import RefineError
 from edge.tasks.refine import refine
+from edge.tasks.scene import Scene
 from edge.tasks.trajectory import TrajectoryError, coarse_of
 from edge.tasks.value_map import Body
 from edge.tasks.write import WriteError, Written, write
@@ -40,6 +42,7 @@ CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
     (RefineError, "not refined"),
     (TrajectoryError, "cannot be done"),
+    (LateError, "too late"),
     (ChatError, "no answer"),
     (WriteError, "nothing written"),
 )
@@ -127,9 +130,10 @@ METHODS: dict[str, Method] = {
 WRITINGS = ("all", "no picture", "no map")
 
 
-def methods_of(config: Tasks) -> tuple[str, ...]:
-    """Those that differ with a writer."""
-    by_model = isinstance(config.planner, WriterModel)
+def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:
+    """Those that differ with a writer, in a scene if one is given."""
+    pictured = scene is None or scene.rgb is not None
+    by_model = pictured and isinstance(config.planner, WriterModel)
     return tuple(name for name, method in METHODS.items()
                  if by_model or method.writing != "no picture")  # fmt: skip
 

@@ -23,7 +23,7 @@ from edge.geometry import Grid
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance of the points of a path that is kept
-_OUTLINE_M = 0.1
+_OUTLINE_M = 0.05
 _FINER = 4  # outlines lead through the middles of cells, which are so many times smaller for it
 _MARGIN_M = 4.0  # around a reference, what stands there is kept
 

@@ -51,7 +51,8 @@ def run_all(
     for episode in found:
         if stop is not None and stop.is_set():
             break
-        mine = [(episode.id, name, writer) for name in names]
+        there = methods_of(config, episode.scene)
+        mine = [(episode.id, name, writer) for name in names if name in there]
         have = folder.outcomes
         missing = [key[1] for key in mine if key not in have or have[key].refused == RERUN]
         if missing:

@@ -12,8 +12,8 @@ from edge.eval.trial.files import Folder
 from edge.eval.trial.trial import Outcome, carry_out
 from edge.eval.trial.views import View, ViewError, kitti_view, street_view
 from edge.host import resources
-from edge.tasks import rules
 from edge.tasks.brief import known_names
+from edge.tasks.reading import named
 from edge.tasks.write import check_instruction
 from edge.text import aligned, one_line
 
@@ -72,7 +72,7 @@ def _words(instruction: str, config: Config) -> tuple[str, ...]:
     """What the detector is to look for: what the rules read as named, or, for a model, all that is
     known as the name of a thing."""
     if not isinstance(config.tasks.planner, WriterModel):
-        return rules.named(instruction)
+        return named(instruction)
     return known_names(instruction)
 
 

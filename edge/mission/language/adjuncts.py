@@ -94,10 +94,18 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
     """`has been visited`, `occurs`; False, and nothing taken, when there is none."""
     begin = reader.at
     said = take_mood(reader, says, PREDICATE)
-    if reader.take("happen") or (said & AUXILIARIES and reader.take("verb")):
+    if reader.take("happen"):
+        return True
+    if said & AUXILIARIES and reader.sees("verb"):
+        if said <= {"be", "not"} and reader.peek().text in _STATES:
+            reader.refuse("how a thing is cannot be told, only that it is reached")
+        reader.take("verb")
         return True
     reader.at = begin
     return False
+
+
+_STATES = ("open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked")
 
 
 def _another_subject(reader: Reader) -> bool:
@@ -122,6 +130,15 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     token = reader.peek()
     if token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
+    elif _is_via(token) and clause.things and not clause.negated:
+        reader.at += 1
+        way = take_things(reader, memory.named)
+        clause.things = Things((*clause.things.groups[:-1], *way.groups, clause.things.groups[-1]))
+        clause.order = "in order"
+    elif token.kind == "bound there" and clause.negated:
+        reader.at += 1
+    elif clause.things and _bound_ahead(reader, clause):
+        _take_bound(reader, memory, clause)
     elif token.kind in ORDERS:
         clause.order = token.kind
         reader.at += 1
@@ -151,7 +168,7 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         clause.trails = True
         reader.at += 1
     elif token.kind in ("while", "without") or (token.kind == "avoid" and "ing" in token.text):
-        _take_avoiding(reader, memory, clause)
+        take_avoiding(reader, memory, clause)
     elif _condition_ahead(reader, clause):
         clause.conditions.append(take_condition(reader, memory, clause))
     elif token.text in _APART and clause.verb and not starts_things(reader, 1):
@@ -159,6 +176,43 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     else:
         return False
     return True
+
+
+def _is_via(token: Token) -> bool:
+    return token.kind == "via" or token.text == "through"
+
+
+def _bound_ahead(reader: Reader, clause: Clause) -> bool:
+    """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
+    if clause.negated and reader.peek().text in ("when", "while") and reader.sees("verb", ahead=1):
+        return reader.peek(1).text.endswith("ing")
+    return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
+
+
+def _take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`go through x to reach y`: x, then y; `avoid x on the way to y`: y without x."""
+    token = reader.peek()
+    reader.at += 1
+    while reader.take("verb"):
+        skip_particles(reader, clause)
+    if not starts_things(reader):
+        reader.refuse("expected the name of a thing here")
+    lead(reader, memory, clause, take_things(reader, memory.named), token)
+
+
+def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
+    """What a clause asks for comes on the way to what one is bound for."""
+    if clause.things is None:
+        reader.refuse("expected something to do or to avoid here", token)
+    if not clause.negated:
+        clause.things = Things(clause.things.groups + bound.groups)
+        clause.order = "in order"
+    elif clause.conditions or clause.count or clause.avoiding:
+        reader.refuse("say it in two sentences", token)
+    else:
+        clause.avoiding.append(clause.things)
+        clause.things, clause.negated = bound, False
+    memory.named = memory.asked = clause.things
 
 
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
@@ -230,7 +284,7 @@ def _leads(reader: Reader, clause: Clause) -> bool:
     )
 
 
-def _take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
+def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`while avoiding x`, `without visiting x`, `while not going to x`, `without revisiting x`."""
     token = reader.take("while", "without", "avoid")
     assert token is not None

@@ -13,8 +13,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from edge import names
-from edge.mission.language.adjuncts import narrower, take_adjunct, take_condition
+from edge.mission.language import nouns
+from edge.mission.language.adjuncts import (
+    lead,
+    narrower,
+    take_adjunct,
+    take_avoiding,
+    take_condition,
+)
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
@@ -22,6 +28,7 @@ from edge.mission.language.spoken import (
     ORDERS,
     PREDICATE,
     Clause,
+    Condition,
     Memory,
     skip_particles,
     take_count,
@@ -81,8 +88,16 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         memory.named = clause.things
         if not clause.negated and clause.mood != "can":
             memory.asked = clause.things
+    asked = memory.asked
+    if clause.bound:
+        lead(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
+    if clause.negated and clause.first and not clause.conditions and not clause.count:
+        if asked is None:
+            reader.refuse("say before what it is not to be reached", clause.token)
+        clause.conditions.append(Condition("before", clause.token, asked))  # "not b first"
+        clause.first = False
     return clause
 
 
@@ -94,6 +109,15 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
         if token.kind in ORDERS:
             clause.order = token.kind
             reader.at += 1
+        elif token.kind == "while" and not clause.conditions:
+            take_avoiding(reader, memory, clause)
+        elif token.kind == "bound" or (
+            token.kind == "to" and reader.sees("verb", ahead=1) and not clause.bound
+        ):
+            reader.at += 1
+            while reader.take("verb"):
+                skip_particles(reader, clause)
+            clause.bound = take_things(reader, memory.named)
         elif reader.sees(*CONDITIONS, ahead=ahead):
             if token.kind in ("immediately", "filler"):
                 clause.next_step = clause.next_step or token.kind == "immediately"
@@ -122,21 +146,43 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
             clause.negated = not clause.negated  # "stop visiting it"
         clause.verb = token.text
         clause.again = clause.again or token.text.startswith("revisit")
+        clause.returns = clause.returns or token.text.startswith("return")
         skip_particles(reader, clause)
     if reader.take("neither"):
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
         reader.refuse("no thing that is known; if it is one, say 'to the …'")
+    through = reader.tokens[reader.at - 1].text in _THROUGH
     from_first = reader.tokens[reader.at - 1].text == "from"
     if starts_things(reader):
-        clause.things = take_things(reader, memory.named, banned=clause.negated)
+        clause.through = through or clause.verb.startswith("cross")
+        clause.things = take_things(reader, memory.named, banned=clause.negated, way=clause.through)
         _take_more_bans(reader, memory, clause)
-        while from_first and reader.take("to"):  # "travel from a to b to c"
+        while (from_first or _onward(reader, through)) and _take_onward(reader):
+            # "travel from a to b to c", "go through a and into b"
             further = take_things(reader, memory.named)
             clause.things = Things(clause.things.groups + further.groups)
             clause.order = "in order"
     elif not clause.negated or not clause.verb.startswith("stop"):
         reader.refuse("expected the name of a thing here", reader.peek())
+
+
+_THROUGH = ("through", "past", "by", "via", "continue through")
+
+
+def _onward(reader: Reader, through: bool) -> bool:
+    return through or (reader.sees("and") and reader.peek(1).text in ("into", "onto"))
+
+
+def _take_onward(reader: Reader) -> bool:
+    """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
+    ahead = 1 if reader.sees("and") else 0
+    if reader.peek(ahead).text == "through":
+        return False
+    if not reader.sees("to", ahead=ahead) or not starts_things(reader, ahead + 1):
+        return False
+    reader.at += ahead + 1
+    return True
 
 
 def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
@@ -187,13 +233,13 @@ def _well_known(reader: Reader, memory: Memory) -> bool:
     begin = reader.at
     things = take_things(reader, memory.named)
     reader.at = begin
-    return all(len(name) == 1 or names.is_known(name) for name in things.names)
+    return all(len(name) == 1 or nouns.is_noun(name) for name in things.names)
 
 
 def _plainly_named(reader: Reader) -> bool:
     """Whether what follows is no unknown word without an article ("upstairs")."""
     token = reader.peek()
-    return token.kind != "word" or len(token.text) == 1 or names.is_known(token.text)
+    return token.kind != "word" or len(token.text) == 1 or nouns.is_noun(token.text)
 
 
 def _each(things: Things) -> Things:

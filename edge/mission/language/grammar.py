@@ -49,9 +49,10 @@ from edge.mission.language.goals import (
     visits,
 )
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
+from edge.mission.language.nouns import is_foreign
 from edge.mission.language.spoken import Clause, Condition, Memory
 from edge.mission.language.things import Things
-from edge.mission.language.words import Reader, Token, TranslationError
+from edge.mission.language.words import Reader, Token, TranslationError, not_understood
 from edge.mission.ltl import TRUE, Formula, postorder
 
 
@@ -109,6 +110,15 @@ def put_first(meaning: Meaning, sequence: list[Meaning]) -> None:
     rest = [part for part in parts if not letters(part) <= said]
     last.goals = rest or last.goals
     sequence.insert(-1, meaning)
+
+
+def _split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
+    """`visit a, go to b, and return to a`: a comes before b, which comes before a again."""
+    said = frozenset(meaning.things.names)
+    start = [goal for goal in sequence[0].goals if letters(goal) & said]
+    rest = [goal for goal in sequence[0].goals if not letters(goal) & said]
+    if start and rest:
+        sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
 def only_then(before: Meaning, after: Meaning) -> list[Formula]:
@@ -181,6 +191,21 @@ __all__ = ["TranslationError", "parse_english"]
 MAX_NODES = 20_000
 """A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
 
+_MOVES = (
+    "go",
+    "move",
+    "walk",
+    "drive",
+    "head",
+    "travel",
+    "come",
+    "proceed",
+    "enter",
+    "continue",
+    "pass",
+    "navigate",
+    "cross",
+)
 _THEN = ("then", "only then")
 _JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
 
@@ -191,7 +216,12 @@ def parse_english(text: str) -> Formula:
     Raises:
         TranslationError: it has a part that is not understood; the message names it.
     """
-    return _Discourse(Reader(text)).formula()
+    try:
+        return _Discourse(Reader(text)).formula()
+    except TranslationError:
+        if is_foreign(text):
+            raise not_understood(text, 1, "instructions are read in English only") from None
+        raise
 
 
 def _size(formula: Formula) -> int:
@@ -220,6 +250,8 @@ class _Discourse:
         first: the last goal was said to come first, so what follows comes after it.
         clauses: how many there were.
         denied: the last clause forbade something, so a bare "then the bed" could mean either.
+        moved: the last clause was a plain order to go somewhere: "go to a go to b" is in order.
+        passed: the last clause only went through somewhere.
         permitted: what the last clause allowed, if it asked for nothing.
     """
 
@@ -232,6 +264,8 @@ class _Discourse:
     clauses: int = 0
     permitted: Things | None = None
     denied: bool = False
+    moved: bool = False
+    passed: bool = False
 
     def formula(self) -> Formula:
         """Sentence after sentence; "then" at the start of one goes on from the one before."""
@@ -322,6 +356,13 @@ class _Discourse:
         if clause.trails:
             self._after_permission(clause, bool(sequence))
         then = clause.trails or (joint is not None and joint.kind in _THEN)
+        then = then or (clause.returns and bool(sequence) and not clause.negated)
+        moves = clause.verb in _MOVES and not clause.negated and not clause.first
+        then = then or (moves and self.moved and joint is not None and joint.kind == "")
+        then = then or (moves and self.passed and joint is not None)
+        if clause.through and moves and not then and self.moved and not self.passed:
+            self.reader.refuse("before or after that? say 'go through … to …'", clause.token)
+        self.moved, self.passed = moves, clause.through and clause.order != "in order"
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
         anchored(meaning, sequence, self.times, then)
@@ -333,6 +374,8 @@ class _Discourse:
 
     def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
         """Makes a clause a step of its own, or a part of the last one."""
+        if clause.returns and len(sequence) == 1:
+            _split_return(meaning, sequence)
         if joint == "only then" and sequence:
             meaning.rules += only_then(sequence[-1], meaning)
         if joint == "but" and clause.first and sequence and meaning.goals:

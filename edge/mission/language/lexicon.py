@@ -21,14 +21,18 @@ PHRASES: dict[str, str] = {
     "permitted|are free",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
-    "not": "not|never|no|don|never ever|prohibited from|are prohibited from|are forbidden|"
+    "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
+    "prohibited from|are prohibited from|are forbidden|"
     "not allowed|are not allowed|not permitted|are not permitted",
     "banned": "is prohibited|is forbidden|is not allowed|is not permitted|are prohibited|"
     "are banned",
     "neither": "neither",
     "filler": "me|us|please|at any point in time|at any point|eventually|sometime|some time|just|"
     "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
-    "in the future|along the way|at some time|always|in turn|in the end|whenever you can|"
+    "in the future|along the way|on the way|on your way|on its way|hi|hello|hey|"
+    "thanks|thank you|"
+    "thank you very much|when you have a minute|when you have time|mind|if you do not mind|"
+    "at some time|always|in turn|in the end|whenever you can|"
     "when you have the chance|already|for me|now|robot|as many times as you want|"
     "at some point in the future|some time in the future|sometime in the future|no more no less|"
     "no more and no less",
@@ -47,11 +51,16 @@ PHRASES: dict[str, str] = {
     # Conditions.
     "before": "before|prior to|ahead of|earlier than",
     "after": "after|following|having",
-    "until": "until|till|up until",
+    "until": "until|till|up until|until after",
     "unless": "unless|if not|except after",
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
     "without": "without|not through|but not through|without ever|not via",
+    "via": "via|by way of|by going through|by passing through|by going via|by first going through|"
+    "while passing|while passing through|while going through",
+    "bound": "on the way to|on your way to|on its way to|en route to|to get to|to get into|"
+    "in order to reach|in order to get to|in order to go to|in order to enter",
+    "bound there": "to get there|on the way there|on your way there|to reach it|to get to it",
     "immediately": "immediately|right|straight|straight away|right away|at the next step|"
     "in the next step",
     # Counting.
@@ -112,7 +121,8 @@ _REGULAR_VERBS = """
     visit reach approach enter explore check inspect examine clean wipe wash dust vacuum
     mop tidy polish scrub water open close lock unlock touch press use fetch grab collect watch
     observe spot locate discover charge load unload empty fill photograph scan search view greet
-    feed iron attend navigate travel walk move head proceed drive return arrive pass step roll look
+    feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
+    look
     turn switch stop pick plug sanitize disinfect activate start repair service contact access
     """
 
@@ -124,7 +134,9 @@ _IRREGULAR_VERBS = """
     revisit revisits revisiting revisited
     """
 
-VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near"
+VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
+VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
+VERB_PHRASES += "end up|ends up|ending up|end at|end in|finish at|finish in"
 
 _PARTICLES = """
     to on off at by up in over for out through from into inside with back down toward towards
@@ -137,7 +149,7 @@ AVOID_PHRASES = (
     "keep away from|keeping away from|keep avoiding|stay clear of|staying clear of|"
     "steer clear of|steering clear of|keep off|stay off|keep out of|stay out of|skip|skipping|"
     "keep clear of|go anywhere but|visit anywhere but|go anywhere except|go anywhere other than|"
-    "refrain from|ignore|leave out|leaving out"
+    "by avoiding|by bypassing|refrain from|ignore|leave out|leaving out"
 )
 
 
@@ -177,7 +189,9 @@ TABLE = _table()
 LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
-    "can't": "can not", "cannot": "can not", "won't": "will not", "shan't": "shall not",
+    "can't": "can not",
+    "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
+    "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",
 }  # fmt: skip
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}

@@ -14,6 +14,7 @@ from edge.mission.language.goals import (
     at_most_before,
     formula_of,
     held_until,
+    never,
     never_after,
     steps,
     visits,
@@ -143,6 +144,7 @@ def _forbidden_when(
         return rules
     if condition.count and condition.things.names == things.names:
         return [at_most([name], condition.count.least) for name in things.names]
+    _one_time(condition, reader)
     if clause.next_step:
         return [
             always(implies(any_of(group), weak_next(neg(ap(name)))))
@@ -150,6 +152,11 @@ def _forbidden_when(
             for group in condition.things.groups
         ]
     return never_after(things.names, condition.things)
+
+
+def _one_time(condition: Condition, reader: Reader) -> None:
+    if condition.count and condition.count != Count(1):
+        reader.refuse("how often something happened is no condition yet", condition.token)
 
 
 def _no_conditions(clause: Clause, reader: Reader) -> None:
@@ -188,8 +195,13 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     if clause.order == "strict order":
         for before, after in itertools.pairwise(things.groups):
             meaning.rules += held_until(after, Things((before,)))
+    alone = not times and (reader.sees("end") or reader.sees("end", ahead=1))
     for avoided in clause.avoiding:
-        meaning.rules += held_until([n for n in avoided.names if n not in times], things)
+        others = [n for n in avoided.names if n not in times]
+        if alone and not set(others) & set(things.names):
+            meaning.rules += never(others)  # nothing comes after: the safer reading costs nothing
+        else:
+            meaning.rules += held_until(others, things)
     for avoided in (*clause.not_again, *clause.avoiding):
         again = [n for n in avoided.names if n in times or avoided in clause.not_again]
         meaning.rules += [
@@ -224,7 +236,10 @@ def _conditioned(
 ) -> None:
     """Adds what a condition makes of "visit x"."""
     kind, when = condition.kind, condition.things
-    answers = condition.recurring or clause.mood == "must"
+    answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
+    _one_time(condition, reader)
+    if kind == "when" and condition.denied and not condition.only:
+        reader.refuse("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.refuse("nothing comes before or after itself", condition.token)
     if kind == "until" and not condition.denied:

@@ -41,14 +41,18 @@ def take_count(reader: Reader, negated: bool) -> Count | None:
         reader.at += 1
     markers: set[str] = set()
     numbers: list[int] = []
+    marked: dict[str, int] = {}
+    marker = ""
     times = False
     while True:
         token = reader.peek()
         if token.kind in _MARKERS:
             markers.add(token.kind)
+            marker = token.kind
         elif token.kind in _NUMBERS and not (token.kind == "once" and _joins(reader)):
             numbers.append(NUMBERS[token.text] if token.text in NUMBERS else int(token.text[:9]))
             times = times or token.kind != "number"
+            marked.setdefault(marker, numbers[-1])
         elif token.kind == "times":
             times = True
         elif not (token.kind in ("or", "and") and (markers or numbers) and _goes_on(reader)):
@@ -59,6 +63,10 @@ def take_count(reader: Reader, negated: bool) -> Count | None:
         return None
     if max(numbers) > MAX_VISITS:
         reader.refuse(f"at most {MAX_VISITS} visits can be counted", start)
+    if not negated and {"at least", "at most"} <= marked.keys():
+        if marked["at least"] > marked["at most"]:
+            reader.refuse("the counts contradict each other", start)
+        return Count(marked["at least"], marked["at most"])
     return _range(reader, markers, numbers, negated, begin)
 
 
@@ -99,6 +107,7 @@ CONDITIONS = ("before", "after", "until", "unless", "when", "once")
 ORDERS = ("any order", "in order", "strict order")
 MOOD = ("you", "ensure", "must", "can", "do", "not", "filler", "only", "first", "be")
 AUXILIARIES = frozenset({"be", "must", "can"})
+_NEEDS = ("have", "need", "needs", "need to", "required", "has")
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 
 
@@ -140,6 +149,9 @@ class Clause:
         again: "again", "any more", "revisit".
         first: said to come first.
         trails: said to come after the clause before it ("… after that").
+        returns: "return to", "go back to": after all before it.
+        bound: where it leads, said first: "to reach x, go through y".
+        through: the things are on the way to something.
         verb: the word that named the action, "" in a bare clause.
     """
 
@@ -157,6 +169,9 @@ class Clause:
     again: bool = False
     first: bool = False
     trails: bool = False
+    returns: bool = False
+    bound: Things | None = None
+    through: bool = False
     verb: str = ""
 
 
@@ -173,6 +188,13 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
     seen: set[str] = set()
     while True:
         token = reader.peek()
+        if token.kind == "not" and reader.peek(1).text in _NEEDS:
+            reader.refuse("what need not be done asks for nothing; leave it out", token)
+        if token.text == "need" and reader.sees("not", ahead=1):
+            reader.refuse("what need not be done asks for nothing; leave it out", token)
+        named = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
+        if named and token.text in ("robot", "the robot"):
+            reader.refuse("only one robot is spoken to", token)
         if token.kind == "to" and reader.sees("verb", "not", "avoid", "be", "happen", ahead=1):
             reader.at += 1
             continue
@@ -220,6 +242,7 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
             reader.at += 1
         elif token.kind == "again" or token.text == "back":
             clause.again = True
+            clause.returns = clause.returns or token.text == "back"
             reader.at += 1
         else:
             return

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from edge import names
+from edge.mission.language import nouns
 from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.words import Reader, Token
 from edge.text import one_line
@@ -52,11 +53,17 @@ def starts_things(reader: Reader, ahead: int = 0) -> bool:
     token = reader.peek(ahead)
     if token.kind in ("number", "article") and reader.sees("group", ahead=ahead + 1):
         return True
+    if token.text in nouns.ORDINALS and token.kind != "word":
+        return reader.sees("article", ahead=ahead - 1) and reader.at + ahead > 0
     return token.kind in _ELEMENT and not (token.kind == "word" and token.text in AFTER_VERB)
 
 
 def take_things(
-    reader: Reader, mentioned: Things | None, subject: bool = False, banned: bool = False
+    reader: Reader,
+    mentioned: Things | None,
+    subject: bool = False,
+    banned: bool = False,
+    way: bool = False,
 ) -> Things:
     """The noun phrase that begins here.
 
@@ -64,18 +71,18 @@ def take_things(
         mentioned: what a pronoun stands for.
         subject: a predicate is expected to follow, so it does not end the list early.
         banned: "and" and "or" mean the same here ("avoid a and b", "never visit a or b").
+        way: it is passed through, so "and to b" goes on from there.
 
     Raises:
         TranslationError: no noun phrase, or one that can be read in two ways.
     """
     start = reader.peek()
-    indefinite = is_indefinite(reader)
     groups = list(_element(reader, mentioned))
     joints: set[str] = set()
     commas: set[str] = set()
     while True:
         ahead = _joint_length(reader)
-        if ahead is None:
+        if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
         aside = reader.sees("comma") and reader.sees("or", ahead=1)
         if aside and not banned and "comma" not in commas:
@@ -85,13 +92,7 @@ def take_things(
             break
         joints |= {reader.peek(i).kind for i in range(ahead)} - {"comma", "to"}
         reader.at += ahead
-        follower = reader.peek()
-        bare = follower.kind == "word" and not is_indefinite(reader)
-        unfinished = indefinite and not _has_noun(groups[-1])  # "a tall, white trash can"
         groups += _element(reader, mentioned)
-        if (start.kind == "article" or unfinished) and bare and not _plain(groups[-1]):
-            hint = f"no verb that is known; if it is a thing, say 'the {follower.text}'"
-            reader.refuse(hint, follower)
     if len(set(groups)) < len(groups):
         reader.refuse("the same thing is named twice", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
@@ -105,16 +106,6 @@ def take_things(
     return Things(tuple(groups), listed=len(groups) > 1 and not joints)
 
 
-def _plain(group: tuple[str, ...]) -> bool:
-    """Whether names need no article to be names: letters, or known things."""
-    return all(len(name) == 1 or names.is_known(name) for name in group)
-
-
-def _has_noun(group: tuple[str, ...]) -> bool:
-    """Whether each name ends in a known thing."""
-    return all(any(map(names.is_known, names.head_nouns(name))) for name in group)
-
-
 def _joint_length(reader: Reader) -> int | None:
     """Tokens between this element and the next of the same list; None when the list is over."""
     if _is_letter(reader.peek(-1)) and _is_letter(reader.peek()):
@@ -123,6 +114,8 @@ def _joint_length(reader: Reader) -> int | None:
     if reader.sees("and", "or", ahead=ahead):
         ahead += 1
     if ahead and reader.sees("to", ahead=ahead):
+        if reader.peek(ahead).text in ("into", "onto"):
+            return None  # "through a and into b" is an order
         ahead += 1
     return ahead if ahead and starts_things(reader, ahead) else None
 
@@ -136,9 +129,10 @@ def _is_subject(reader: Reader, ahead: int) -> bool:
 
 def _element(reader: Reader, mentioned: Things | None) -> tuple[tuple[str, ...], ...]:
     """The groups of one element of a list."""
-    if reader.take("all of") or reader.sees("group", ahead=1):
+    if reader.take("all of") or (reader.sees("group", ahead=1) and not _is_singled(reader)):
         reader.skip("number", "article", "group", "comma")
-    reader.skip("group")
+    if not _is_singled(reader):
+        reader.skip("group")
     if token := reader.take("pronoun"):
         if mentioned is None:
             reader.refuse(f"nothing was named before that {token.text!r} could mean", token)
@@ -146,6 +140,21 @@ def _element(reader: Reader, mentioned: Things | None) -> tuple[tuple[str, ...],
     if token := reader.take("either"):
         return (_choice(reader, every=token.text != "either"),)
     return ((_name(reader),),)
+
+
+def _is_singled(reader: Reader) -> bool:
+    """Whether a number names one of a kind here: "landmark two", "the second room"."""
+    ahead = 1 if reader.sees("article") else 0
+    if reader.peek(ahead).text in nouns.ORDINALS:
+        return reader.sees("group", "word", ahead=ahead + 1)
+    return reader.sees("group", ahead=ahead) and _is_number(reader, ahead + 1)
+
+
+def _is_number(reader: Reader, ahead: int = 0) -> bool:
+    """Whether that token is a number that counts no visits."""
+    if not reader.sees("number", ahead=ahead) or reader.sees("times", "or more", ahead=ahead + 1):
+        return False
+    return not reader.sees("group", ahead=ahead + 1)
 
 
 def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
@@ -184,7 +193,7 @@ def _name(reader: Reader) -> str:
     _check(reader, words)
     if reader.sees("article"):
         reader.refuse("no word that is known", words[0])
-    text = " ".join(token.text for token in words)
+    text = _spelled(reader, words)
     if reader.sees("place") and _place_follows(reader):
         place = reader.take("place")
         assert place is not None
@@ -200,13 +209,27 @@ def _name(reader: Reader) -> str:
 def _words(reader: Reader, article: bool) -> list[Token]:
     """The run of words that a name consists of; after an article a verb may begin it."""
     words: list[Token] = []
+    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", ahead=1):
+        words.append(reader.tokens[_advance(reader)])
     if reader.sees("verb") and article:
         words.append(reader.tokens[_advance(reader)])
-    while reader.sees("word") and not _is_letter(reader.peek()):
+    while reader.sees("word", "group") and not _is_letter(reader.peek()):
         if reader.peek().text in AFTER_VERB:
             break
         words.append(reader.tokens[_advance(reader)])
+    if words and _is_number(reader):
+        words.append(reader.tokens[_advance(reader)])
     return words
+
+
+def _spelled(reader: Reader, words: list[Token]) -> str:
+    """The words of a name; its number spelled out, for `edge.names` takes digits for a model's."""
+    texts = [token.text for token in words]
+    if texts[-1].isdecimal():
+        if len(texts[-1]) > 2 or int(texts[-1]) >= len(nouns.CARDINALS):
+            reader.refuse("names are numbered up to ten", words[0])
+        texts[-1] = nouns.CARDINALS[int(texts[-1])]
+    return " ".join(texts)
 
 
 def _advance(reader: Reader) -> int:
@@ -223,7 +246,7 @@ def _goes_on(reader: Reader) -> bool:
     """Whether `a` is an article: a longer word follows it, or a verb that is also a thing."""
     follower = reader.peek(1)
     if follower.kind == "verb":
-        return names.is_known(follower.text)
+        return nouns.is_noun(follower.text)
     return follower.kind == "quoted" or (
         follower.kind == "word" and len(follower.text) > 1 and follower.text not in AFTER_VERB
     )
@@ -245,19 +268,23 @@ def _is_letter(token: Token) -> bool:
 
 
 def _check(reader: Reader, words: list[Token]) -> None:
-    """Refuses a run of words that goes on after the thing it names."""
-    for token in words:
-        if token.text in _NEVER_IN_NAMES or (token.text.endswith("ly") and len(words) > 1):
-            reader.refuse("no name of a thing, and no known word", token)
+    """Refuses a run of words that is no name made of known words."""
     texts = [token.text for token in words]
-    if any(names.is_known(" ".join(texts[i:])) for i in range(len(texts))):
+    odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
+    if odd is not None:
+        reader.refuse("no name of a thing, and no known word", words[odd])
+    odd = nouns.unknown_in(texts)
+    if odd is None:
         return
-    for end in range(len(texts) - 1, 0, -1):
-        for begin in range(max(0, end - 3), end):
-            if names.is_known(" ".join(texts[begin:end])):
-                whole, last = one_line(" ".join(texts), 60), one_line(texts[end - 1], 60)
-                hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
-                reader.refuse(f"{hint} in double quotes", words[end])
+    close = nouns.meant(texts[odd])
+    if close and not nouns.is_noun(texts[odd]):
+        reader.refuse(f"{one_line(texts[odd], 60)}: {close}?", words[odd])
+    whole = one_line(" ".join(texts), 60)
+    if odd:
+        last = one_line(texts[odd - 1], 60)
+        hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
+        reader.refuse(f"{hint} in double quotes", words[odd])
+    reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
 
 
 def _canonical(reader: Reader, text: str, token: Token) -> str:

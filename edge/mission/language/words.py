@@ -45,7 +45,7 @@ class TranslationError(UserError):
 
 def not_understood(part: str, position: int, hint: str) -> TranslationError:
     """The error that names a part of an instruction, shortened, and its place."""
-    shown = one_line(part, _SHOWN)
+    shown = one_line(part, _SHOWN) or " ".join(f"U+{ord(c):04X}" for c in part[:8])
     what = f"did not understand {shown!r}" if part.strip() else "it ends too early"
     return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
 

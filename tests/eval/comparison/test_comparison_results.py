@@ -151,6 +151,19 @@ def test_what_is_there_is_written_the_same_again(file, tmp_path):
     assert written[0] == written[1]
 
 
+def test_what_is_not_there_stays_as_the_document_has_it(file, tmp_path):
+    outcomes_in(tmp_path / "out" / "first")
+    assert main(made(tmp_path, "--no-run")) == 0
+    path = tmp_path / "results.md"
+    before = path.read_text().replace("Not run yet.", "Run elsewhere.")
+    path.write_text(before)
+    assert main(made(tmp_path, "--no-run")) == 0
+    assert path.read_text() == before
+    (tmp_path / "out" / "first" / "outcomes.jsonl").unlink()
+    assert main(made(tmp_path, "--no-run")) == 0
+    assert path.read_text() == before
+
+
 def test_a_run_that_fails_ends_it(file, tmp_path, monkeypatch, capsys):
     failed = argparse.Namespace(returncode=78)
     monkeypatch.setattr(subprocess, "run", lambda words, check: failed)

@@ -110,6 +110,14 @@ def test_a_server_that_is_not_there_ends_it(tmp_path):
     assert Folder(tmp_path).outcomes == {}
 
 
+def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
+    with serving(lambda handler: server.stopping.wait(20.0)) as server:
+        config = Tasks(planner=WriterModel(url=server.url, time_limit_s=0.2))
+        (outcome,) = ran([episode(PAST)], ["ours"], Folder(tmp_path), config)
+    assert (outcome.refused, outcome.success) == ("too late", False)
+    assert "no whole answer within 0.2 s" in outcome.reason
+
+
 @pytest.mark.parametrize(
     ("spec", "words"),
     [

@@ -1,0 +1,230 @@
+"""What a name may consist of: only words that are known, so that no slip becomes a target.
+
+Known are the alias table (`edge.names`) and the lists here; anything else is named in
+double quotes.
+"""
+
+from __future__ import annotations
+
+import difflib
+from functools import lru_cache
+
+from edge import names
+
+_PLACES = """
+    apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
+    courtyard cubicle den driveway elevator entrance entry exit fence floor foyer garage garden
+    gate gym hall hallway house kitchen laundry lawn lift living|room dining|room meeting|room
+    conference|room waiting|room guest|room storage|room library lobby lounge lab laboratory
+    landmark nursery office pantry patio path pavement playroom pool porch reception restroom road
+    roof room shed shop sidewalk stair staircase station storeroom street studio study terrace
+    toilet|room wall waypoint wc workshop yard zone area region
+    airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
+    cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest
+    hospital hotel inn junction lake mall market memorial monument museum park parking|lot
+    parking|space pharmacy pier platform playground plaza post|office pub restaurant river school
+    square stadium store supermarket temple theater theatre tower town|hall train|station tunnel
+    university warehouse zoo
+"""
+_OBJECTS = """
+    apple aquarium ashtray bag baggage banana banner barbecue barrel basket bat battery beam bedside
+    bell bin bird blanket blender blind board boat book booth broom brush bucket bus button cable
+    cage cake calendar camera can candlestick canoe cap carrot cart case cat ceiling chandelier
+    chest chopping|board coat coat|rack coffee coin column computer cone container cooler cot couch
+    cow crate crib cushion cupboard desktop dice dish dog doll doormat drawer dress drill drone drum
+    dryer duck extinguisher fire|extinguisher fan faucet figure file filing|cabinet fireplace flag
+    flashlight flower footstool fork forklift frame fruit frying|pan furnace game giraffe glass
+    glasses glove goat grill guitar hair|dryer hammer handbag hanger hat headphone heater helmet
+    horse hose hydrant fire|hydrant ipad iron ironing|board jacket jar jug kettle key keys kite
+    knife ladder lamp|post laptop lever lighter lightswitch lock locker machine magazine mailbox mat
+    mattress microwave mop motorcycle motorbike mouse nail newspaper notebook orange oven paint
+    pallet pan panel paper parcel package pen pencil pet phone|booth pillar pipe pizza plant
+    plunger pole pot potato purse puzzle rabbit rack racket radiator radio rail refrigerator ring
+    robot rock rope router rug safe salt sandwich saw scale scissors scooter screen screwdriver
+    sculpture seat sheep shirt shoe sign stop|sign skateboard skis snowboard soap sock speaker spoon
+    spot
+    sponge stapler statue stick stone sunglasses surfboard swing switch tank tap tape tent tie
+    tissue toolbox tool toothbrush toy tractor traffic|light trailer train tray tree tricycle
+    trolley truck typewriter vehicle van vent vending|machine violin walker wallet watch
+    water|cooler whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear
+    charging|station charger dock docking|station
+"""
+_PEOPLE = """
+    mom mum mother dad father baby boy girl guest guard nurse doctor patient worker customer visitor
+    grandma grandpa kid neighbor neighbour sister brother
+"""
+_MATERIALS = """
+    wood wooden metal metallic plastic glass leather stone brick concrete steel iron marble wicker
+    bamboo paper cotton velvet fabric ceramic rubber
+"""
+_QUALITIES = """
+    red green blue yellow orange purple violet pink brown black white gray grey beige golden silver
+    cyan magenta turquoise maroon navy tan crimson scarlet olive lime colored coloured
+    dark light bright pale large big huge small little tiny mini tall high short low long wide broad
+    narrow slim thin thick round square rectangular oval circular flat curved striped checkered
+    old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
+    folding rocking sliding electric digital front back rear left right main upper lower top bottom
+    middle central inner outer north south east west northern southern eastern western potted
+    parked nearest closest nearby
+    taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
+"""
+_ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth last"
+_CARDINALS = "zero one two three four five six seven eight nine ten"
+
+_FOREIGN = frozenset(
+    [
+        "und",
+        "oder",
+        "der",
+        "das",
+        "dem",
+        "den",
+        "ein",
+        "eine",
+        "zum",
+        "zur",
+        "dann",
+        "nicht",
+        "geh",
+        "gehe",
+        "gehen",
+        "fahr",
+        "fahre",
+        "nach",
+        "bitte",
+        "danach",
+        "vermeide",
+        "besuche",
+        "erst",
+        "le",
+        "la",
+        "les",
+        "au",
+        "aux",
+        "du",
+        "et",
+        "puis",
+        "va",
+        "vas",
+        "allez",
+        "ne",
+        "pas",
+        "avant",
+        "ensuite",
+        "evite",
+        "el",
+        "los",
+        "las",
+        "y",
+        "luego",
+        "despues",
+        "ve",
+        "vaya",
+        "hacia",
+        "una",
+        "al",
+        "il",
+        "lo",
+        "gli",
+        "e",
+        "poi",
+        "vai",
+        "alla",
+        "naar",
+        "het",
+        "een",
+        "dan",
+        "ga",
+        "niet",
+    ]
+)
+"""Small words of other languages that no English sentence has."""
+
+
+def _listed(text: str) -> frozenset[str]:
+    return frozenset(entry.replace("|", " ") for entry in text.split())
+
+
+NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
+QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
+ORDINALS = frozenset(_ORDINALS.split())
+CARDINALS = tuple(_CARDINALS.split())
+_LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
+
+
+def is_noun(phrase: str) -> bool:
+    """Whether a phrase names a kind of thing, in the singular or plural."""
+    return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
+
+
+def unknown_in(words: list[str]) -> int | None:
+    """The first word that makes this no name; None when it is one.
+
+    A name is qualities, then a noun; a place may stand before it ("kitchen sink"), an owner
+    ("mom's bed"), an ordinal ("first floor"), and a number or a letter behind it ("landmark two").
+    """
+    begin, end = 0, len(words)
+    if end > 1 and (words[-1].isdecimal() or words[-1] in CARDINALS or _is_letter(words[-1])):
+        end -= 1
+    start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
+    if start is None:
+        return _not_known(words, end)
+    while begin < start:
+        word = words[begin]
+        place = next(
+            (i for i in range(start, begin, -1) if " ".join(words[begin:i]) in _LEADING), None
+        )
+        if place is not None:
+            begin = place
+        elif word in QUALITIES or word in ORDINALS or (word.endswith("'s") and is_noun(word[:-2])):
+            begin += 1
+        else:
+            return start if is_noun(word) else begin
+    return None
+
+
+def _not_known(words: list[str], end: int) -> int:
+    """Where a name without a known noun goes wrong: behind the noun that it has, or at its end."""
+    for last in range(end - 1, 0, -1):
+        if any(is_noun(" ".join(words[i:last])) for i in range(last)):
+            return last
+    odd = (i for i in range(end) if words[i] not in QUALITIES and words[i] not in ORDINALS)
+    return next(odd, 0)
+
+
+def _is_letter(word: str) -> bool:
+    return len(word) == 1 and word.isalpha()
+
+
+@lru_cache(maxsize=1)
+def _all_words() -> tuple[str, ...]:
+    others = (word for listed in names.ALIASES.values() for word in listed)
+    phrases = (*names.ALIASES, *others, *NOUNS, *QUALITIES)
+    return tuple(dict.fromkeys(word for phrase in phrases for word in phrase.split()))
+
+
+def meant(word: str) -> str | None:
+    """The known word that another one is most likely a slip of, to be offered; never taken.
+
+    >>> meant("firdge"), meant("blorf")
+    ('fridge', None)
+    """
+    if len(word) < 4 or len(word) > 30:
+        return None
+    found = difflib.get_close_matches(word, _all_words(), n=1, cutoff=0.75)
+    return found[0] if found and found[0] != word else None
+
+
+def is_foreign(text: str) -> bool:
+    """Whether a text is plainly no English: another script, or several small words of another
+    language.
+
+    >>> is_foreign("Geh zum Sofa und dann zum Bett."), is_foreign("go to the sofa")
+    (True, False)
+    """
+    letters = [c for c in text if c.isalpha()]
+    if letters and sum(ord(c) > 0x24F for c in letters) * 2 > len(letters):
+        return True
+    words = "".join(c if c.isalpha() else " " for c in text.lower()).split()
+    small = sum(word in _FOREIGN for word in words)
+    return small >= 2 and small * 4 >= len(words)
