@@ -65,17 +65,16 @@ class Chapter(Section):
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> Chapter:
-        there, drawn = (TABLES, tuple(plots.PLOTS))
+        there, drawn = TABLES, tuple(plots.PLOTS)
         if self.trajectories:
-            there, drawn = (trajectory_tables.NAMES, trajectory_chapter.PLOTS)
+            there, drawn = trajectory_tables.NAMES, trajectory_chapter.PLOTS
             for name in ("columns", "show", "baseline"):
                 if getattr(self, name):
                     raise ValueError(f"{self.name}: trajectories have no {name!r}")
-        for name, choices in [(t, there) for t in self.tables or ()] + [
-            (p, drawn) for p in self.plots
-        ]:
-            if name not in choices:
-                raise ValueError(f"unknown {name!r} (choices: {', '.join(choices)})")
+        for names, choices in ((self.tables or (), there), (self.plots, drawn)):
+            for name in names:
+                if name not in choices:
+                    raise ValueError(f"unknown {name!r} (choices: {', '.join(choices)})")
         return self
 
     @property

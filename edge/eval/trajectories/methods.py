@@ -61,7 +61,7 @@ Finish = Callable[[Episode, Written], np.ndarray]
 class Method(NamedTuple):
     """
     Attributes:
-        writing: of `WRITINGS`.
+        writing: with what it is written: "all", "no picture" or "no map".
         ends: whether it is one of table I, where only the end counts.
     """
 
@@ -127,7 +127,6 @@ METHODS: dict[str, Method] = {
     "vlt_code": Method("no map", _as_written),
     "a_star": Method("all", _to_its_end),
 }
-WRITINGS = ("all", "no picture", "no map")
 
 
 def methods_of(config: Tasks, scene: Scene | None = None) -> tuple[str, ...]:

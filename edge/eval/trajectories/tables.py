@@ -81,7 +81,7 @@ def by_task(results: Results) -> Table:
 
 def shapes(results: Results) -> Table:
     """A method a row: how alike its trajectories are to the references (table II)."""
-    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "with the truth", "refused", "SR, %",
+    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "refused", "SR, %",
             "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
     rows = []
     for m, name in enumerate(results.methods):

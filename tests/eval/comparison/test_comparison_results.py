@@ -77,6 +77,11 @@ def made(tmp_path, *options) -> list[str]:
         (("name: alone", "name: ../up"), "should match pattern"),
         (("baseline: slow", "baseline: quick"), "first: baseline: 'quick' is no column that it"),
         (("    of: [first]\n", ""), "both: give it either `episodes`, `traj"),
+        (
+            ("    of: [first]\n", "    trajectories: ['streets[0:2]']\n"),
+            "unknown 'cost' (choices: t",
+        ),
+        (("episodes: [demo]", "trajectories: [x]\n    show: [a]"), "trajectories have no 'show'"),
         (("sections:", "sections: {"), "not YAML"),
         ((BOOK, ""), "expected a section"),
     ],
@@ -102,6 +107,15 @@ def test_commands(file):
         "policy.kind=nearest_frontier loop.priority=null --out out/first"
     )
     assert results.commands(book.sections[2], Path("out")) == []
+
+
+def test_a_section_of_trajectories(file, tmp_path):
+    file.write_text(BOOK.replace("episodes: [demo]", "trajectories: ['streets[0:1] --limit 1']"))
+    assert main(made(tmp_path, "--only", "alone")) == 0
+    text = (tmp_path / "results.md").read_text()
+    assert "edge eval trajectories 'streets[0:1]' --limit 1 --out" in text
+    assert "1 episode in 1 place." in text
+    assert "OpenNav table II" in text
 
 
 def test_which_sections_are_run(file):
