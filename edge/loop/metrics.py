@@ -198,7 +198,7 @@ SERVICE: tuple[Metric[Look], ...] = (
     Metric("edge_mission_path_meters", "gauge", "Way that the robot has driven for it.",
            lambda s: s.mission.path_m),
     Metric("edge_goal_state", "state", "What the present goal is for: a frontier, an instance of "
-           "the target, to look round.",
+           "the target, to look round, a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),
     Metric("edge_goal_age_seconds", "gauge", "Time since the present goal was chosen.",
            lambda s: None if s.goal is None

@@ -56,6 +56,7 @@ def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house, start):
     bearing = np.unwrap(np.arctan2(*(driven_m - sofa.center_m[:2]).T[::-1]))
     turned = (bearing - bearing[0])[beside]
     # Its left is a quarter turn clockwise about it from where the robot was, its right the other;
-    # a way that only leads to the desk turns neither way. A corner may be cut by a third.
-    assert turned.min() <= -math.radians(60)
+    # a way that only leads to the desk turns neither way. Where the desk lies behind the robot, the
+    # way comes back before it is abeam of the middle.
+    assert turned.min() <= -math.radians(45)
     assert turned.max() <= math.radians(30)
