@@ -46,8 +46,9 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 # Kernels that this checkout has not compiled yet: each worker would compile all of them, for a
-# minute and a half. It is done once, while they collect.
-COMPILE = """
+# minute and a half. It is done once, while they collect; numba compiles on one core at a time, so a
+# second process does those of perception before the first has come to them.
+EPISODE = """
 import tempfile
 from pathlib import Path
 import numpy as np
@@ -61,11 +62,12 @@ with tempfile.TemporaryDirectory() as folder:
     config = small_house(Path(folder), sensors={"lidar": {}})
     world = config.sim.world.model_dump()
     episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, sensing_of(config), "bed")
-    outcome = run_episode(make_columns(config, {"own": {}})[0], episode, in_process)
+    outcome = run_episode(make_columns(config, {"own": {}})[0], episode, in_process, Path(folder))
     assert outcome.success, outcome
 a_m = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 3.0]])
 likeness(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
+PERCEPTION = "from edge.perception.warmup import warmup; warmup()"
 _compiling: list[subprocess.Popen] = []
 
 
@@ -74,7 +76,8 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     all_are_run = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     compiled = f"*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
     if all_are_run and not any((HERE.parent / "edge" / "mapping").rglob(compiled)):
-        _compiling.append(subprocess.Popen([sys.executable, "-c", COMPILE], cwd=HERE))
+        for code in (EPISODE, PERCEPTION):
+            _compiling.append(subprocess.Popen([sys.executable, "-c", code], cwd=HERE))
 
 
 @pytest.hookimpl(optionalhook=True)
