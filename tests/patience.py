@@ -11,10 +11,12 @@ T = TypeVar("T")
 PATIENCE_S = 240.0  # only a failing test waits this long
 
 
-def eventually(what: Callable[[], T], otherwise: str = "it did not happen") -> T:
-    """The first truthy answer; fails when none comes in `PATIENCE_S`."""
+def eventually(what: Callable[[], T], otherwise: str | Callable[[], str] = "never happened") -> T:
+    """The first truthy answer; fails when none comes in `PATIENCE_S`, with what `otherwise` says
+    by then."""
     deadline_s = time.monotonic() + PATIENCE_S
     while not (answer := what()):
-        assert time.monotonic() < deadline_s, otherwise
+        if time.monotonic() >= deadline_s:
+            raise AssertionError(otherwise() if callable(otherwise) else otherwise)
         time.sleep(0.005)
     return answer

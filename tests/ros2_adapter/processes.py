@@ -33,7 +33,7 @@ class Process:
         """Waits until so many lines have it in them."""
         eventually(
             lambda: self.count(what) >= times or self.process.poll() is not None,
-            f"never said {what!r}: {self.lines}",
+            lambda: f"never said {what!r}: {self.lines}",
         )
         if self.process.poll() is not None:
             self._reader.join(STOP_S)  # its last words may yet have to be read
