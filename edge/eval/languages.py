@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import deque
 from functools import lru_cache
 
 import numpy as np
 
-from edge.mission.automaton import NOTHING, Automaton, compile_formula
+from edge.mission.automaton import Automaton, compile_formula, shortest_word
 from edge.mission.ltl import Formula, postorder, weak_until
 
 Word = tuple[str, ...]
@@ -29,19 +28,7 @@ def difference(a: Formula, b: Formula, silent_end: bool = False) -> Word | None:
         return None
     first, second = _compiled(a), _compiled(b)
     accepts = [_accepting(automaton, silent_end) for automaton in (first, second)]
-    letters = (*dict.fromkeys((*first.letters, *second.letters)), NOTHING)
-    seen = {(0, 0)}
-    queue: deque[tuple[int, int, Word]] = deque([(0, 0, ())])
-    while queue:
-        s, t, word = queue.popleft()
-        if accepts[0][s] != accepts[1][t]:
-            return word
-        for letter in letters:
-            pair = first.step(s, letter), second.step(t, letter)
-            if pair not in seen:
-                seen.add(pair)
-                queue.append((*pair, (*word, letter)))
-    return None
+    return shortest_word(first, second, lambda s, t: bool(accepts[0][s] != accepts[1][t]))
 
 
 def satisfiable(formula: Formula, silent_end: bool = False) -> bool:

@@ -6,7 +6,8 @@ taken when the robot reaches an object.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -18,7 +19,9 @@ from edge.mission.logic import spot_compiler
 from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileError, Effort
 from edge.mission.ltl import Formula, propositions
 
-__all__ = ["NOTHING", "Automaton", "CompileError", "compile_formula"]
+__all__ = [
+    "NOTHING", "Automaton", "CompileError", "compile_formula", "implies", "shortest_word",
+]  # fmt: skip
 
 COMPILERS = {"own": own_compiler.language, "spot": spot_compiler.language}
 NOTHING = ""  # the letter of a step in which nothing of the formula is reached
@@ -99,6 +102,31 @@ def compile_formula(
     letters = propositions(formula)
     delta, accepting = COMPILERS[compiler](formula, letters, effort)
     return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, effort))
+
+
+def shortest_word(
+    first: Automaton, second: Automaton, wanted: Callable[[int, int], bool]
+) -> tuple[str, ...] | None:
+    """A shortest word after which the states of two automata are a wanted pair; None if none is."""
+    letters = (*dict.fromkeys((*first.letters, *second.letters)), NOTHING)
+    seen = {(0, 0)}
+    queue: deque[tuple[int, int, tuple[str, ...]]] = deque([(0, 0, ())])
+    while queue:
+        s, t, word = queue.popleft()
+        if wanted(s, t):
+            return word
+        for letter in letters:
+            pair = first.step(s, letter), second.step(t, letter)
+            if pair not in seen:
+                seen.add(pair)
+                queue.append((*pair, (*word, letter)))
+    return None
+
+
+def implies(first: Automaton, second: Automaton) -> bool:
+    """Whether every word that fulfils the first formula fulfils the second."""
+    told_apart = shortest_word(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
+    return told_apart is None
 
 
 def steps_left(delta: np.ndarray, accepting: np.ndarray, effort: Effort) -> np.ndarray:

@@ -66,9 +66,8 @@ def prepare(config: Mission, instruction: str | None = None, formula: str | None
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
-        translation = make_translator(config.translator).translate(
-            instruction if instruction is not None else config.instruction
-        )
+        said = instruction if instruction is not None else config.instruction
+        translation = make_translator(config.translator).translate(said, ask=False)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")

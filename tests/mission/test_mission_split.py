@@ -9,7 +9,7 @@ from ltl_semantics import holds
 
 from edge.mission import ltl
 from edge.mission.automaton import compile_formula
-from edge.mission.language.grammar import parse_english
+from edge.mission.language.grammar import readings
 from edge.mission.split import split
 
 
@@ -64,7 +64,8 @@ def test_it_is_said_why_a_mission_stays_whole(formula, why):
 
 def test_the_sentence_of_the_page_has_three_parts():
     words = "go to the bed, the sofa and the lamp in any order; never go to the toilet"
-    assert [str(part) for part in split(parse_english(words)).parts] == [
+    (formula,) = readings(words)
+    assert [str(part) for part in split(formula).parts] == [
         "F bed & G !toilet",
         "F sofa & G !toilet",
         'F "table lamp" & G !toilet',

@@ -7,7 +7,7 @@ import pytest
 from edge.config import TranslatorGrammar, TranslatorLtl
 from edge.errors import UserError
 from edge.mission.ltl import FormulaError, ap, eventually, parse
-from edge.mission.translate import TranslationError, make_translator, validated
+from edge.mission.translate import AmbiguousError, TranslationError, make_translator, validated
 
 BACKENDS = [
     (TranslatorGrammar(), "reach a tv, then a couch"),
@@ -23,6 +23,33 @@ def test_translates(config: TranslatorGrammar | TranslatorLtl, instruction: str)
     assert translation.instruction == instruction
     assert translation.backend == config.kind
     assert 0 <= translation.seconds < 60
+
+
+def test_an_ambiguous_instruction_is_asked_about() -> None:
+    grammar = make_translator(TranslatorGrammar())
+    said = "go to the bed without the sofa, then to the tv"
+    with pytest.raises(AmbiguousError, match=r"\(1\) Reach .* \(2\) Reach .*Never") as asked:
+        grammar.translate(said)
+    assert len(str(asked.value).splitlines()) == 1
+    english = tuple(reading.english for reading in asked.value.readings)
+    assert asked.value.implied == 1
+    for number, reading in enumerate(asked.value.readings, 1):
+        chosen = grammar.translate(said, reading=number)
+        assert chosen.formula == reading.formula
+        assert (chosen.reading, chosen.readings, chosen.implied) == (number, english, False)
+    unasked = grammar.translate(said, ask=False)
+    assert (unasked.reading, unasked.readings, unasked.implied) == (2, english, True)
+    for number in (0, 3):
+        with pytest.raises(TranslationError, match=f"there is no reading {number}"):
+            grammar.translate(said, reading=number)
+
+
+def test_what_is_plain_has_one_reading() -> None:
+    grammar = make_translator(TranslatorGrammar())
+    for translation in (grammar.translate("go to the bed"), grammar.translate("bed", reading=1)):
+        assert (translation.reading, translation.readings, translation.implied) == (None, (), False)
+    with pytest.raises(TranslationError, match="in 1 way"):
+        grammar.translate("go to the bed", reading=2)
 
 
 def test_errors_are_the_users() -> None:

@@ -304,3 +304,4 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.not_again.append(things)
     else:
         clause.avoiding.append(things)
+        clause.during = clause.during or token.kind == "while"

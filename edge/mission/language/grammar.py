@@ -14,7 +14,8 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
   ("you can visit x") asks for nothing;
 - "do not x until y", and the like with "before", is the weak until `!x W y`: y need not happen.
   ViTL writes U, but its tables II and III hold only under W;
-- "x before y" as an order asks for both, and y not before x; "x only after y" the same of y;
+- "x before y" as an order asks for both, and y not before x; or for x only; or merely for x, then
+  y. "x only after y" asks for x, and not before y;
 - "x while avoiding y" is: x, and no y before it;
 - goals without "then" between them may come in any order; a list with commas only that "then"
   ends ("a, b, then c") is in order;
@@ -52,11 +53,17 @@ from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.spoken import Clause, Condition, Memory
 from edge.mission.language.things import Things
-from edge.mission.language.words import Reader, Token, TranslationError, not_understood
+from edge.mission.language.words import (
+    Reader,
+    Token,
+    TranslationError,
+    not_understood,
+    tokenise,
+)
 from edge.mission.ltl import TRUE, Formula, postorder
 
 
-def sequence_goal(sequence: Sequence[Meaning]) -> Goal:
+def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
     """The goal of steps one after the other, each with its rules."""
     parts: list[Goal] = []
     rules: list[Formula] = []
@@ -65,6 +72,7 @@ def sequence_goal(sequence: Sequence[Meaning]) -> Goal:
         parts += _in_order(meaning) if after else meaning.goals and [_together(meaning.goals)]
         rules += meaning.rules
         rules += _banned(meaning, sequence[:i], after)
+        rules += _without(meaning, after, reader)
         rules += _limited(meaning, after)
     return Every((steps(parts),) if parts else (), tuple(rules))
 
@@ -166,6 +174,16 @@ def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning
     return rules
 
 
+def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
+    """`go to x without y, then to z`: no y before x, or none at all."""
+    asked = {name for step in after for goal in step.goals for name in letters(goal)}
+    rules: list[Formula] = []
+    for names, things, token in meaning.withouts:
+        ever = not asked & set(names) and reader.pick(token, 2)
+        rules += never(names) if ever else held_until(names, things)
+    return rules
+
+
 def _visits(goal: Goal) -> Iterator[Visit]:
     if isinstance(goal, Visit):
         yield goal
@@ -186,8 +204,10 @@ def _limited(meaning: Meaning, after: Sequence[Meaning]) -> list[Formula]:
     return [at_most(names, n) for names, n in meaning.limits]
 
 
-__all__ = ["TranslationError", "parse_english"]
+__all__ = ["TranslationError", "readings"]
 
+MAX_READINGS = 12
+"""The most ways to read one instruction that anybody is asked to choose from."""
 MAX_NODES = 20_000
 """A formula's largest size; "a and b, then c and d, then …" doubles it with every step."""
 
@@ -210,18 +230,40 @@ _THEN = ("then", "only then")
 _JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
 
 
-def parse_english(text: str) -> Formula:
-    """The formula that an instruction asks for, over canonical names.
+def readings(text: str) -> tuple[Formula, ...]:
+    """The formulas that an instruction may ask for, over canonical names; the usual one first.
+
+    The text is read once for each way to go at each token where English leaves it open.
 
     Raises:
-        TranslationError: it has a part that is not understood; the message names it.
+        TranslationError: it has a part that is not understood, which the message names, or can be
+            read in more than `MAX_READINGS` ways.
     """
-    try:
-        return _Discourse(Reader(text)).formula()
-    except TranslationError:
-        if is_foreign(text):
-            raise not_understood(text, 1, "instructions are read in English only") from None
-        raise
+    tokens = tokenise(text)
+    found: list[Formula] = []
+    todo: list[dict[int, int]] = [{}]
+    for picks in todo:
+        reader = Reader(text, tokens, picks)
+        try:
+            found.append(_Discourse(reader).formula())
+        except TranslationError:
+            if picks:
+                continue  # this way leads nowhere
+            if is_foreign(text):
+                hint = "instructions are read in English only"
+                raise not_understood(text, 1, hint) from None
+            raise
+        last = max(picks, default=-1)
+        todo += [
+            {**picks, start: way}
+            for start, ways in sorted(reader.forks.items())
+            if start > last
+            for way in range(1, ways)
+        ]
+        if len(todo) > MAX_READINGS:
+            hint = "it can be read in too many ways; say it in several sentences"
+            reader.refuse(hint, tokens[0])
+    return tuple(found)
 
 
 def _size(formula: Formula) -> int:
@@ -280,7 +322,7 @@ class _Discourse:
                 self._sentence(joint)
             reader.skip("comma", "stop")
         parts = [] if self.goal is None else [self.goal]
-        parts += [sequence_goal([rule]) for rule in self.rules]
+        parts += [sequence_goal([rule], reader) for rule in self.rules]
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
             reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
@@ -312,7 +354,7 @@ class _Discourse:
             reader.refuse("each alternative needs something to reach", start)
         if not sequence:
             return
-        options = tuple(map(sequence_goal, sequences))
+        options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
         goal = options[0] if len(options) == 1 else Some(options)
         if self.goal is None:
             self.goal = goal

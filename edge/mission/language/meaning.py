@@ -21,7 +21,7 @@ from edge.mission.language.goals import (
 )
 from edge.mission.language.spoken import Clause, Condition, Count
 from edge.mission.language.things import Things
-from edge.mission.language.words import Reader
+from edge.mission.language.words import Reader, Token
 from edge.mission.ltl import Formula, always, ap, implies, neg, next_, weak_next
 
 
@@ -34,6 +34,8 @@ class Meaning:
         things: what the goals reach; what "while avoiding" lasts until.
         rules: hold from the start on.
         bans: names not to be reached; for how long is seen when the sequence is complete.
+        withouts: (names, things, token): "things without names", and something comes after; whether
+            for good is asked, unless the sequence asks for the names later.
         limits: (names, n): at most n separate visits, in a sequence until its next step.
         loose: has no goal of its own.
         listed: its goals stand side by side with no "and" between them.
@@ -45,6 +47,7 @@ class Meaning:
     things: Things = field(default_factory=lambda: Things(()))
     rules: list[Formula] = field(default_factory=list)
     bans: list[tuple[str, ...]] = field(default_factory=list)
+    withouts: list[tuple[tuple[str, ...], Things, Token]] = field(default_factory=list)
     limits: list[tuple[tuple[str, ...], int]] = field(default_factory=list)
     listed: bool = True
     follows: bool = False
@@ -65,6 +68,7 @@ class Meaning:
         self.things = Things(self.things.groups + other.things.groups)
         self.rules += other.rules
         self.bans += other.bans
+        self.withouts += other.withouts
         self.limits += other.limits
 
 
@@ -198,10 +202,12 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     alone = not times and (reader.sees("end") or reader.sees("end", ahead=1))
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
-        if alone and not set(others) & set(things.names):
+        if (clause.during and not alone) or set(others) & set(things.names):
+            meaning.rules += held_until(others, things)
+        elif alone:
             meaning.rules += never(others)  # nothing comes after: the safer reading costs nothing
         else:
-            meaning.rules += held_until(others, things)
+            meaning.withouts.append((tuple(others), things, clause.token))
     for avoided in (*clause.not_again, *clause.avoiding):
         again = [n for n in avoided.names if n in times or avoided in clause.not_again]
         meaning.rules += [
@@ -231,6 +237,10 @@ def _counted_until(clause: Clause, things: Things, count: Count, reader: Reader)
     return meaning
 
 
+_BEFORE = ("both", "first only", "in order")
+"""What "x before y" asks for: both, and no y before x; x, and no y before it; x, then y."""
+
+
 def _conditioned(
     clause: Clause, things: Things, condition: Condition, reader: Reader, meaning: Meaning
 ) -> None:
@@ -249,8 +259,10 @@ def _conditioned(
     elif kind == "unless":
         reader.refuse("'unless' goes with something forbidden", condition.token)
     elif kind == "before" and (clause.mood != "can" or condition.only):
-        meaning.rules += held_until(when.names, things)
-        if clause.mood == "do":
+        way = _BEFORE[reader.pick(condition.token, len(_BEFORE)) if clause.mood == "do" else 1]
+        if way != "in order":
+            meaning.rules += held_until(when.names, things)
+        if way != "first only":
             meaning.goals = [steps([*meaning.goals, visits(when)])]
             meaning.things = when
     elif condition.only:

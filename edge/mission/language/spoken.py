@@ -144,6 +144,7 @@ class Clause:
         only: "only" before the verb.
         things: what it is about; None for "do not stop (until …)".
         avoiding: things to be avoided on the way ("while avoiding", "without").
+        during: that is said with "while", so that it lasts no longer.
         not_again: things not to be visited once more on the way ("without returning to x").
         next_step: "right after", "immediately".
         again: "again", "any more", "revisit".
@@ -162,6 +163,7 @@ class Clause:
     things: Things | None = None
     conditions: list[Condition] = field(default_factory=list)
     avoiding: list[Things] = field(default_factory=list)
+    during: bool = False
     not_again: list[Things] = field(default_factory=list)
     order: str = ""
     count: Count | None = None

@@ -10,7 +10,9 @@ longer word follows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from edge import names
 from edge.mission.language import nouns
@@ -77,8 +79,8 @@ def take_things(
         TranslationError: no noun phrase, or one that can be read in two ways.
     """
     start = reader.peek()
-    groups = list(_element(reader, mentioned))
-    joints: set[str] = set()
+    elements = [_element(reader, mentioned)]
+    between: list[Token] = []
     commas: set[str] = set()
     while True:
         ahead = _joint_length(reader)
@@ -90,9 +92,12 @@ def take_things(
         commas |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
-        joints |= {reader.peek(i).kind for i in range(ahead)} - {"comma", "to"}
+        joint = next((i for i in range(ahead) if reader.sees("and", "or", ahead=i)), 0)
+        between.append(reader.peek(joint))
         reader.at += ahead
-        groups += _element(reader, mentioned)
+        elements.append(_element(reader, mentioned))
+    groups = [group for element in elements for group in element]
+    joints = {token.kind for token in between} & {"and", "or"}
     if len(set(groups)) < len(groups):
         reader.refuse("the same thing is named twice", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
@@ -102,8 +107,45 @@ def take_things(
     if joints == {"or"}:
         return Things((tuple(dict.fromkeys(name for group in groups for name in group)),))
     if len(joints) > 1:
-        reader.refuse("it mixes 'and' with 'or': say 'either … or …' for the choice", start)
+        return Things(_mixed(reader, elements, between))
     return Things(tuple(groups), listed=len(groups) > 1 and not joints)
+
+
+_Groups = tuple[tuple[str, ...], ...]
+_MAX_MIXED = 8
+
+
+def _mixed(reader: Reader, elements: list[_Groups], between: list[Token]) -> _Groups:
+    """`a and b or c`: either `a, and one of b and c`, or `both a and b, or c`."""
+    fork = next(token for token in between if token.kind == "or")
+    if len(elements) > _MAX_MIXED:
+        reader.refuse("it mixes 'and' with 'or': say 'either … or …' for the choice", fork)
+    kinds = [token.kind for token in between]
+    for i in reversed(range(len(kinds) - 1)):
+        kinds[i] = kinds[i] if kinds[i] in ("and", "or") else kinds[i + 1]
+    if reader.pick(fork, 2) == 0:
+        runs = _split(elements, kinds, "and")
+        return tuple(group for run in runs for group in _one_of(run))
+    runs = _split(elements, kinds, "or")
+    return _one_of([tuple(group for element in run for group in element) for run in runs])
+
+
+def _split(elements: list[_Groups], kinds: list[str], at: str) -> list[list[_Groups]]:
+    """The elements in runs that this joint divides."""
+    runs = [[elements[0]]]
+    for kind, element in zip(kinds, elements[1:], strict=True):
+        if kind == at:
+            runs.append([])
+        runs[-1].append(element)
+    return runs
+
+
+def _one_of(options: Sequence[_Groups]) -> _Groups:
+    """All groups of one of the options, as groups: `(a and b) or c` is `a or c, and b or c`."""
+    return tuple(
+        tuple(dict.fromkeys(name for group in chosen for name in group))
+        for chosen in product(*options)
+    )
 
 
 def _joint_length(reader: Reader) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -131,12 +131,25 @@ class Reader:
 
     Args:
         tokens: of another lexicon than the mission's.
+        picks: which way to go at tokens where the text can be read in several, by their start.
+
+    Attributes:
+        forks: how many ways there were at each such token, by its start.
     """
 
-    def __init__(self, text: str, tokens: list[Token] | None = None) -> None:
+    def __init__(
+        self, text: str, tokens: list[Token] | None = None, picks: Mapping[int, int] | None = None
+    ) -> None:
         self.text = text
         self.tokens = tokenise(text) if tokens is None else tokens
         self.at = 0
+        self.forks: dict[int, int] = {}
+        self._picks = picks or {}
+
+    def pick(self, token: Token, ways: int) -> int:
+        """Which of so many ways to read the text at a token is taken this time."""
+        self.forks[token.start] = ways
+        return self._picks.get(token.start, 0)
 
     def peek(self, ahead: int = 0) -> Token:
         """The token so many places on; "end" beyond the last."""

@@ -1,0 +1,66 @@
+"""What an instruction may mean where English leaves it open: its readings, told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edge.mission.automaton import Automaton, CompileError, compile_formula, implies
+from edge.mission.language.words import TranslationError
+from edge.mission.ltl import Formula
+from edge.text import one_line
+
+_MAX_STATES, _MAX_STEPS = 2_000, 3_000_000  # of each reading; larger ones are not compared
+_SHOWN = 300  # characters of each reading
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One thing that an instruction may mean, and the same in plain English."""
+
+    formula: Formula
+    english: str
+
+
+class AmbiguousError(TranslationError):
+    """An instruction that can be read in several ways.
+
+    Attributes:
+        readings: two or more, of different languages.
+        implied: the index of the reading that implies all others, which is the safer one: whoever
+            fulfils it fulfils them all. None where there is none, or it is not known.
+    """
+
+    def __init__(self, readings: tuple[Reading, ...], implied: int | None) -> None:
+        listed = " ".join(
+            f"({i}) {one_line(reading.english, _SHOWN)}" for i, reading in enumerate(readings, 1)
+        )
+        super().__init__(
+            f"instruction: it can be read in {len(readings)} ways, choose one: {listed}"
+        )
+        self.readings = readings
+        self.implied = implied
+
+
+def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | None]:
+    """The formulas that differ in what they ask for, and the one that implies all of them.
+
+    One that cannot be fulfilled, or asks for nothing, is left out beside others: nobody means it.
+
+    Returns:
+        The formulas in their order, and an index, see `AmbiguousError`; with a formula too large
+            to compile, all of them and None.
+    """
+    formulas = tuple(dict.fromkeys(formulas))
+    if len(formulas) == 1:
+        return formulas, None
+    try:
+        compiled = [compile_formula(formula, _MAX_STATES, _MAX_STEPS) for formula in formulas]
+    except CompileError:
+        return formulas, None
+    kept: list[Automaton] = []
+    for automaton in [a for a in compiled if a.steps_left[0] > 0] or compiled:
+        if not any(implies(automaton, other) and implies(other, automaton) for other in kept):
+            kept.append(automaton)
+    strongest = (i for i, a in enumerate(kept) if all(implies(a, other) for other in kept))
+    return tuple(a.formula for a in kept), next(strongest, None) if len(kept) > 1 else None
