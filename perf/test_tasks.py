@@ -1,0 +1,28 @@
+"""What a task that is driven costs each tick: where it stands, what blocks it, the goal ahead."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "loop")]
+from test_loop_task import closed, until
+
+
+def test_task_step(benchmark):
+    """Between ticks of a robot that drives; a sixth of the steps look along the path ahead."""
+    benchmark.extra_info["budget"] = "task_step"
+    loop = until(closed("go straight for 3 metres"), "driving")
+    service = loop.service
+    task, map, goals = service.task, service.map, service.goals
+
+    def drive() -> tuple[tuple, dict]:
+        loop.step()
+        assert task.phase == "driving"
+        return (loop.observe(), loop.drive.motion.stamp_ns), {}
+
+    def step(observation, now_ns) -> None:
+        task.step(map, goals, observation, None, False, now_ns)
+        task.lead(goals, observation.pose, now_ns)
+
+    benchmark.pedantic(step, setup=drive, rounds=25, warmup_rounds=1)

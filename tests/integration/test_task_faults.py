@@ -1,0 +1,114 @@
+"""Tasks through faults: a server that stalls, lies, sends 100 MB or dies; a detector swapped."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+
+import pytest
+from chat_server import saying, send, serving
+from patience import PATIENCE_S
+from simulated import simulated
+
+from edge.eval.closed_loop import ClosedLoop
+from edge.host import resources
+from edge.tasks.brief import prepared
+
+TASK = "Drive a little way."
+SHIPPED = "mini-house-256x320-int8-cpu"
+BESIDE = {"loop": {"lockstep": False}, "sim": {"lockstep": True, "step_s": 0.2}}
+
+
+def until(loop: ClosedLoop, what: Callable[[], object]) -> int:
+    """Steps taken until it is so."""
+    deadline_s, steps = time.monotonic() + PATIENCE_S, 0
+    while not what():
+        assert time.monotonic() < deadline_s, loop.notes.events
+        loop.step()
+        steps += 1
+    return steps
+
+
+def stalls(handler):
+    handler.stopping.wait()
+
+
+def sends_100_mb(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", str(100 << 20))
+    handler.end_headers()
+    for _ in range(100):
+        handler.wfile.write(b" " * (1 << 20))
+
+
+def dies(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", "1000")
+    handler.end_headers()
+    handler.wfile.write(b'{"choices": [{')
+    handler.connection.close()
+
+
+LEADS_AWAY = "```python\ngive_trajectory([line(robot()['position'], (1e9, float('nan')))])\n```"
+
+
+@pytest.mark.parametrize(
+    ("behave", "said"),
+    [
+        (stalls, "no whole answer within 1 s"),
+        (sends_100_mb, "the answer has more than 256 KB"),
+        (dies, "closed the connection before its answer was whole"),
+        (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
+        (saying(LEADS_AWAY), "no trajectory in 2 answers"),
+    ],
+    ids=["stalls", "100 MB", "dies", "no JSON", "lies"],
+)
+def test_a_server_that_misbehaves_costs_its_task_and_no_tick(behave, said):
+    limit_s = 1.0 if behave is stalls else PATIENCE_S
+    with serving(behave) as server:
+        planner = {"kind": "model", "url": server.url, "time_limit_s": limit_s, "rounds": 2}
+        loop = ClosedLoop(simulated({**BESIDE, "tasks": {"planner": planner}}), task=TASK)
+        service = loop.service
+        until(loop, lambda: server.requests)
+        waited = until(loop, lambda: service.status.done)
+    assert (service.status.phase, "\n" in service.status.reason) == ("failed", False)
+    assert said in service.status.reason
+    assert loop.drive.motion.path_m < 0.2
+    assert waited > 3 or behave is not stalls, "the loop waited for the server"
+    service.begin(prepared(loop.config, formula="F oven"), loop.drive.motion.stamp_ns)
+    until(loop, lambda: loop.drive.motion.path_m > 0.5)
+    loop.close()
+
+
+def test_a_detector_is_swapped_while_a_task_is_driven(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    resources.models_dir().mkdir(parents=True)
+    shipped = resources.data_dir("models") / SHIPPED
+    card = shipped.with_name(f"{SHIPPED}.yaml").read_text(encoding="utf-8")
+    (resources.models_dir() / "other.yaml").write_text(
+        card.replace(f"name: {SHIPPED}", "name: other"), encoding="utf-8"
+    )
+    shutil.copy(f"{shipped}.onnx", resources.models_dir())
+    perception = {
+        "detector": {"kind": "onnx", "model": SHIPPED, "threads": 1},
+        "swap": {"probation": 10, "images": 2, "budget_ms": 1e5},
+    }
+    lockstep = {"lockstep": True, "step_s": 0.2}
+    config = simulated({"loop": {"lockstep": True}, "sim": lockstep, "perception": perception})
+    loop = ClosedLoop(config, task="go to the sofa")
+    service = loop.service
+    until(loop, lambda: service.task.facts().phase == "driving")
+    service.swapper.request("other", False, loop.drive.motion.stamp_ns)
+
+    def stepped() -> bool:
+        service.swapper.step(loop.drive.motion.stamp_ns)
+        return service.status.done
+
+    until(loop, stepped)
+    assert service.status.phase == "reached", loop.notes.events
+    assert (service.swapper.running, service.swapper.outcomes["kept"]) == ("other", 1)
+    assert loop.distance_m("sofa") <= 1.0
+    assert loop.drive.motion.collisions == 0
+    service.swapper.close()
+    loop.close()
