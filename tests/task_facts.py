@@ -10,12 +10,13 @@ from task_scenes import STREET, street
 
 from edge.config import Tasks
 from edge.motion.pursuit import MotionLimits
-from edge.tasks.facts import TaskFacts
+from edge.tasks.facts import StepFacts, StepState, TaskFacts
 from edge.tasks.refine import Refined, refine
 from edge.tasks.value_map import Body
 from edge.tasks.write import Round, Written, write
 
 INSTRUCTION = "go past the left of the van, then stop at the gate"
+SAID = ("go past the left of the van", "stop at the gate")
 LIMITS = MotionLimits(speed_mps=1.0, turn_radps=1.0, accel_mps2=0.8, turn_accel_radps2=3.0)
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(1)>\x1b[2J\u202e\ud800'\""
 
@@ -29,8 +30,18 @@ def written() -> tuple[Written, Refined]:
     return by_rules, refine(scene, coarse.segments, coarse.regions, body, LIMITS)
 
 
+def steps(*states: StepState) -> tuple[StepFacts, ...]:
+    return tuple(map(StepFacts, SAID, states))
+
+
 def looking(**fields: Any) -> TaskFacts:
-    return replace(TaskFacts(INSTRUCTION, "looking", "rules", missing=("van", "gate")), **fields)
+    return replace(
+        TaskFacts(
+            INSTRUCTION, "looking", "rules", missing=("van", "gate"),
+            steps=steps("looked for", "looked for"),
+        ),
+        **fields,
+    )  # fmt: skip
 
 
 def driving(index: int = 40, **fields: Any) -> TaskFacts:
@@ -39,7 +50,7 @@ def driving(index: int = 40, **fields: Any) -> TaskFacts:
     task = TaskFacts(
         INSTRUCTION, "driving", "rules", understood=by_rules.understood,
         coarse_m=by_rules.coarse.points_m, refined=refined, index=index, refinements=1,
-        notes=refined.notes,
+        notes=refined.notes, steps=steps("under way", "under way"),
     )  # fmt: skip
     return replace(task, **fields)
 
@@ -52,6 +63,6 @@ def by_a_model(said: str = HOSTILE, **fields: Any) -> TaskFacts:
     )
     more: dict[str, Any] = {
         "writer": f"model {said}", "understood": "", "prompt": f"You plan.\n{said}",
-        "rounds": rounds, "notes": (said,),
+        "rounds": rounds, "notes": (said,), "steps": (StepFacts(said, "under way"),),
     }  # fmt: skip
     return driving(**{**more, **fields})

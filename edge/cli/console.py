@@ -65,7 +65,7 @@ def line_of(result: TickResult) -> str:
 
     and, of a task that is driven,
 
-    `12.3s driving go past the sofa | 3.1 of 7.4 m | map 40 m2 | tick p95 1.9 ms | detector 9 ms`
+    `12.3s driving go past the sofa | step 1 of 2 | 3.1 of 7.4 m | map 40 m2 | tick p95 1.9 ms | …`
     """
     status, pose, task = result.status, result.pose, result.task()
     latency = result.latency(last=_RECENT)
@@ -94,14 +94,16 @@ def _sought(result: TickResult) -> list[str]:
 
 def _of_task(task: TaskFacts, result: TickResult) -> list[str]:
     asked = shorten(task.instruction, _THEN_CHARS)
+    driven, all = sum(step.state == "driven" for step in task.steps), len(task.steps)
+    step = [f"step {driven + 1} of {all}"] if driven < all > 1 else []
     if task.phase == "looking":
         wanted = shorten(", ".join(task.missing), _THEN_CHARS) or "what is around"
-        return [f"looking for {wanted}, to {asked}", *_sought(result)]
+        return [f"looking for {wanted}, to {asked}", *step, *_sought(result)]
     if task.refined is None:
         answers = f", {len(task.rounds)} answers" if task.rounds else ""
-        return [f"{task.phase} {asked}", f"by {task.writer}{answers}"]
+        return [f"{task.phase} {asked}", *step, f"by {task.writer}{answers}"]
     length_m, driven_m = lengths_m(task.refined, task.index)
-    return [f"{task.phase} {asked}", f"{driven_m:.1f} of {length_m:.1f} m"]
+    return [f"{task.phase} {asked}", *step, f"{driven_m:.1f} of {length_m:.1f} m"]
 
 
 def _ahead(result: TickResult) -> str:

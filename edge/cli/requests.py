@@ -121,6 +121,15 @@ def _trajectory(task: dict) -> str:
     return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
 
 
+def _steps(task: dict) -> str:
+    """How each step stands, of more than one."""
+    steps = task.get("steps")
+    if not isinstance(steps, list) or len(steps) < 2:
+        return ""
+    told = (step for step in steps if isinstance(step, dict))
+    return "; ".join(f"{step.get('state')}: {step.get('said')}" for step in told)
+
+
 def _answers(task: dict) -> str:
     """How often a model was asked, and what was wrong with its newest answer."""
     answers, rounds = task.get("answers"), task.get("rounds")
@@ -151,6 +160,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "failed": _text("failed"),
     "forbidden": _text("forbidden"),
     "task": _of_task(_text("phase")),
+    "steps": _of_task(_steps),
     "written by": _of_task(_text("writer")),
     "read as": _of_task(_text("understood")),
     "missing": _of_task(_text("missing")),

@@ -83,6 +83,10 @@ def script_of(task: TaskFacts, number: int) -> dict[str, Any]:
         "instruction": one_line(task.instruction, MAX_WORDS),
         "writer": one_line(task.writer),
         "missing": [one_line(name) for name in task.missing[:MAX_LINES]],
+        "steps": [
+            {"said": one_line(step.said, MAX_LINE), "state": step.state}
+            for step in task.steps[:MAX_LINES]
+        ],
         "understood": one_line(task.understood, MAX_WORDS),
         "prompt": some_lines(task.prompt, MAX_PROMPT),
         "rounds": [

@@ -57,7 +57,7 @@ class Keeper:
 
     def brief(self) -> Brief | None:
         """The saved mission again, from its formula: nothing is translated twice. A task is read
-        again, and begins anew.
+        again, and goes on with the first step that was not driven.
 
         Raises:
             MissionError: the limits in the configuration are narrower than they were.
@@ -134,7 +134,7 @@ class Keeper:
                 elapsed_s=status.elapsed_s,
                 path_m=status.path_m,
                 id=name,
-                task=brief.to_see is not None,
+                task=brief.steps is not None,
             )
 
         self._writer.post(made, now_ns)

@@ -12,6 +12,7 @@ Texts of others (instructions, targets, errors) are no labels: each would be a s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
@@ -30,8 +31,10 @@ from edge.loop.status import detector_health
 from edge.loop.vitals import STATES, Vitals
 from edge.perception.detector import HEALTH_STATES
 from edge.perception.process.detector import ProcessDetector
+from edge.tasks.facts import StepState
 from edge.types import MissionPhase
 
+_STEP_STATES = get_args(StepState)
 _GOALS = ("none", "frontier", "instance", "look", "trajectory")
 _MS = 1e-3
 
@@ -73,6 +76,13 @@ def _faults(look: Look) -> dict[tuple[str, str], int]:
     """By (step, type of error)."""
     kinds = dict(look.service.faults.failures)
     return {(kind.partition(": ")[0], kind.partition(": ")[2]): n for kind, n in kinds.items()}
+
+
+def _task_steps(look: Look) -> dict[str, int]:
+    """Of a task, so many steps of each state."""
+    task = look.service.task
+    counted = Counter(step.state for step in task.steps()) if task else Counter()
+    return {state: counted[state] for state in _STEP_STATES}
 
 
 def _answers(look: Look) -> dict[tuple[str, str], int]:
@@ -197,6 +207,8 @@ SERVICE: tuple[Metric[Look], ...] = (
            lambda s: s.mission.elapsed_s),
     Metric("edge_mission_path_meters", "gauge", "Way that the robot has driven for it.",
            lambda s: s.mission.path_m),
+    Metric("edge_task_steps", "gauge", "Steps of the task, by how they stand.",
+           _task_steps, ("state",)),
     Metric("edge_goal_state", "state", "What the present goal is for: a frontier, an instance of "
            "the target, to look round, a task's trajectory.",
            lambda s: "none" if s.goal is None else s.goal.kind, states=_GOALS),

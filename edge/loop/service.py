@@ -290,15 +290,15 @@ class Service:
         if not mission.started:
             mission.start(now_ns)
         mission.observe(pose, now_ns, looking=task is None or task.looking)
-        if task is None or task.phase == "looking":
-            mission.see(self._newest_ids(), now_ns)
+        # What is driven past may get out of sight, and is not looked for again.
+        mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
         if self._surveyor is not None and task is None:
             self._surveyor.step(mission, self.map.grid, self.map.tracker, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
             stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
             if task is not None:
                 task.step(self.map, self.goals, observation, self._detections, stuck, now_ns)
-            if self.goals.exhausted and (task is None or task.missing):
+            if self.goals.exhausted and (task is None or task.missed):
                 mission.give_up(self.goals.why_in_vain(mission, self.map.grid), now_ns)
         mission.check_limits(now_ns)
         if not (self.goals.follows(mission) or mission.done):
@@ -383,7 +383,7 @@ class Service:
         self.mission.start(now_ns)
 
     def _task_of(self, mission: MissionRun) -> TaskRun | None:
-        if mission.brief.to_see is None:
+        if mission.brief.steps is None:
             return None
         return TaskRun(mission, self.config, self._journal)
 

@@ -24,7 +24,7 @@ MOST_POSES = 200
 MOST_ROUNDS = 4
 """Of a model's answers, the newest: they may be long, and the status goes out each second."""
 _MOST_LINES = 20
-_CODE_CHARS, _PRINTED_CHARS = 2000, 500
+_CODE_CHARS, _PRINTED_CHARS, _STEP_CHARS = 2000, 500, 100
 
 
 def status_of(result: TickResult) -> dict[str, object]:
@@ -181,6 +181,10 @@ def task_of(task: TaskFacts | None) -> dict[str, object] | None:
         "phase": task.phase,
         "writer": one_line(task.writer),
         "missing": [one_line(name) for name in task.missing[:_MOST_LINES]],
+        "steps": [
+            {"said": one_line(step.said, _STEP_CHARS), "state": step.state}
+            for step in task.steps[:_MOST_LINES]
+        ],
         "understood": one_line(task.understood, _PRINTED_CHARS),
         "rounds": [
             {

@@ -1,44 +1,35 @@
 """A task under way: what it names is looked for, its trajectory is written, refined and driven.
 
-Writing and refining take from a tenth of a second to minutes, so they are done beside the loop; the
-robot stands meanwhile. A trajectory means something in the frame in which it was written, and from
-where the robot stood then: where the pose jumps, and after a restart, a new one is written.
+As many of its steps as can be written are driven; what a later one names is looked for as they are,
+and searched for once nothing more can be driven. Writing and refining take from a tenth of a second
+to minutes, so they are done beside the loop (`edge.loop.draft`); the robot stands meanwhile. A
+trajectory means something in the frame in which it was written, and from where the robot stood
+then: where the pose jumps, and after a restart, a new one is written for the steps that are left.
 """
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from edge.config import Config, Tasks, WriterModel
-from edge.errors import UserError
+from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
+from edge.loop.draft import Draft, Look, Order, carried_out, let_go, told
 from edge.loop.goal import GoalTracker
 from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
-from edge.mapping.view import MapView
-from edge.mission.language.words import TranslationError
+from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
-from edge.motion.pursuit import MotionLimits, index_ahead
-from edge.tasks.facts import TaskFacts, TaskPhase
+from edge.motion.pursuit import index_ahead
+from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
 from edge.tasks.objects import ObjectMap
-from edge.tasks.prompt import prompt, words
-from edge.tasks.refine import Refined, refine, refine_again
-from edge.tasks.scene import Scene
-from edge.tasks.survey import add_found, scene_of_map
-from edge.tasks.value_map import Body
-from edge.tasks.write import Round, write
+from edge.tasks.refine import Refined
 from edge.text import one_line
-from edge.types import Detections, Instance, Observation
-
-log = logging.getLogger("edge.loop.task")
+from edge.types import Detections, Observation
 
 AHEAD_M = 1.5
 """How far the goal moves ahead of the robot, and `APART_M` from where it was before it is sent."""
@@ -51,69 +42,7 @@ TURNS = 3
 """On the spot, in which a model's robot comes round once before the trajectory is written."""
 SAME_PLACE_M = 0.5
 """A robot that is held up twice within this distance is not helped by the same trajectory."""
-NEARER_M = 0.15
-"""Getting less near to a thing is not worth starting again."""
 _REASON_CHARS = 300
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Draft:
-    """What came of writing or refining, beside the loop.
-
-    Attributes:
-        refined: the trajectory; None: there is none, and `error` says why in one line.
-        hopeless: whatever else comes to be known, there will be none.
-        coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
-        speed_mps: that was asked for; None: none was.
-        stops_at: see `edge.tasks.write.Written`.
-        understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
-    """
-
-    refined: Refined | None = None
-    error: str = ""
-    hopeless: bool = False
-    coarse_m: np.ndarray | None = None
-    speed_mps: float | None = None
-    stops_at: int | None = None
-    understood: str = ""
-    prompt: str = ""
-    rounds: tuple[Round, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """A picture with boxes, whose frame is held, for an object map."""
-
-    found: Detections
-    objects: ObjectMap
-    range_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Order:
-    """What the worker is to do, with all that it needs: the loop goes on.
-
-    Attributes:
-        before: what was written before; its trajectory is to be refined again, from `index` on.
-            None: one has to be written.
-        why: another one has to be written; "" where it is the first.
-        nearer_to: the thing that the robot stopped at, which may be got nearer to on the map that
-            there is by now; None: it is under way.
-        rounds: a model's, as they end.
-    """
-
-    config: Config
-    instruction: str
-    view: MapView
-    observation: Observation
-    instances: Sequence[Instance]
-    objects: ObjectMap
-    found: Detections | None
-    before: Draft | None = None
-    index: int = 0
-    why: str = ""
-    nearer_to: int | None = None
-    rounds: list[Round] = field(default_factory=list)
 
 
 class TaskRun:
@@ -131,20 +60,21 @@ class TaskRun:
     def __init__(self, mission: MissionRun, config: Config, journal: Journal) -> None:
         self.config = config
         self._mission = mission
-        self._side: Worker[_Look | _Order, Draft] = Worker(
-            "task", _done, inline=config.loop.lockstep, drop=_let_go
+        self._side: Worker[Look | Order, Draft] = Worker(
+            "task", carried_out, inline=config.loop.lockstep, drop=let_go
         )
         self._worker: Any = journal.beside(TASK, self._side)
+        self._objects = ObjectMap()  # the worker's
         self._begin()
 
     def _begin(self) -> None:
+        """With the first step that was not driven."""
         self.phase: TaskPhase = "looking"
         self._turns = TURNS if self._by_model else 0
         self._turning: SE2 | None = None
         self._draft = Draft()
-        self._objects = ObjectMap()  # the worker's
         self._index = self._refinements = 0
-        self._order: _Order | None = None  # that the worker is at
+        self._order: Order | None = None  # that the worker is at
         self._why = ""  # a trajectory before this one could not be driven on
         self._refused = ""  # why none can be written from what was seen so far
         self._all_seen = False
@@ -157,14 +87,33 @@ class TaskRun:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What it names and has to be seen yet."""
-        return self._mission.plan.steps if self.phase == "looking" else ()
+        """What the steps that were not driven name, and has to be seen yet."""
+        return self._mission.plan.steps
+
+    @property
+    def missed(self) -> bool:
+        """Whether nothing more can be driven before something is seen that it names."""
+        return self.phase == "looking" and not self._ends
 
     @property
     def looking(self) -> bool:
         """Whether the robot searches, as for a mission's target: for what it names, or for ground
         that a trajectory can lead over."""
-        return self.phase == "looking" and bool(self.missing or self._refused)
+        return self.missed or (self.phase == "looking" and bool(self._refused))
+
+    @property
+    def _steps(self) -> tuple[TaskStep, ...]:
+        return self._mission.brief.steps or ()
+
+    @property
+    def _ends(self) -> tuple[int, ...]:
+        """Up to how many steps a trajectory may be written now, the most first."""
+        steps, unseen, first = self._steps, set(self.missing), self._mission.state
+        if self._by_model:
+            return (len(steps),)
+        named = (n for n in range(first, len(steps)) if not unseen.isdisjoint(steps[n].names))
+        ready = range(next(named, len(steps)), first, -1)
+        return tuple(n for n in ready if n == len(steps) or not steps[n].joined)
 
     # -- in each tick -----------------------------------------------------------------------
 
@@ -187,11 +136,12 @@ class TaskRun:
         if detections is not None:
             self._see(detections)
         if (draft := self._worker.poll()) is not None and self._order is not None:
-            self._take(draft, self._order, now_ns)
-        if self._refused and self.phase == "looking" and not self.missing:
-            self._look_on(map, goals, observation, now_ns)
-        elif self.phase == "looking" and not self.missing:
-            self._look_round(goals, pose, stuck)
+            self._take(draft, self._order, goals, now_ns)
+        if self.phase == "looking" and not self.missed and not self._mission.done:
+            if self._refused:
+                self._look_on(map, goals, observation, now_ns)
+            else:
+                self._look_round(goals, pose, stuck)
         if self.phase == "writing" and self._order is None and not self._mission.done:
             if not self._by_model:
                 self._ask(map, observation, None)
@@ -215,6 +165,7 @@ class TaskRun:
     def forget(self) -> None:
         """The frame is another: what was written means nothing in it."""
         self._worker.forget()
+        self._objects = ObjectMap()
         self._begin()
 
     def close(self) -> None:
@@ -239,7 +190,23 @@ class TaskRun:
             index=self._index,
             refinements=self._refinements,
             notes=() if draft.refined is None else draft.refined.notes,
+            steps=tuple(self.steps()),
         )
+
+    def steps(self) -> Iterator[StepFacts]:
+        """How each step stands; any thread may ask."""
+        mission, order, missing = self._mission, self._order, set(self.missing)
+        upto = self._draft.upto if order is None else order.ends[0]
+        for n, step in enumerate(self._steps):
+            if n < mission.state:
+                state = "driven"
+            elif mission.done:
+                state = "not driven"
+            elif n < upto and self.phase != "looking":
+                state = "under way"
+            else:
+                state = "to come" if missing.isdisjoint(step.names) else "looked for"
+            yield StepFacts(step.said, state)
 
     # -- inside -----------------------------------------------------------------------------
 
@@ -274,7 +241,7 @@ class TaskRun:
         ranged = seen.depth_m is not None or seen.cloud_m is not None
         if len(found) and ranged and seen.camera is not None:
             seen.hold()
-            self._side.submit(_Look(found, self._objects, perception.lift_max_range_m), _Look)
+            self._side.submit(Look(found, self._objects, perception.lift_max_range_m), Look)
 
     def _ask(
         self,
@@ -284,7 +251,7 @@ class TaskRun:
         before: Draft | None = None,
         nearer_to: int | None = None,
     ) -> None:
-        """Have a trajectory written, or `before`'s refined again; see `_Order`.
+        """Have a trajectory written, or `before`'s refined again; see `Order`.
 
         A copy of the picture costs less than a frame that is held while a model is asked.
         """
@@ -298,9 +265,12 @@ class TaskRun:
         }
         if not self._refused:
             self.phase = "writing"
-        self._order = _Order(
+        self._order = Order(
             self.config,
             self._mission.brief.translation.instruction,
+            self._mission.state,
+            self._ends,
+            len(self._steps),
             map.view,
             still,
             tuple(instances.values()),
@@ -313,7 +283,7 @@ class TaskRun:
         )
         self._worker.submit(self._order)
 
-    def _take(self, draft: Draft, order: _Order, now_ns: int) -> None:
+    def _take(self, draft: Draft, order: Order, goals: GoalTracker, now_ns: int) -> None:
         """Drive what was found; where nothing was, have another written, or give up."""
         mission, self._order = self._mission, None
         for n, said in enumerate(draft.rounds, start=1):
@@ -325,9 +295,9 @@ class TaskRun:
             self._draft, self._index, self._looked_ns = draft, 0, 0
             self._refinements += 1
             self.phase, self._refused = "driving", ""
-            mission.tell(_line(_told(draft, order)), now_ns)
+            mission.tell(_line(told(draft, order)), now_ns)
         elif order.nearer_to is not None:
-            mission.complete("driven to its end", now_ns)
+            self._go_on(goals, now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
         elif not (draft.hopeless or self._why or self._by_model):
@@ -351,9 +321,11 @@ class TaskRun:
         refined, goal, answer = self._draft.refined, goals.goal, goals.answer
         assert refined is not None
         pose, state = observation.pose, None if answer is None else answer.state
+        if (driven := self._driven(refined)) > self._mission.state:
+            self._mission.drove(driven, now_ns)
         if state == "reached" and goal is not None and _is_end(goal.pose, refined):
             if (thing := self._draft.stops_at) is None:
-                self._mission.complete("driven to its end", now_ns)
+                self._go_on(goals, now_ns)
             else:
                 self._ask(map, observation, None, nearer_to=thing)
         elif state == "reached":
@@ -375,6 +347,21 @@ class TaskRun:
                 why = f"something is in the way, {away_m:.1f} m ahead"
                 self._refine_again(why, map, observation, now_ns)
 
+    def _driven(self, refined: Refined) -> int:
+        """How many steps lie behind the robot, each of which the rules made one segment."""
+        ahead = refined.legs[refined.leg[self._index] :]
+        driven = max(self._draft.upto - sum(leg.ends_segment for leg in ahead), 0)
+        while self._steps[driven].joined:
+            driven -= 1
+        return driven
+
+    def _go_on(self, goals: GoalTracker, now_ns: int) -> None:
+        """At the end of a trajectory: with the steps that come after it, if any do."""
+        self._mission.drove(self._draft.upto, now_ns)
+        if not self._mission.done:
+            self._begin()
+            goals.set_out(self._mission)
+
     def _refine_again(
         self, why: str, map: SemanticMap, observation: Observation, now_ns: int
     ) -> None:
@@ -395,115 +382,5 @@ def _is_end(pose: SE2, refined: Refined) -> bool:
     return pose == SE2(x_m, y_m, yaw_rad)
 
 
-def _told(draft: Draft, order: _Order) -> str:
-    """A trajectory, for the story."""
-    refined = draft.refined
-    length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
-    what = draft.understood or "written by the model"
-    if order.before is not None:
-        what = "refined again"
-    elif order.nearer_to is not None:
-        what = "nearer to where it ends"
-    notes = "".join(f"; {note}" for note in refined.notes)
-    return f"trajectory of {length_m:.1f} m: {what}{notes}"
-
-
 def _line(text: str) -> str:
     return one_line(text, _REASON_CHARS)
-
-
-# -- beside the loop ------------------------------------------------------------------------------
-
-
-def _done(order: _Look | _Order) -> Draft | None:
-    """What comes of an order, whatever goes wrong: a task waits for it."""
-    if isinstance(order, _Look):
-        try:
-            add_found(order.objects, order.found, order.range_m)
-        finally:
-            _let_go(order)
-        return None
-    try:
-        if order.nearer_to is not None:
-            return _nearer(order, order.nearer_to)
-        return _refined(order) if order.before is not None else _written(order)
-    except UserError as error:
-        return Draft(error=str(error), hopeless=isinstance(error, TranslationError))
-    except Exception as error:
-        log.exception("writing a trajectory")
-        return Draft(error=f"a fault of edge itself: {type(error).__name__}: {error}")
-
-
-def _let_go(item: _Look | _Order) -> None:
-    if isinstance(item, _Look):
-        item.found.observation.release()
-
-
-def _written(order: _Order) -> Draft:
-    config, scene = order.config, _scene(order)
-    limits, instruction = _tasks(config).trajectory, order.instruction
-    told = ""
-    if isinstance(config.tasks.planner, WriterModel):
-        told = f"{prompt()}\n\n{words(instruction, scene, limits, order.why)}"
-    draft = Draft(prompt=told)
-    try:
-        written = write(instruction, scene, _tasks(config), order.rounds.append, order.why)
-        coarse = written.coarse
-        draft = replace(
-            draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
-            understood=written.understood, stops_at=written.stops_at,
-        )  # fmt: skip
-        refined = refine(
-            scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),
-            heading_rad=coarse.heading_rad,
-        )  # fmt: skip
-    except UserError as error:
-        hopeless = isinstance(error, TranslationError)
-        return replace(draft, error=str(error), hopeless=hopeless, rounds=tuple(order.rounds))
-    return replace(draft, refined=refined, rounds=tuple(order.rounds))
-
-
-def _refined(order: _Order) -> Draft:
-    config, before = order.config, order.before
-    limits = _limits(config, before)
-    refined = refine_again(_scene(order), before.refined, order.index, _body(config), limits)
-    return replace(before, refined=refined)
-
-
-def _nearer(order: _Order, thing: int) -> Draft:
-    """The rest of the way to a thing that was far off, or hidden, when the trajectory was written;
-    none where that is hardly any."""
-    draft = _written(replace(order, instruction=f"go to object {thing}"))
-    if draft.refined is None:
-        return draft
-    points_m = _scene(order).objects[thing].points_m[:, :2]
-    pose, end_m = order.observation.pose, draft.refined.poses[-1, :2]
-    gaps_m = [float(np.hypot(*(points_m - at).T).min()) for at in ((pose.x_m, pose.y_m), end_m)]
-    if gaps_m[0] - gaps_m[1] < NEARER_M:
-        return Draft()
-    return draft
-
-
-def _scene(order: _Order) -> Scene:
-    radius_m = _body(order.config).clearance_m
-    return scene_of_map(
-        order.view, order.observation, order.instances, radius_m, order.found, seen=order.objects
-    )
-
-
-def _tasks(config: Config) -> Tasks:
-    """No nearer to anything than the map inflates it by: there, the way counts as blocked."""
-    tasks, trajectory = config.tasks, config.tasks.trajectory
-    clearance_m = max(trajectory.clearance_m, config.mapping.inflation_m)
-    trajectory = trajectory.model_copy(update={"clearance_m": clearance_m})
-    return tasks.model_copy(update={"trajectory": trajectory})
-
-
-def _body(config: Config) -> Body:
-    return Body(_tasks(config).trajectory.clearance_m)
-
-
-def _limits(config: Config, draft: Draft) -> MotionLimits:
-    limits = MotionLimits.of(config.robot)
-    asked_mps = limits.speed_mps if draft.speed_mps is None else draft.speed_mps
-    return replace(limits, speed_mps=min(asked_mps, limits.speed_mps))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,23 +26,38 @@ class MissionError(UserError):
     """A mission that is refused before it begins; one line."""
 
 
+@dataclass(frozen=True, slots=True)
+class TaskStep:
+    """A step of a task.
+
+    Attributes:
+        said: its part of the instruction.
+        names: those of the targets that have to be seen before it is driven.
+        joined: it speaks of the thing of the step before it, and is driven together with that.
+    """
+
+    said: str
+    names: tuple[str, ...] = ()
+    joined: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Brief:
     """A mission, ready to be run.
 
     Attributes:
-        automaton: over the targets; letters that do not matter are left out.
+        automaton: over the targets; letters that do not matter are left out. Of a task its state
+            is the number of steps that were driven, one with each step in which nothing is reached.
         targets: the propositions that matter, in order of first appearance: what the detector
             is asked for, one VL channel each.
-        to_see: of a task (`edge.tasks`): those of the targets that have to be seen before its
-            trajectory is written. None: it is no task.
+        steps: of a task (`edge.tasks`), at least one. None: it is no task.
     """
 
     translation: Translation
     automaton: Automaton
     diagnosis: Diagnosis
     targets: tuple[str, ...]
-    to_see: tuple[str, ...] | None = None
+    steps: tuple[TaskStep, ...] | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -103,39 +119,38 @@ def brief_of(config: Mission, translation: Translation) -> Brief:
 
 
 def brief_of_task(
-    config: Mission, translation: Translation, targets: tuple[str, ...], to_see: tuple[str, ...]
+    config: Mission, translation: Translation, targets: tuple[str, ...], steps: tuple[TaskStep, ...]
 ) -> Brief:
     """A task: what is to be reached is a trajectory's end, so no formula says anything of it.
 
     Args:
         targets: what the detector is to look for, at least one name.
-        to_see: those of them without which no trajectory can be written.
+        steps: at least one.
 
     Raises:
         MissionError: there are more targets than are allowed.
     """
     _check_number(config, len(targets))
-    free = Automaton(
-        ltl.TRUE, targets, np.zeros((1, len(targets) + 1), np.int32), np.ones(1, np.bool_),
-        np.zeros(1, np.int32),
-    )  # fmt: skip
-    return Brief(translation, free, Diagnosis((), True, ()), targets, to_see)
+    states = np.arange(len(steps) + 1, dtype=np.int32)
+    delta = np.repeat(states[:, None], len(targets) + 1, axis=1)
+    delta[:-1, -1] += 1
+    chain = Automaton(ltl.TRUE, targets, delta, states == len(steps), np.zeros_like(states))
+    return Brief(translation, chain, Diagnosis((), True, ()), targets, steps)
 
 
-def task_of(brief: Brief) -> dict[str, tuple[str, ...]] | None:
+def task_of(brief: Brief) -> dict[str, Any] | None:
     """What makes a task of a mission, beside its translation: the arguments of `brief_of_task`."""
-    if brief.to_see is None:
+    if brief.steps is None:
         return None
-    return {"targets": brief.targets, "to_see": brief.to_see}
+    return {"targets": brief.targets, "steps": [asdict(step) for step in brief.steps]}
 
 
-def brief_again(
-    config: Mission, translation: Translation, task: dict[str, tuple[str, ...]] | None
-) -> Brief:
+def brief_again(config: Mission, translation: Translation, task: dict[str, Any] | None) -> Brief:
     """A mission or a task again, from what `task_of` gave."""
     if task is None:
         return brief_of(config, translation)
-    return brief_of_task(config, translation, tuple(task["targets"]), tuple(task["to_see"]))
+    steps = tuple(TaskStep(s["said"], tuple(s["names"]), s["joined"]) for s in task["steps"])
+    return brief_of_task(config, translation, tuple(task["targets"]), steps)
 
 
 def _check_number(config: Mission, targets: int) -> None:

@@ -76,8 +76,8 @@ class MissionRun:
         self._tell = tell
         self._planner: Planner = (
             make_planner(config.planner, brief.automaton, brief.translation.instruction)
-            if brief.to_see is None
-            else InSightPlanner(brief.targets, brief.to_see)
+            if brief.steps is None
+            else InSightPlanner(brief.targets, brief.steps)
         )
         self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
@@ -136,7 +136,7 @@ class MissionRun:
             return
         brief = self.brief
         kind, formula = "task", ""
-        if brief.to_see is None:
+        if brief.steps is None:
             kind, formula = "mission", f" [{one_line(brief.automaton.formula)}]"
         self._note(now_ns, "start", "", f"{kind}: {brief.translation.understood}{formula}")
         for warning in brief.warnings:
@@ -179,13 +179,15 @@ class MissionRun:
 
     # -- what happens to it -------------------------------------------------------------------
 
-    def see(self, newest: Mapping[str, int], now_ns: int) -> None:
+    def see(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
         """What is known now gives the set D; replans when it changes.
 
         Args:
             newest: for each target of which an instance is known, the highest id of them. What
                 had failed is seen again only when there is a newer one than at that time.
+            keep: what was seen stays seen.
         """
+        newest = {**self._newest, **newest} if keep else newest
         if newest == self._newest or self.done:
             return
         self._newest = dict(newest)
@@ -220,9 +222,17 @@ class MissionRun:
         if not self._accept(evidence, now_ns):
             self._replan(now_ns, anew=True)
 
-    def complete(self, evidence: str, now_ns: int) -> None:
-        """A task's trajectory was driven to its end."""
-        self._finish("reached", evidence, now_ns)
+    def drove(self, steps: int, now_ns: int) -> None:
+        """The first `steps` steps of a task were driven; it is over with the last of them."""
+        told = self.brief.steps
+        assert told is not None
+        while self.state < steps:
+            said = one_line(told[self.state].said, 60)
+            self._take(NOTHING)
+            if not self._accept("driven to its end", now_ns):
+                self._note(now_ns, "trajectory", "", f"driven: {said}")
+        if not self.done:
+            self._replan(now_ns)
 
     def tell(self, text: str, now_ns: int) -> None:
         """A step of the story that moves no automaton: how a task's trajectory came about."""
@@ -286,7 +296,7 @@ class MissionRun:
         if not self.brief.automaton.accepting[self.state]:
             return False
         taken = [letter for letter in self.word if letter != NOTHING]
-        self._finish("reached", evidence if len(taken) == 1 else ", then ".join(taken), now_ns)
+        self._finish("reached", ", then ".join(taken) if len(taken) > 1 else evidence, now_ns)
         return True
 
     def _replan(self, now_ns: int, anew: bool = False) -> None:

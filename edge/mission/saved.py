@@ -41,8 +41,7 @@ class Saved:
         reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
         target: the proposition that was pursued, or None.
         id: see `edge.mission.run.MissionRun`.
-        task: it is a task (`edge.tasks`), which begins anew: nothing but the instruction, and what
-            of the limits is used up, is gone by.
+        task: it is a task (`edge.tasks`): `word` has one `NOTHING` for each step that was driven.
     """
 
     __pydantic_config__ = _STRICT

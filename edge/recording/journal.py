@@ -18,10 +18,10 @@ from edge.config import Config
 from edge.config.root import parse
 from edge.geometry import SE2, CameraModel, Grid
 from edge.loop import place_file
+from edge.loop.draft import Draft
 from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
-from edge.loop.task import Draft
 from edge.mission import ltl, saved
 from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
@@ -332,19 +332,19 @@ def _draft(d: Draft) -> dict[str, Any]:
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "hopeless": d.hopeless, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "understood": d.understood, "prompt": d.prompt,
+        "stops_at": d.stops_at, "upto": d.upto, "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `edge.loop.task.Draft`."""
+    """See `edge.loop.draft.Draft`."""
     refined, coarse_m = said["refined"], said["coarse_m"]
     return Draft(
         None if refined is None else _refined_of(refined), said["error"],
         said["hopeless"],
         None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
-        said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
+        said["upto"], said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
     )  # fmt: skip
 
 

@@ -39,6 +39,8 @@ def section(record: RunRecord, linked: bool) -> str:
     pairs = [("asked", task.instruction), ("written by", task.writer), ("came to", task.phase)]
     if task.understood:
         pairs.append(("understood as", task.understood))
+    if len(task.steps) > 1:
+        pairs += [(step.state, step.said) for step in task.steps]
     if task.missing:
         pairs.append(("not seen", ", ".join(task.missing)))
     if task.refined is not None:

@@ -7,10 +7,10 @@ import re
 from edge import names
 from edge.config import Config, WriterModel
 from edge.mission import ltl
-from edge.mission.brief import Brief, MissionError, brief_of_task, prepare
+from edge.mission.brief import Brief, MissionError, TaskStep, brief_of_task, prepare
 from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
-from edge.tasks.reading import named
+from edge.tasks.reading import named, task_steps
 
 _MOST_WORDS = 4
 """Of a name that is looked for in an instruction."""
@@ -30,9 +30,10 @@ def prepared(config: Config, task: str | None = None, **mission: str | None) -> 
 def prepare_task(config: Config, task: str) -> Brief:
     """Find out what a task names, before anything moves.
 
-    With the rules, all that it names has to be seen first. A model may do without: words of the
-    instruction that are names of things are looked for, and none has to be seen. Where there is
-    nothing to look for, the detector looks for the configuration's own target.
+    With the rules, what a step names has to be seen before it is driven. A model may do without,
+    and does the whole in one step: words of the instruction that are names of things are looked
+    for, and none has to be seen. Where there is nothing to look for, the detector looks for the
+    configuration's own target.
 
     Raises:
         TranslationError: the rules do not understand it; it names the part.
@@ -45,11 +46,12 @@ def prepare_task(config: Config, task: str) -> Brief:
             f"task: it has {len(task)} characters, at most {MOST_INSTRUCTION_CHARS} are taken"
         )
     if isinstance(config.tasks.planner, WriterModel):
-        to_see, targets = (), known_names(task)[: config.mission.max_targets]
+        steps = (TaskStep(task),)
+        targets = known_names(task)[: config.mission.max_targets]
     else:
-        to_see = targets = named(task)
+        steps, targets = task_steps(task), named(task)
     translation = Translation(task, ltl.TRUE, task, config.tasks.planner.kind)
-    return brief_of_task(config.mission, translation, targets or (config.mission.target,), to_see)
+    return brief_of_task(config.mission, translation, targets or (config.mission.target,), steps)
 
 
 def known_names(text: str) -> tuple[str, ...]:

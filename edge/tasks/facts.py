@@ -11,6 +11,19 @@ from edge.tasks.refine import Refined
 from edge.tasks.write import Round
 
 TaskPhase = Literal["looking", "writing", "driving", "reached", "failed"]
+StepState = Literal["driven", "under way", "looked for", "to come", "not driven"]
+
+
+@dataclass(frozen=True, slots=True)
+class StepFacts:
+    """A step of a task: its part of the instruction, and how it stands.
+
+    Attributes:
+        state: `looked for`: what it names was not seen yet; `not driven`: the task is over.
+    """
+
+    said: str
+    state: StepState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +33,7 @@ class TaskFacts:
     Attributes:
         phase: `looking` for what it names, `writing` its trajectory (the robot stands), `driving`.
         writer: who writes: "rules", or a model and its server.
-        missing: what it names and nobody has seen yet.
+        missing: what its steps that were not driven name, and nobody has seen yet.
         understood: what the rules read, in words; "" of a model.
         prompt: all that a model was told, in words; "" of the rules.
         rounds: of a model.
@@ -29,6 +42,7 @@ class TaskFacts:
         index: of the pose in `refined` that the robot has come to.
         refinements: how often it was refined; each after the first since the map had changed.
         notes: what became otherwise than it was asked for, a line each.
+        steps: in their order; with a model one.
     """
 
     instruction: str
@@ -43,6 +57,7 @@ class TaskFacts:
     index: int = 0
     refinements: int = 0
     notes: tuple[str, ...] = ()
+    steps: tuple[StepFacts, ...] = ()
 
 
 def same_words(one: TaskFacts | None, other: TaskFacts | None) -> bool:

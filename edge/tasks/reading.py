@@ -29,6 +29,7 @@ from typing import Literal, NoReturn
 import numpy as np
 
 from edge import names
+from edge.mission.brief import TaskStep
 from edge.mission.language.words import Reader, Token
 from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise
@@ -72,18 +73,28 @@ class Step:
         return f"{self.kind} {called}".strip()
 
 
-def read(instruction: str, scene: Scene | _Unseen) -> list[Step]:
+def read(instruction: str, scene: Scene, which: slice = slice(None)) -> list[Step]:
     """The steps of an instruction, at least one.
+
+    Args:
+        which: of its steps; what the others name does not have to be there. None of them may
+            speak of a thing (`it`) that another names.
 
     Raises:
         TranslationError: it is not understood; it names the part.
     """
+    steps = _steps(instruction, lambda n: scene if n in range(n + 1)[which] else _Unseen())
+    return steps[which]
+
+
+def _steps(instruction: str, scene_of: Callable[[int], Scene | _Unseen]) -> list[Step]:
+    """All of them; `scene_of` gives the scene that the step of a number is read in."""
     reader = Reader(instruction, tokenise(instruction))
     steps: list[Step] = []
     reader.skip("filler", "first")
     while not reader.sees("end"):
         start = reader.peek()
-        step = _step(reader, scene, steps)
+        step = _step(reader, scene_of(len(steps)), steps)
         end = reader.peek(-1).end
         steps.append(replace(step, said=instruction[start.start : end]))
         if not reader.sees("end", "then", "and", "comma", "stop mark"):
@@ -103,19 +114,36 @@ def read(instruction: str, scene: Scene | _Unseen) -> list[Step]:
     return steps[:-1]
 
 
-def named(instruction: str) -> tuple[str, ...]:
-    """What an instruction names, before anything of it was seen: its grammar alone is read.
+def task_steps(instruction: str) -> tuple[TaskStep, ...]:
+    """The steps of an instruction, before anything was seen: its grammar alone is read.
 
-    Returns:
-        Names as they are said, in the singular, each thing once: of words before a noun that is
-        known, which only describe, nothing is left.
+    Names are as they are said first, in the singular: of words before a noun that is known, which
+    only describe, nothing is left.
 
     Raises:
         TranslationError: it is not understood; it names the part.
     """
-    unseen = _Unseen()
-    read(instruction, unseen)
-    return tuple(unseen.names.values())
+    unseen: list[_Unseen] = []
+
+    def scene_of(number: int) -> _Unseen:
+        unseen.append(_Unseen())
+        return unseen[-1]
+
+    steps = _steps(instruction, scene_of)
+    first: dict[str, str] = {}
+    return tuple(
+        TaskStep(
+            step.said,
+            tuple(first.setdefault(one, name) for one, name in names_of.names.items()),
+            any(token.kind == "pronoun" for token in tokenise(step.said)),
+        )
+        for step, names_of in zip(steps, unseen, strict=False)  # a mere "stop" is no step
+    )
+
+
+def named(instruction: str) -> tuple[str, ...]:
+    """What an instruction names, each thing once; see `task_steps`."""
+    return tuple(dict.fromkeys(name for step in task_steps(instruction) for name in step.names))
 
 
 @dataclass(frozen=True, slots=True)

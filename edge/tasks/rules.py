@@ -24,17 +24,20 @@ BEYOND_RAD = math.radians(45)
 """A thing is past when it is so far behind the side that the robot passes it on."""
 
 
-def carry_out(instruction: str, functions: Functions) -> str:
-    """Hand over the trajectory that an instruction asks for.
+def carry_out(instruction: str, functions: Functions, which: slice = slice(None)) -> list[Step]:
+    """Hand over the trajectory that an instruction, or some of its steps, asks for.
+
+    Args:
+        which: of its steps; see `edge.tasks.reading.read`.
 
     Returns:
-        What was understood, in words that name the things by their numbers.
+        What was understood; each step became one segment.
 
     Raises:
         TranslationError: the instruction is not understood; it names the part.
         TrajectoryError: it is understood, and cannot be done.
     """
-    steps = read(instruction, functions.ground.scene)
+    steps = read(instruction, functions.ground.scene, which)
     pose = functions.ground.scene.pose
     here, heading_rad = (pose.x_m, pose.y_m), pose.yaw_rad
     segments: list[list[Point]] = []
@@ -49,7 +52,7 @@ def carry_out(instruction: str, functions: Functions) -> str:
             heading_rad = math.atan2(y1 - y0, x1 - x0)
     regions = {functions.region_at(at) for segment in segments for at in segment} - {0}
     functions.give_trajectory(segments, sorted(regions), heading_rad=_facing(steps[-1], here))
-    return "; ".join(map(str, steps))
+    return steps
 
 
 def _facing(last: Step, at: Point) -> float | None:

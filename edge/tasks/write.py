@@ -85,6 +85,7 @@ def write(
     told: Callable[[Round], None] = lambda round: None,
     why: str = "",
     make: Callable[[Ground, TrajectoryLimits], Functions] = Functions,
+    which: slice = slice(None),
 ) -> Written:
     """The trajectory that an instruction asks for, checked, by the writer that is configured.
 
@@ -92,6 +93,7 @@ def write(
         told: each round of a model as it ends, for who watches.
         why: another one is needed than was written before, for a model.
         make: what the writer may call; evaluations take some of it away.
+        which: of the instruction's steps, for the rules; a model does it whole.
 
     Raises:
         UserError: there is none: `TranslationError` (the rules name the part), `WriteError`,
@@ -106,10 +108,10 @@ def write(
         rounds = _ask(instruction, functions, config.planner, config.script, told, why)
         assert functions.given is not None
         return Written(instruction, functions.given, ground, "", rounds, version())
-    understood = rules.carry_out(instruction, functions)
+    steps = rules.carry_out(instruction, functions, which)
     assert functions.given is not None
-    last = rules.read(instruction, scene)[-1]
-    stops_at = last.things[0].id if last.kind == "to" else None
+    understood = "; ".join(map(str, steps))
+    stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
     return Written(instruction, functions.given, ground, understood, stops_at=stops_at)
 
 

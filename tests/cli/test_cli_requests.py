@@ -53,8 +53,11 @@ from edge.cli.requests import ANSWER_S, NEW_S, add_arguments, as_text
             ],
         ),
         ({"task": None}, ["done"]),
-        ({"task": {"phase": "looking", "missing": ["van", "gate"], "writer": "rules"}},
-         ["task:        looking", "written by:  rules", "missing:     van, gate"]),
+        ({"task": {"phase": "looking", "missing": ["van", "gate"], "writer": "rules",
+                   "steps": [{"said": "go there", "state": "driven"},
+                             {"said": "stop at the gate", "state": "looked for"}]}},
+         ["task:        looking", "steps:       driven: go there; looked for: stop at the gate",
+          "written by:  rules", "missing:     van, gate"]),
         (
             {
                 "task": {
@@ -88,7 +91,7 @@ def test_a_service_that_answers_anything_gets_a_line_a_row(value):
     keys += ["target", "why", "plan", "detected", "reached", "failed", "forbidden", "paused"]
     keys += ["overtaken"]
     of_task = ["phase", "writer", "understood", "missing", "answers", "rounds", "trajectory"]
-    of_task += ["length_m", "driven_m", "refinements", "notes"]
+    of_task += ["length_m", "driven_m", "refinements", "notes", "steps"]
     answer = {**dict.fromkeys(keys, value), "task": dict.fromkeys(of_task, value)}
     lines = as_text(answer).split("\n")
     assert len(lines) <= 21

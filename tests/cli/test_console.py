@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from results import facts, result
 from simulated import simulated
-from task_facts import INSTRUCTION, by_a_model, driving, looking, written
+from task_facts import INSTRUCTION, by_a_model, driving, looking, steps, written
 
 from edge.cli import console
 from edge.cli.console import ConsoleSink, line_of
@@ -148,16 +148,25 @@ def test_nothing_to_close():
 @pytest.mark.parametrize(
     ("task", "line"),
     [
-        (looking(), f"looking for van, gate, to {INSTRUCTION} | no goal | 0 seen | map 0 m2"),
-        (looking(missing=()), f"looking for what is around, to {INSTRUCTION} | no goal | 0 seen |"),
-        (looking(phase="writing"), f"writing {INSTRUCTION} | by rules | map"),
+        (
+            looking(),
+            f"looking for van, gate, to {INSTRUCTION} | step 1 of 2 | no goal | 0 seen |",
+        ),
+        (
+            looking(missing=()),
+            f"looking for what is around, to {INSTRUCTION} | step 1 of 2 |",
+        ),
+        (looking(phase="writing"), f"writing {INSTRUCTION} | step 1 of 2 | by rules | map"),
         (
             looking(phase="failed", writer="a\x1b[2J", rounds=by_a_model().rounds),
-            f"failed {INSTRUCTION} | by a[2J, 2 answers | map",
+            f"failed {INSTRUCTION} | step 1 of 2 | by a[2J, 2 answers | map",
         ),
-        (driving(0), f"driving {INSTRUCTION} | 0.0 of {LENGTH_M:.1f} m | map"),
         (
-            driving(10_000, phase="reached"),
+            driving(0, steps=steps("driven", "under way")),
+            f"driving {INSTRUCTION} | step 2 of 2 | 0.0 of {LENGTH_M:.1f} m | map",
+        ),
+        (
+            driving(10_000, phase="reached", steps=steps("driven", "driven")),
             f"reached {INSTRUCTION} | {LENGTH_M:.1f} of {LENGTH_M:.1f} m | map",
         ),
     ],

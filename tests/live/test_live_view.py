@@ -211,6 +211,7 @@ def test_before_it_is_written_it_has_no_lines(view):
     view.sink.tick(result(task=looking))
     script = told(view, "/live/task")
     assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])
+    assert [step["state"] for step in script["steps"]] == ["looked for", "looked for"]
     assert told(view, "/live/now")["moment"]["task"]["index"] == -1
 
 

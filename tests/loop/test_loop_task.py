@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from itertools import groupby
+from types import SimpleNamespace
 
 import pytest
 from chat_server import ChatServer, saying, serving
@@ -12,9 +14,11 @@ from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.eval.closed_loop import ClosedLoop
 from edge.loop.keeper import Keeper
+from edge.loop.metrics import SERVICE
 from edge.loop.requests import handle_mission, mission_verbs
+from edge.loop.service import Service
 from edge.loop.status import status_of
-from edge.mission.run import MissionRun
+from edge.policies import make_policy
 from edge.tasks.brief import prepared
 
 STRAIGHT = "go straight for 2 metres"
@@ -74,11 +78,89 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
     assert json.dumps(status_of(loop.service.result()))
 
 
+def states(loop: ClosedLoop) -> list[str]:
+    return [step.state for step in loop.service.result().task().steps]
+
+
+def task_steps(loop: ClosedLoop) -> dict[str, int]:
+    """As a scrape counts them."""
+    (metric,) = (metric for metric in SERVICE if metric.name == "edge_task_steps")
+    return metric.read(SimpleNamespace(service=loop.service))
+
+
+def test_the_first_steps_are_driven_before_what_a_later_one_names_is_seen():
+    loop = until(closed(f"{STRAIGHT}, then {TO_THE_OVEN}"), "driving")
+    facts = loop.service.result().task()
+    assert (facts.missing, states(loop)) == (("oven",), ["under way", "looked for"])
+    start = loop.drive.motion.pose
+    until(loop, "looking")
+    at = loop.drive.motion.pose
+    assert start.distance_to(at.x_m, at.y_m) == pytest.approx(2.0, abs=0.3)
+    assert states(loop) == ["driven", "looked for"]
+    counted = {state: n for state, n in task_steps(loop).items() if n}
+    assert counted == {"driven": 1, "looked for": 1}
+    loop.run(300)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert states(loop) == ["driven", "driven"]
+    assert loop.distance_m("oven") <= 1.0
+    assert loop.drive.motion.collisions == 0
+    kinds = [kind for kind, _ in groupby(goal.kind for goal in loop.notes.goals)]
+    assert (kinds[0], kinds[-1]) == ("trajectory", "trajectory")
+    assert len(kinds) > 2, "it was searched for in between"
+
+
+def test_steps_that_cannot_be_driven_yet_keep_no_others_from_being_driven():
+    loop = until(closed(f"{STRAIGHT}, then go straight for 60 metres"), "driving")
+    assert states(loop) == ["under way", "to come"]
+    until(loop, "looking")
+    assert states(loop) == ["driven", "to come"]
+    for _ in range(5):
+        loop.step()
+    assert any("60 metres" in event and "looking further" in event for event in loop.notes.events)
+
+
+def test_a_step_counts_as_driven_while_the_next_is_under_way():
+    loop = until(closed("go straight for 1 metre, then straight for 1 metre"), "driving")
+    seen = [states(loop)]
+    while not loop.service.status.done:
+        loop.step()
+        seen.append(states(loop))
+    assert [states for states, _ in groupby(seen)] == [
+        ["under way", "under way"], ["driven", "under way"], ["driven", "driven"],
+    ]  # fmt: skip
+    assert loop.service.result().task().refinements == 1, "of one trajectory"
+
+
+def test_a_step_that_speaks_of_it_is_driven_with_the_one_before():
+    loop = closed(f"{TO_THE_OVEN}, then go to the surfboard, then stop left of it")
+    assert [step.joined for step in loop.service.mission.brief.steps] == [False, False, True]
+    loop.service.mission.see({"oven": 1}, 1)
+    assert loop.service.task._ends == (1,)
+    loop.service.mission.see({"oven": 1, "surfboard": 2}, 2)
+    assert loop.service.task._ends == (3, 1)
+
+
+def test_what_is_driven_past_stays_seen_and_what_is_driven_is_not_missed():
+    mission = closed(f"{TO_THE_OVEN}, then go to the bed").service.mission
+    mission.start(1)
+    mission.see({"oven": 1}, 2)
+    mission.see({}, 3, keep=True)
+    assert mission.plan.steps == ("bed",)
+    mission.see({}, 4)
+    assert mission.plan.steps == ("oven", "bed")
+    mission.drove(1, 5)
+    assert (mission.plan.steps, mission.target) == (("bed",), "bed")
+    mission.drove(2, 6)
+    assert (mission.done, mission.reason) == (True, "driven to its end")
+
+
 def test_what_is_nowhere_fails_with_what_was_missed():
-    loop = closed("go to the surfboard", mission={"search_limit_s": 5.0}).run(30)
+    task = f"{STRAIGHT}, then go to the surfboard"
+    loop = closed(task, mission={"search_limit_s": 5.0}).run(30)
     status = loop.service.status
     assert (status.phase, status.reason) == ("failed", "no surfboard within 5 s")
     assert loop.service.result().task().phase == "failed"
+    assert states(loop) == ["driven", "not driven"]
 
 
 def test_the_same_observations_give_the_same_task():
@@ -196,17 +278,24 @@ def test_a_model_that_writes_none_ends_the_task_in_one_line(answer, said):
     assert loop.drive.motion.path_m < 0.2
 
 
-def test_after_a_restart_a_task_is_read_again_and_begins_anew(tmp_path):
-    config = simulated({"mission": {"checkpoint": str(tmp_path / "c")}})
-    loop = until(closed(TO_THE_OVEN), "driving")
-    service = loop.service
-    service.keeper = Keeper(config, tmp_path / "c", TO_THE_OVEN)
+def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(tmp_path):
+    task = f"{STRAIGHT}, then {TO_THE_OVEN}"
+    loop = until(until(closed(task), "driving"), "looking")
+    config = loop.config
+    loop.service.keeper = Keeper(config, tmp_path / "c", task)
     loop.step()
-    service.keeper.close()
+    loop.service.keeper.close()
     again = Keeper(config, tmp_path / "c", None)
     brief = again.brief()
-    assert (brief.to_see, brief.translation.instruction) == (("oven",), TO_THE_OVEN)
-    mission = MissionRun(brief, config.mission)
-    again.resume(mission)
-    assert mission.elapsed_s > 1.0
+    assert (brief.targets, brief.translation.instruction) == (("oven",), task)
+    loop.service = Service(
+        config, brief, loop.worker, make_policy(config.policy, config.path), [loop.notes], again
+    )
+    assert loop.service.mission.elapsed_s > 1.0
+    assert states(loop) == ["driven", "looked for"]
+    sent = len(loop.notes.goals)
+    loop.run(300)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert loop.distance_m("oven") <= 1.0
+    assert loop.notes.goals[sent].kind != "trajectory", "the first step is not driven again"
     again.close()

@@ -18,7 +18,7 @@ MOST_BYTES = 64_000  # it goes out each second
 def long_one() -> Refined:
     """5,000 poses."""
     refined = written()[1]
-    poses = refined.poses[[0] * 4000 + list(range(len(refined.poses))) * 6][:5000]
+    poses = refined.poses[[0] * 4000 + list(range(len(refined.poses))) * 9][:5000]
     return replace(refined, poses=poses)
 
 
@@ -31,6 +31,7 @@ def test_without_a_task_there_is_none():
 def test_before_it_is_written_it_has_no_trajectory():
     said = task_of(looking())
     assert (said["phase"], said["missing"]) == ("looking", ["van", "gate"])
+    assert said["steps"][1] == {"said": "stop at the gate", "state": "looked for"}
     assert (said["trajectory"], said["index"], said["length_m"]) == ([], -1, 0.0)
 
 
@@ -59,7 +60,9 @@ def test_what_a_model_wrote_is_told_without_what_drives_a_terminal():
 def test_however_much_a_model_says_the_message_stays_small():
     task = by_a_model(250 * "x\x1b\n" + HOSTILE + 256_000 * "y")
     task = replace(task, rounds=task.rounds * 10, refined=long_one(), index=4321)
-    task = replace(task, missing=task.notes * 1000, notes=task.notes * 1000)
+    task = replace(
+        task, missing=task.notes * 1000, notes=task.notes * 1000, steps=task.steps * 1000
+    )
     said = task_of(replace(task, instruction=task.prompt, understood=task.prompt))
     assert (said["answers"], len(said["rounds"])) == (20, MOST_ROUNDS)
     assert len(said["trajectory"]) == MOST_POSES

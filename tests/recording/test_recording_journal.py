@@ -17,9 +17,9 @@ from results import result
 import edge
 from edge.errors import ConfigError
 from edge.geometry import SE2, CameraModel, Grid
+from edge.loop.draft import Draft
 from edge.loop.journal import Input, Journal
 from edge.loop.prior import Rooms
-from edge.loop.task import Draft
 from edge.mission.brief import prepare
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity

@@ -47,6 +47,7 @@ def test_what_was_asked_and_what_became_of_it(done):
 def test_a_task_that_was_never_written_says_what_was_missing(done):
     html = tasks.section(replace(done, task=looking(phase="failed")), linked=False)
     assert "van, gate" in html
+    assert "<dt>looked for</dt><dd>stop at the gate</dd>" in html
     assert "trajectory" not in html
     assert tasks.page(replace(done, task=looking())) is None
     assert tasks.page(replace(done, map=None)) is None

@@ -15,15 +15,21 @@ MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target"
 @pytest.mark.parametrize(
     ("config", "task", "targets", "to_see"),
     [
-        (RULES, "go straight for 3 metres", ("bed",), ()),
-        (RULES, "go past the couch and stop at the desk", ("couch", "desk"), ("couch", "desk")),
-        (MODEL, "circle something", ("bed",), ()),
-        (MODEL, "Circle the couch; keep off potted plants.", ("couch", "potted plant"), ()),
+        (RULES, "go straight for 3 metres", ("bed",), [()]),
+        (
+            RULES,
+            "go past the couch and stop at the desk",
+            ("couch", "desk"),
+            [("couch",), ("desk",)],
+        ),
+        (RULES, "go to the couch, then left of the sofa, then stop", ("couch",), [("couch",)] * 2),
+        (MODEL, "circle something", ("bed",), [()]),
+        (MODEL, "Circle the couch; keep off potted plants.", ("couch", "potted plant"), [()]),
     ],
 )
 def test_what_it_names_is_looked_for(config, task, targets, to_see):
     brief = prepare_task(config, task)
-    assert (brief.targets, brief.to_see) == (targets, to_see)
+    assert (brief.targets, [step.names for step in brief.steps]) == (targets, to_see)
     assert brief.translation.instruction == brief.translation.understood == task
 
 
@@ -46,5 +52,5 @@ def test_what_is_no_task_is_refused_in_one_line(config, task, said):
 
 
 def test_without_a_task_it_is_a_mission():
-    assert prepared(RULES).to_see is None
+    assert prepared(RULES).steps is None
     assert prepared(RULES, formula="F sofa").targets == ("sofa",)

@@ -29,6 +29,7 @@ def test_how_far_it_is_driven_changes_no_words():
     [
         {"phase": "failed"}, {"rounds": ()}, {"refined": None}, {"coarse_m": None}, {"notes": ()},
         {"coarse_m": np.zeros((1, 2))}, {"refinements": 2}, {"missing": ("van",)}, {"prompt": ""},
+        {"steps": ()},
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip

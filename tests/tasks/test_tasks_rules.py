@@ -32,7 +32,8 @@ def driven(instruction, scene=SCENE):
     """What was understood, and the trajectory."""
     ground = GROUND if scene is SCENE else ground_of(scene, LIMITS.clearance_m)
     functions = Functions(ground, LIMITS)
-    return carry_out(instruction, functions), functions.given
+    steps = carry_out(instruction, functions)
+    return "; ".join(map(str, steps)), functions.given
 
 
 @pytest.mark.parametrize("instruction", ["", " ", "...", ", ,", "please", "then"])

@@ -38,6 +38,7 @@ const facts = once((rows) => pairs("task-facts", rows));
 
 function rowsOf(at, s) {
   const rows = [["written by", s.writer]];
+  if (s.steps.length > 1) rows.push(...s.steps.map((step) => [step.state, step.said]));
   if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
   if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m of it, ${s.time_s.toFixed(0)} s in all`]);
   if (s.refinements > 1) rows.push(["refined anew", `${s.refinements - 1} times: the map had changed`]);

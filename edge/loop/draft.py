@@ -1,0 +1,215 @@
+"""How a task's trajectory is written and refined, beside the loop (`edge.loop.task`)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from edge.config import Config, Tasks, WriterModel
+from edge.errors import UserError
+from edge.mapping.view import MapView
+from edge.mission.language.words import TranslationError
+from edge.motion.pursuit import MotionLimits
+from edge.tasks.objects import ObjectMap
+from edge.tasks.prompt import prompt, words
+from edge.tasks.refine import Refined, refine, refine_again
+from edge.tasks.scene import Scene
+from edge.tasks.survey import add_found, scene_of_map
+from edge.tasks.value_map import Body
+from edge.tasks.write import Round, write
+from edge.types import Detections, Instance, Observation
+
+log = logging.getLogger("edge.loop.draft")
+
+NEARER_M = 0.15
+"""Getting less near to a thing is not worth starting again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draft:
+    """What came of writing or refining, beside the loop.
+
+    Attributes:
+        refined: the trajectory; None: there is none, and `error` says why in one line.
+        hopeless: whatever else comes to be known, there will be none.
+        coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
+        speed_mps: that was asked for; None: none was.
+        stops_at: see `edge.tasks.write.Written`.
+        upto: so many of the task's steps are driven where it ends.
+        understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
+    """
+
+    refined: Refined | None = None
+    error: str = ""
+    hopeless: bool = False
+    coarse_m: np.ndarray | None = None
+    speed_mps: float | None = None
+    stops_at: int | None = None
+    upto: int = 0
+    understood: str = ""
+    prompt: str = ""
+    rounds: tuple[Round, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A picture with boxes, whose frame is held, for an object map."""
+
+    found: Detections
+    objects: ObjectMap
+    range_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """What the worker is to do, with all that it needs: the loop goes on.
+
+    Attributes:
+        first: so many steps of the instruction were driven; `ends`: up to how many a trajectory may
+            be written now, the most first; `n_steps`: how many there are.
+        before: what was written before; its trajectory is to be refined again, from `index` on.
+            None: one has to be written.
+        why: another one has to be written; "" where it is the first.
+        nearer_to: the thing that the robot stopped at, which may be got nearer to on the map that
+            there is by now; None: it is under way.
+        rounds: a model's, as they end.
+    """
+
+    config: Config
+    instruction: str
+    first: int
+    ends: tuple[int, ...]
+    n_steps: int
+    view: MapView
+    observation: Observation
+    instances: Sequence[Instance]
+    objects: ObjectMap
+    found: Detections | None
+    before: Draft | None = None
+    index: int = 0
+    why: str = ""
+    nearer_to: int | None = None
+    rounds: list[Round] = field(default_factory=list)
+
+
+def told(draft: Draft, order: Order) -> str:
+    """A trajectory, for the story."""
+    refined = draft.refined
+    length_m = float(np.hypot(*np.diff(refined.poses[:, :2], axis=0).T).sum())
+    what = draft.understood or "written by the model"
+    if order.before is not None:
+        what = "refined again"
+    elif order.nearer_to is not None:
+        what = "nearer to where it ends"
+    notes = "".join(f"; {note}" for note in refined.notes)
+    return f"trajectory of {length_m:.1f} m: {what}{notes}"
+
+
+def carried_out(order: Look | Order) -> Draft | None:
+    """What comes of an order, whatever goes wrong: a task waits for it."""
+    if isinstance(order, Look):
+        try:
+            add_found(order.objects, order.found, order.range_m)
+        finally:
+            let_go(order)
+        return None
+    try:
+        if order.nearer_to is not None:
+            return _nearer(order, order.nearer_to)
+        return _refined(order) if order.before is not None else _written(order)
+    except UserError as error:
+        return Draft(error=str(error), hopeless=isinstance(error, TranslationError))
+    except Exception as error:
+        log.exception("writing a trajectory")
+        return Draft(error=f"a fault of edge itself: {type(error).__name__}: {error}")
+
+
+def let_go(item: Look | Order) -> None:
+    if isinstance(item, Look):
+        item.found.observation.release()
+
+
+def _written(order: Order) -> Draft:
+    """A trajectory for as many steps as one can be written for."""
+    scene, draft = _scene(order), Draft()
+    for upto in order.ends:
+        draft = _written_up_to(upto, order, scene)
+        if draft.refined is not None or draft.hopeless:
+            break
+    return draft
+
+
+def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
+    config, which = order.config, slice(order.first, upto if upto < order.n_steps else None)
+    limits, instruction = _tasks(config).trajectory, order.instruction
+    asked = ""
+    if isinstance(config.tasks.planner, WriterModel):
+        asked = f"{prompt()}\n\n{words(instruction, scene, limits, order.why)}"
+    draft = Draft(prompt=asked, upto=upto)
+    try:
+        written = write(
+            instruction, scene, _tasks(config), order.rounds.append, order.why, which=which
+        )
+        coarse = written.coarse
+        draft = replace(
+            draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
+            understood=written.understood, stops_at=written.stops_at,
+        )  # fmt: skip
+        refined = refine(
+            scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),
+            heading_rad=coarse.heading_rad,
+        )  # fmt: skip
+    except UserError as error:
+        hopeless = isinstance(error, TranslationError)
+        return replace(draft, error=str(error), hopeless=hopeless, rounds=tuple(order.rounds))
+    return replace(draft, refined=refined, rounds=tuple(order.rounds))
+
+
+def _refined(order: Order) -> Draft:
+    config, before = order.config, order.before
+    limits = _limits(config, before)
+    refined = refine_again(_scene(order), before.refined, order.index, _body(config), limits)
+    return replace(before, refined=refined)
+
+
+def _nearer(order: Order, thing: int) -> Draft:
+    """The rest of the way to a thing that was far off, or hidden, when the trajectory was written;
+    none where that is hardly any."""
+    whole = {"first": 0, "ends": (1,), "n_steps": 1}
+    draft = _written(replace(order, instruction=f"go to object {thing}", **whole))
+    if draft.refined is None:
+        return draft
+    points_m = _scene(order).objects[thing].points_m[:, :2]
+    pose, end_m = order.observation.pose, draft.refined.poses[-1, :2]
+    gaps_m = [float(np.hypot(*(points_m - at).T).min()) for at in ((pose.x_m, pose.y_m), end_m)]
+    if gaps_m[0] - gaps_m[1] < NEARER_M:
+        return Draft()
+    return draft
+
+
+def _scene(order: Order) -> Scene:
+    radius_m = _body(order.config).clearance_m
+    return scene_of_map(
+        order.view, order.observation, order.instances, radius_m, order.found, seen=order.objects
+    )
+
+
+def _tasks(config: Config) -> Tasks:
+    """No nearer to anything than the map inflates it by: there, the way counts as blocked."""
+    tasks, trajectory = config.tasks, config.tasks.trajectory
+    clearance_m = max(trajectory.clearance_m, config.mapping.inflation_m)
+    trajectory = trajectory.model_copy(update={"clearance_m": clearance_m})
+    return tasks.model_copy(update={"trajectory": trajectory})
+
+
+def _body(config: Config) -> Body:
+    return Body(_tasks(config).trajectory.clearance_m)
+
+
+def _limits(config: Config, draft: Draft) -> MotionLimits:
+    limits = MotionLimits.of(config.robot)
+    asked_mps = limits.speed_mps if draft.speed_mps is None else draft.speed_mps
+    return replace(limits, speed_mps=min(asked_mps, limits.speed_mps))
