@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -25,6 +26,8 @@ _FIT_POINTS = 400
 MOST_POINTS = 4096
 AGREED = 3
 """A place is of a thing that is in many pictures where so many show it there."""
+MOST_VOTES = 1 << 16
+"""Of more places, those are forgotten that no picture has shown for longest."""
 LEAST_POINTS = 5
 """With fewer there is no telling where and how large it is."""
 
@@ -179,7 +182,7 @@ class ObjectMap:
     def __init__(self) -> None:
         self.objects: dict[int, MapObject] = {}
         self._newest = 0
-        self._votes: Counter[tuple[str, int, int, int]] = Counter()
+        self._votes: Counter[tuple[str, int, int, int]] = Counter()  # the newest last
 
     def add(
         self,
@@ -217,7 +220,9 @@ class ObjectMap:
         """One picture says that a thing of that label is there (1), or something else (-1)."""
         label = names.canonical(label)
         for voxel in np.unique(np.floor(points_m / VOXEL_M).astype(np.int64), axis=0).tolist():
-            self._votes[(label, *voxel)] += by
+            self._votes[(label, *voxel)] = self._votes.pop((label, *voxel), 0) + by
+        for place in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
+            del self._votes[place]
 
     def agreed_m(self, thing: MapObject) -> np.ndarray:
         """(n, 3) float32, the points of a thing for which `AGREED` more pictures speak than against

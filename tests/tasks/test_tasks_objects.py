@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import wrap_angle
+from edge.tasks import objects
 from edge.tasks.objects import (
     MOST_POINTS,
     NEAR_M,
@@ -176,3 +177,20 @@ def test_what_grows_together_becomes_one_and_numbers_are_not_given_twice():
     things.add("hedge", block(2.0, size=(4, 1, 1), n=1000))
     assert list(things.objects) == [1]
     assert things.add("hedge", block(50.0)).id == 3
+
+
+def test_a_long_drive_forgets_the_votes_that_are_oldest(monkeypatch):
+    monkeypatch.setattr(objects, "MOST_VOTES", 100)
+    seen, places = ObjectMap(), np.arange(5000)[:, None] * (0.1, 0.0, 0.0) + 0.05
+    first, last = (seen.add("van", points) for points in (places[:20], places[-20:]))
+    for _ in range(3):
+        seen.vote("van", places[:10], 1)
+    assert len(seen.agreed_m(first)) == 10
+    for begin in range(20, 5000, 20):
+        seen.vote("van", places[begin : begin + 20], 1)
+        seen.vote("van", places[:10], 1)  # always in view
+        assert len(seen._votes) <= 100
+    assert len(seen.agreed_m(first)) == 10
+    seen.vote("van", places[20:-5], 1)
+    assert len(seen.agreed_m(first)) == 20, "of nothing that is known, all is taken"
+    assert len(seen.agreed_m(last)) == 15
