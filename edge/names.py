@@ -92,6 +92,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "shelf": ("shelves", "shelving unit", "rack", "shelving"),
     "shoe rack": (),
     "shower": (),
+    "side table": ("end table", "occasional table"),
     "sign": ("traffic sign", "road sign", "street sign", "signpost"),
     "sink": ("washbasin", "wash basin", "basin", "kitchen sink"),
     "sofa": ("couch", "settee", "loveseat", "love seat", "divan", "chesterfield", "sectional"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from edge.bus.wire.transforms import encode_path
@@ -18,10 +20,18 @@ LOOK_M = 10.0
 """So much of the path ahead is looked at for what blocks it."""
 
 
+CUT_M = 0.25
+"""A controller that drives straight to the goal leaves the path by so much at most, beyond what the
+robot is off it already: what was checked is the path."""
+LEAST_M = 0.5
+"""A goal no nearer than this keeps a robot moving through a hairpin."""
+
+
 def goal_ahead(
     trajectory: Refined, pose: SE2, look_ahead_m: float, since: int = 0
 ) -> tuple[SE2, int]:
-    """The pose on the path that lies `look_ahead_m` ahead of the robot, and where the robot is.
+    """The farthest pose within `look_ahead_m` along the path that can be driven to straight without
+    cutting a bend (`CUT_M`), and where the robot is.
 
     Args:
         since: the index that the last call gave; the robot is not looked for before it.
@@ -32,8 +42,23 @@ def goal_ahead(
     path_m = trajectory.poses[:, :2]
     window = path_m[: index_ahead(path_m, since, LOST_M) + 1]
     index = nearest_index(window, pose.x_m, pose.y_m, since)
-    x_m, y_m, _, heading_rad = trajectory.poses[index_ahead(path_m, index, look_ahead_m)].tolist()
+    least = index_ahead(path_m, index, min(LEAST_M, look_ahead_m))
+    most = index_ahead(path_m, index, look_ahead_m)
+    robot_m = np.array([pose.x_m, pose.y_m])
+    may_m = CUT_M + math.dist(robot_m, path_m[index])
+    ahead = next(
+        (k for k in range(most, least, -1) if _cut_m(path_m[index : k + 1], robot_m) <= may_m),
+        least,
+    )
+    x_m, y_m, _, heading_rad = trajectory.poses[ahead].tolist()
     return SE2(x_m, y_m, heading_rad), index
+
+
+def _cut_m(path_m: np.ndarray, from_m: np.ndarray) -> float:
+    """How far a path (n, 2) leads from the straight line to its end, at most."""
+    way, off = path_m[-1] - from_m, path_m - from_m
+    along = np.clip(off @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+    return float(np.hypot(*(off - along[:, None] * way).T).max())
 
 
 def blocked_ahead_m(trajectory: Refined, map: MapView, index: int = 0) -> float | None:

@@ -20,8 +20,10 @@ ESCAPE_M = 0.6
 """A robot that stands closer to something than it may drive begins at the nearest cell so near."""
 REACH_M = 5.0
 """A thing that the robot gets no nearer to is not gone to."""
-ABOUT_M = 0.5
-"""Points that are farther from a thing by less are about as near to it."""
+ABOUT_M = 0.35
+"""Points that are farther from a thing by less are about as near to it. A robot has reached what it
+stands within 1 m of: this leaves room for one that gets within 0.4 m, for what is seen of a thing's
+outline, and for where a controller comes to rest."""
 OWN_CELLS = 2.0
 """So many cells before a thing's own, what is occupied is of the thing."""
 ASIDE = 5
@@ -124,18 +126,19 @@ class Ground:
         centres_m = self.scene.occupancy.centres_m(*np.nonzero(among))
         if not len(centres_m):
             return None, math.inf
-        gaps_m = self.outline(thing).gaps_m(centres_m)
+        gaps_m = self.outline(thing).gaps_m(centres_m).round(6)  # 0.7 m may be a hair more
         near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
         by_gap = near[np.argsort(gaps_m[near], kind="stable")]
         nearest = self._first_facing(thing, centres_m, by_gap)
         if nearest is None or gaps_m[nearest] > REACH_M:
             return None, float(gaps_m.min())
-        about = near[gaps_m[near] <= gaps_m[nearest] + ABOUT_M]
+        nearest_m = float(gaps_m[nearest])
+        about = near[gaps_m[near] <= nearest_m + ABOUT_M]
         away_m = np.hypot(*(centres_m[about] - from_m).T)
         first = self._first_facing(thing, centres_m, about[np.argsort(away_m, kind="stable")])
         assert first is not None  # about is not empty
         x_m, y_m = centres_m[first].tolist()
-        return (x_m, y_m), float(gaps_m[nearest])
+        return (x_m, y_m), nearest_m
 
     def _first_facing(
         self, thing: SceneObject, points_m: np.ndarray, order: np.ndarray

@@ -7,7 +7,8 @@
            | go "between" (thing "and" thing | "the two" things)
            | go "straight" number "metres"
            | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
-    thing  = [article] { description } name { place } | "object" number | "it"
+    thing  = [article] { description } name { place } | "it"
+           | "object" number | [article] { description } name ["number"] number
              with `which` anywhere before the places
     which  = order | "second" | "left" | "right"
     order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost" | "from the left"
@@ -160,7 +161,9 @@ class _Unseen:
         """What words stand for; without any, whatever has some number."""
         if words:
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
-            noun = names.singular(next(filter(names.is_known, nouns), nouns[0]))
+            noun = next(filter(names.is_known, nouns), nouns[0])
+            one = names.singular(noun)  # a chest of drawers is no chest of drawer
+            noun = one if names.same(one, noun) else noun
             self.names.setdefault(names.canonical(noun), noun)
         return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
 
@@ -264,8 +267,10 @@ def _things(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> l
     which, words = [], []
     while token := reader.take("word", "ordinal", "first", "left", "right", *_ORDER, "id"):
         if token.kind == "id":
-            return [_by_id(reader, scene, start)]
+            return [_by_id(reader, scene, words, which)]
         (words if token.kind == "word" else which).append(token)
+    if words and reader.sees("number"):
+        return [_by_id(reader, scene, words, which)]
     if not words:
         reader.refuse("expected the name of a thing", start)
     unseen = isinstance(scene, _Unseen)
@@ -301,13 +306,23 @@ def _measured_from(
     return None
 
 
-def _by_id(reader: Reader, scene: Scene | _Unseen, start: Token) -> SceneObject:
+def _by_id(
+    reader: Reader, scene: Scene | _Unseen, words: list[Token], which: Sequence[Token]
+) -> SceneObject:
+    """The thing whose number comes here; it has to be what the words before it say."""
+    start = reader.peek()
     token = reader.take("number")
+    if token is None:
+        reader.refuse("say its number", start)
+    if which:
+        reader.refuse("it is chosen in two ways; say one", which[0])
     if isinstance(scene, _Unseen):
-        return scene.thing() if token else reader.refuse("say its number", start)
-    thing = scene.objects.get(int(token.text)) if token and token.text.isdecimal() else None
+        return scene.thing(words)
+    thing = scene.objects.get(int(token.text)) if token.text.isdecimal() else None
     if thing is None:
         reader.refuse(f"no object has that number; there are {_listed(scene)}", start)
+    if words and thing not in _described(_named(reader, scene, words), reader, words):
+        reader.refuse(f"that is the number of {called(thing)}", start)
     return thing
 
 

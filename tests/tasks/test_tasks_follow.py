@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.follow import blocked_ahead_m, goal_ahead, path_message
 from edge.tasks.refine import Refined, refine
+from edge.trajectory.smoothing import resample
 
 
 def line() -> Refined:
@@ -44,6 +46,29 @@ def test_the_goal_is_ahead_of_the_robot(robot, look_ahead_m, since_m, goal_x_m):
     assert goal.x_m == pytest.approx(goal_x_m, abs=0.2)
     assert (goal.y_m, goal.yaw_rad) == (pytest.approx(0.0), pytest.approx(0.0))
     assert index >= since
+
+
+def bend(corner_m: tuple[float, float]) -> Refined:
+    """From (-7, 0) by a corner to (-7, 3)."""
+    points = np.array([(-7.0, 0.0), corner_m, (-7.0, 3.0)])
+    refined = line()
+    path_m = resample(points, 0.1)
+    return replace(refined, poses=np.pad(path_m, ((0, 0), (0, 2))))
+
+
+@pytest.mark.parametrize("corner_m", [(-6.0, 1.5), (-5.0, 0.0), (-4.0, 1.5)])
+def test_the_straight_way_to_the_goal_cuts_no_bend(corner_m):
+    trajectory = bend(corner_m)
+    path_m = trajectory.poses[:, :2]
+    robot, index, seen = SE2(-7.0, 0.0, 0.0), 0, []
+    for _ in range(200):
+        goal, index = goal_ahead(trajectory, robot, 1.5, index)
+        way_m = np.linspace((robot.x_m, robot.y_m), (goal.x_m, goal.y_m), 20)
+        off_m = np.hypot(*(way_m[:, None] - path_m).transpose(2, 0, 1)).min(axis=1)
+        seen.append(off_m.max())
+        robot = SE2(*way_m[2], 0.0)
+    assert max(seen) < 0.45
+    assert (robot.x_m, robot.y_m) == (pytest.approx(-7.0, abs=0.1), pytest.approx(3.0, abs=0.1))
 
 
 def test_a_goal_that_is_driven_to_comes_to_the_end():

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from task_scenes import LAWN, ROAD, STREET, Thing, street
+from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, Thing, street
 
 from edge.config import TrajectoryLimits
 from edge.geometry import wrap_angle
 from edge.tasks.functions import MOST_SHOWN, NAMES, CallError, Functions, signature
-from edge.tasks.ground import ground_of
+from edge.tasks.ground import ABOUT_M, ground_of
 from edge.tasks.trajectory import TrajectoryError
 
 LIMITS = TrajectoryLimits()
@@ -190,6 +190,14 @@ def test_one_stops_where_one_comes_from(functions):
         x, y = functions.stopping_point(1, start)
         assert math.dist((x, y), side) < 0.6
         assert functions.is_free((x, y))
+
+
+@pytest.mark.parametrize("clearance_m", [0.2, 0.4, 0.9, 1.3])
+def test_one_stops_little_farther_off_than_one_has_to(clearance_m):
+    ground = ground_of(street(Thing("van", 8.0, 0.0, (4.0, 2.0))), clearance_m)
+    x, y = Functions(ground, LIMITS).stopping_point(1)
+    assert y == pytest.approx(0.0, abs=0.11)
+    assert clearance_m <= 6.0 - x <= clearance_m + RESOLUTION_M + ABOUT_M
 
 
 def test_one_stops_before_a_thing_beyond_the_map():

@@ -44,7 +44,7 @@ from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 
 KINDS = ("to", "past", "around", "then")
 CATEGORIES = ("specific", "ambiguous", "high-level")
-ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.5
+ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35
 FARTHEST_STOP_M = 4.0
 """A thing that nobody gets nearer to is not gone to."""
 ESCAPE_M = 1.0
