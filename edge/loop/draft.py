@@ -10,13 +10,14 @@ import numpy as np
 
 from edge.config import Config, Tasks, WriterModel
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.words import TranslationError
 from edge.motion.pursuit import MotionLimits
 from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import prompt, words
 from edge.tasks.refine import Refined, refine, refine_again
-from edge.tasks.scene import Scene
+from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.survey import add_found, scene_of_map
 from edge.tasks.value_map import Body
 from edge.tasks.write import Round, write
@@ -26,6 +27,8 @@ log = logging.getLogger("edge.loop.draft")
 
 NEARER_M = 0.15
 """Getting less near to a thing is not worth starting again."""
+AGAIN_M = 3.0
+"""What was found anew so near to where the robot stopped at a thing is that thing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +40,7 @@ class Draft:
         hopeless: whatever else comes to be known, there will be none.
         coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
         speed_mps: that was asked for; None: none was.
-        stops_at: see `edge.tasks.write.Written`.
+        stops_at: number and label of the thing that it ends at; see `edge.tasks.write.Written`.
         upto: so many of the task's steps are driven where it ends.
         understood, prompt, rounds: see `edge.tasks.facts.TaskFacts`.
     """
@@ -47,7 +50,7 @@ class Draft:
     hopeless: bool = False
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
-    stops_at: int | None = None
+    stops_at: tuple[int, str] | None = None
     upto: int = 0
     understood: str = ""
     prompt: str = ""
@@ -91,7 +94,7 @@ class Order:
     before: Draft | None = None
     index: int = 0
     why: str = ""
-    nearer_to: int | None = None
+    nearer_to: tuple[int, str] | None = None
     rounds: list[Round] = field(default_factory=list)
 
 
@@ -153,10 +156,11 @@ def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
         written = write(
             instruction, scene, _tasks(config), order.rounds.append, order.why, which=which
         )
-        coarse = written.coarse
+        coarse, thing = written.coarse, written.stops_at
+        stops_at = None if thing is None else (thing, scene.objects[thing].label)
         draft = replace(
             draft, coarse_m=coarse.points_m, speed_mps=coarse.speed_mps,
-            understood=written.understood, stops_at=written.stops_at,
+            understood=written.understood, stops_at=stops_at,
         )  # fmt: skip
         refined = refine(
             scene, coarse.segments, coarse.regions, _body(config), _limits(config, draft),
@@ -175,19 +179,35 @@ def _refined(order: Order) -> Draft:
     return replace(before, refined=refined)
 
 
-def _nearer(order: Order, thing: int) -> Draft:
+def _nearer(order: Order, thing: tuple[int, str]) -> Draft:
     """The rest of the way to a thing that was far off, or hidden, when the trajectory was written;
     none where that is hardly any."""
+    scene = _scene(order)
+    found = _found_again(thing, scene)
+    if found is None:
+        return Draft()
     whole = {"first": 0, "ends": (1,), "n_steps": 1}
-    draft = _written(replace(order, instruction=f"go to object {thing}", **whole))
+    draft = _written(replace(order, instruction=f"go to object {found.id}", **whole))
     if draft.refined is None:
         return draft
-    points_m = _scene(order).objects[thing].points_m[:, :2]
-    pose, end_m = order.observation.pose, draft.refined.poses[-1, :2]
-    gaps_m = [float(np.hypot(*(points_m - at).T).min()) for at in ((pose.x_m, pose.y_m), end_m)]
-    if gaps_m[0] - gaps_m[1] < NEARER_M:
+    x_m, y_m, _, yaw_rad = draft.refined.poses[-1].tolist()
+    if _away_m(found, scene.pose) - _away_m(found, SE2(x_m, y_m, yaw_rad)) < NEARER_M:
         return Draft()
     return draft
+
+
+def _found_again(thing: tuple[int, str], scene: Scene) -> SceneObject | None:
+    """The thing of that number; where what was seen since made another of it, that."""
+    number, label = thing
+    if number in scene.objects:
+        return scene.objects[number]
+    alike = [one for one in scene.objects.values() if one.label == label]
+    nearest = min(alike, key=lambda one: _away_m(one, scene.pose), default=None)
+    return None if nearest is None or _away_m(nearest, scene.pose) > AGAIN_M else nearest
+
+
+def _away_m(thing: SceneObject, at: SE2) -> float:
+    return float(np.hypot(*(thing.points_m[:, :2] - (at.x_m, at.y_m)).T).min())
 
 
 def _scene(order: Order) -> Scene:

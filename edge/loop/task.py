@@ -249,7 +249,7 @@ class TaskRun:
         seen: Observation,
         found: Detections | None,
         before: Draft | None = None,
-        nearer_to: int | None = None,
+        nearer_to: tuple[int, str] | None = None,
     ) -> None:
         """Have a trajectory written, or `before`'s refined again; see `Order`.
 

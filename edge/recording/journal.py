@@ -343,7 +343,8 @@ def draft_of(said: dict[str, Any]) -> Draft:
     return Draft(
         None if refined is None else _refined_of(refined), said["error"],
         said["hopeless"],
-        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"], said["stops_at"],
+        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"],
+        said["stops_at"] and (said["stops_at"][0], said["stops_at"][1]),
         said["upto"], said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
     )  # fmt: skip
 

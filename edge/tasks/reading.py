@@ -132,13 +132,17 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
 
     steps = _steps(instruction, scene_of)
     first: dict[str, str] = {}
+    named = [
+        tuple(first.setdefault(one, name) for one, name in there.names.items()) for there in unseen
+    ]
     return tuple(
         TaskStep(
             step.said,
-            tuple(first.setdefault(one, name) for one, name in names_of.names.items()),
+            # The way around a thing ends towards what comes next.
+            tuple(dict.fromkeys(sum(named[n : n + 2], ()) if step.kind == "around" else named[n])),
             any(token.kind == "pronoun" for token in tokenise(step.said)),
         )
-        for step, names_of in zip(steps, unseen, strict=False)  # a mere "stop" is no step
+        for n, step in enumerate(steps)
     )
 
 

@@ -168,8 +168,12 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
         poses, np.array([0.0, 0.0]), np.array([0.0, 2.0]), np.zeros(2, np.int64),
         (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
     )  # fmt: skip
-    (entry,) = again(Input(0, "found", {"worker": "task", "what": Draft(refined)}))
-    back = journal.draft_of(entry.fields["what"]).refined
+    (entry,) = again(
+        Input(0, "found", {"worker": "task", "what": Draft(refined, stops_at=(3, "van"), upto=2)})
+    )
+    draft = journal.draft_of(entry.fields["what"])
+    assert (draft.stops_at, draft.upto) == ((3, "van"), 2)
+    back = draft.refined
     assert back.heading_rad == heading_rad
     assert (back.drivable, back.notes) == (refined.drivable, refined.notes)
     for one, other in (

@@ -23,6 +23,13 @@ MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target"
             [("couch",), ("desk",)],
         ),
         (RULES, "go to the couch, then left of the sofa, then stop", ("couch",), [("couch",)] * 2),
+        (
+            RULES,
+            "go around the bed, then to the desk, then stop",
+            ("bed", "desk"),
+            [("bed", "desk"), ("desk",)],
+        ),
+        (RULES, "go around the bed, then stop", ("bed",), [("bed",)]),
         (MODEL, "circle something", ("bed",), [()]),
         (MODEL, "Circle the couch; keep off potted plants.", ("couch", "potted plant"), [()]),
     ],
