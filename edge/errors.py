@@ -4,6 +4,7 @@ The codes from 64 on are those of BSD's sysexits.h, which systemd knows by name.
 """
 
 import os
+from collections.abc import Mapping
 
 FAILED = 1
 EXIT_CODES = {
@@ -26,9 +27,11 @@ class UserError(Exception):
 
     Attributes:
         exit_code: of the command that it ends.
+        details: what a program is told beside the message, by name; JSON-ready.
     """
 
     exit_code = os.EX_DATAERR
+    details: Mapping[str, object] = {}
 
 
 class ConfigError(UserError):

@@ -235,10 +235,10 @@ class RequestQueue:
         try:
             prepared = self._verbs[request.do].prepare(request.fields)
         except UserError as error:
-            self._drop(request, str(error))
+            self._drop(request, error)
         except Exception as error:
             log.exception("a request could not be prepared")
-            self._drop(request, f"internal error: {type(error).__name__}: {error}")
+            self._drop(request, UserError(f"internal error: {type(error).__name__}: {error}"))
         else:
             with self._lock:
                 request.prepared, request.ready = prepared, True
@@ -246,8 +246,8 @@ class RequestQueue:
                 for query in request.queries:
                     query.until_s = until_s
 
-    def _drop(self, request: Request, reason: str) -> None:
+    def _drop(self, request: Request, error: UserError) -> None:
         with self._lock:
             if request in self._second:
                 self._second.remove(request)
-        request.refuse(reason)
+        request.refuse(str(error), error.details)

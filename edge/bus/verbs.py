@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from edge.text import one_line, read_json_object
@@ -122,11 +123,11 @@ class Request:
         else:
             self.finish(self.queries, reply, False)
 
-    def refuse(self, reason: str) -> None:
-        """Send an error instead."""
-        self.finish(self.queries, error_of(reason), True)
+    def refuse(self, reason: str, details: Mapping[str, object] = MappingProxyType({})) -> None:
+        """Send an error instead; see `error_of`."""
+        self.finish(self.queries, error_of(reason, details), True)
 
 
-def error_of(reason: str) -> bytes:
-    """What a client is told in the place of an answer."""
-    return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS)}).encode()
+def error_of(reason: str, details: Mapping[str, object] = MappingProxyType({})) -> bytes:
+    """What a client is told in the place of an answer; for `details` see `UserError`."""
+    return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS), **details}).encode()

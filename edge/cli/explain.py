@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,17 +28,27 @@ def run(args: argparse.Namespace) -> int:
     from edge.mission.brief import prepare
     from edge.mission.planner import make_planner
     from edge.mission.planning.plan import Knowledge
+    from edge.mission.readings import AmbiguousError
 
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: unknown ending (choices: {', '.join(_DRAWINGS)})")
     mission = load(args.config).mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
-    brief = prepare(mission, text, formula)
+    try:
+        brief = prepare(mission, text, formula, args.reading)
+    except AmbiguousError as error:
+        print(f"ambiguous:   it can be read in {len(error.readings)} ways")
+        _list([reading.english for reading in error.readings])
+        print("choose:      --reading N" + _unasked(error.implied))
+        return 0
     translation = brief.translation
     planner = make_planner(mission.planner, brief.automaton, translation.instruction)
     plan = planner.plan(0, Knowledge())
     print(f"understood:  {translation.understood}")
+    if translation.readings:
+        print(f"reading:     {translation.reading} of {len(translation.readings)}")
+        _list(translation.readings)
     print(f"formula:     {one_line(translation.formula)}")
     print(f"by:          {translation.backend}, {translation.seconds:.2f} s")
     print(f"targets:     {one_line(', '.join(brief.targets), _LIST_CHARS)}")
@@ -50,6 +61,17 @@ def run(args: argparse.Namespace) -> int:
         _draw(drawing, brief.automaton, plan.steps)
         print(drawing)
     return 0
+
+
+def _list(readings: Sequence[str]) -> None:
+    for number, english in enumerate(readings, start=1):
+        print(f"  ({number})        {one_line(english, _LIST_CHARS)}")
+
+
+def _unasked(implied: int | None) -> str:
+    if implied is None:
+        return "; none fulfils all the others, so mission.instruction cannot be this"
+    return f"; where nobody can be asked, ({implied + 1}) is taken: it fulfils all the others"
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:

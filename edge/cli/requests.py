@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
             kind = action.add_mutually_exclusive_group()
             kind.add_argument("--formula", action="store_true", help="TEXT is a formula (LTL)")
             kind.add_argument("--task", action="store_true", help="TEXT is a way to drive")
+            add_reading(kind)
         action.add_argument(
             "--timeout", type=_seconds, metavar="S", default=NEW_S if verb == "new" else ANSWER_S,
             help="how long to wait for the answer; default: %(default)g",
@@ -43,6 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         action.add_argument("--json", action="store_true", help="print the answer as it came")
         action.set_defaults(handler=run)
     return actions
+
+
+def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
+    """The option that chooses among what an instruction may mean."""
+    parser.add_argument(
+        "--reading", type=_count, metavar="N",
+        help="which one is meant, of an instruction that can be read in several ways",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if args.do == "new":
         kind = "formula" if args.formula else "task" if args.task else "instruction"
         request[kind] = args.text
+        if args.reading is not None:
+            request["reading"] = args.reading
     key = settings.key(topics.MISSION_REQUEST)
     with client.connect(settings, args.timeout, "mission") as session:
         answer = client.ask(session, key, request, args.timeout, "mission")
@@ -95,6 +106,12 @@ def _state(answer: dict) -> str:
 def _phase(answer: dict) -> str:
     paused = "paused, `edge mission resume` goes on" if answer.get("paused") else ""
     return "; ".join(filter(None, [paused, _text("phase")(answer), _text("reason")(answer)]))
+
+
+def _reading(answer: dict) -> str:
+    """Which of its readings an ambiguous instruction was given."""
+    reading, readings = answer.get("reading"), answer.get("readings")
+    return f"{reading} of {len(readings)}" if reading and isinstance(readings, list) else ""
 
 
 def _overtaken(answer: dict) -> str:
@@ -148,6 +165,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "stopped": _overtaken,
     "instruction": _text("instruction"),
     "understood": _text("english"),
+    "reading": _reading,
     "formula": _text("formula"),
     "warning": _text("warnings"),
     "state": _state,
@@ -168,6 +186,12 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "trajectory": _of_task(_trajectory),
     "notes": _of_task(_text("notes", "; ")),
 }
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdecimal() or not 0 < int(text[:9]) == int(text[:10]):
+        raise argparse.ArgumentTypeError(f"must be a number from 1 on, got {text}")
+    return int(text)
 
 
 def _seconds(text: str) -> float:

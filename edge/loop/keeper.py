@@ -68,7 +68,10 @@ class Keeper:
             if saved.task:
                 return prepare_task(self._config, saved.instruction)
             formula = ltl.parse(saved.formula)
-            translation = Translation(saved.instruction, formula, saved.english, saved.backend)
+            translation = Translation(
+                saved.instruction, formula, saved.english, saved.backend, reading=saved.reading,
+                readings=saved.readings, implied=saved.implied,
+            )  # fmt: skip
             return brief_of(self._config.mission, translation)
         except UserError as error:
             raise MissionError(
@@ -123,6 +126,9 @@ class Keeper:
                 formula=str(brief.automaton.formula),
                 backend=brief.translation.backend,
                 english=brief.translation.english,
+                reading=brief.translation.reading,
+                readings=brief.translation.readings,
+                implied=brief.translation.implied,
                 word=word,
                 reached=reached,
                 failed=tuple(sorted(failed)),

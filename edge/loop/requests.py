@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
 from edge.loop.result import facts_of
 from edge.loop.status import answer_of
@@ -58,14 +58,17 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
     is prepared.
 
     A new mission may have an `id`, by which whoever gave it knows it again; given once more, it
-    is not begun anew. With `if_free: true` it takes no other's place. `cancel` with an `id` ends
-    that mission and no other; its `why` becomes the reason.
+    is not begun anew. An instruction that can be read in several ways is refused with its
+    `readings`; `reading` chooses one, counted from 1.
+
+    With `if_free: true` it takes no other's place. `cancel` with an `id` ends that mission and no
+    other; its `why` becomes the reason.
     """
     return {
         "new": Verb(
-            (*_TEXTS, "id", "if_free"),
+            (*_TEXTS, "reading", "id", "if_free"),
             _new,
-            lambda fields: prepare(**{name: fields[name] for name in _TEXTS if name in fields}),
+            lambda fields: prepare(**{name: fields[name] for name in _MEANT if name in fields}),
         ),
         "pause": Verb(stops=True),
         "resume": Verb(),
@@ -75,6 +78,7 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
 
 
 _TEXTS = ("instruction", "formula", "task")
+_MEANT = (*_TEXTS, "reading")
 
 
 def _new(fields: dict) -> dict:
@@ -82,7 +86,19 @@ def _new(fields: dict) -> dict:
     if len(texts) != 1:
         raise ValueError("do: new needs either an instruction, a formula or a task")
     free = {"if_free": True} if check_flag("if_free", fields) else {}
-    return {**texts, **_named(fields), **free}
+    return {**texts, **_chosen(fields), **_named(fields), **free}
+
+
+def _chosen(fields: dict) -> dict:
+    """The `reading`, where there is one."""
+    if "reading" not in fields:
+        return {}
+    reading = fields["reading"]
+    if type(reading) is not int or reading < 1:
+        raise ValueError(f"reading: expected a number from 1 on, got {shown(reading)}")
+    if "instruction" not in fields:
+        raise ValueError("reading: only an instruction has readings")
+    return {"reading": reading}
 
 
 def _cancel(fields: dict) -> dict:

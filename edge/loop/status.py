@@ -150,6 +150,8 @@ def mission_of(mission: MissionFacts) -> dict[str, object]:
         "formula": one_line(mission.brief.automaton.formula),
         "english": translation.understood,
         "translated_by": one_line(translation.backend),
+        "reading": translation.reading,
+        "readings": [one_line(english, _PRINTED_CHARS) for english in translation.readings],
         "state": mission.state,
         "states": mission.brief.automaton.n_states,
         "word": list(mission.word),

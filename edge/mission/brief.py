@@ -63,18 +63,34 @@ class Brief:
     def warnings(self) -> tuple[str, ...]:
         """What a person should know before the robot drives."""
         unused = one_line(", ".join(self.diagnosis.unused))
-        return (f"does not matter to the mission: {unused}",) if unused else ()
+        told = [f"does not matter to the mission: {unused}"] if unused else []
+        if self.translation.implied:
+            ways = len(self.translation.readings)
+            told.append(
+                f"it can be read in {ways} ways: nobody was there to choose, so reading "
+                f"{self.translation.reading} was taken, which fulfils all of them"
+            )
+        return tuple(told)
 
 
-def prepare(config: Mission, instruction: str | None = None, formula: str | None = None) -> Brief:
+def prepare(
+    config: Mission,
+    instruction: str | None = None,
+    formula: str | None = None,
+    reading: int | None = None,
+) -> Brief:
     """Translate, compile and check a mission; may take as long as its translator does.
 
     Args:
-        instruction: read by the configured translator.
+        instruction: read by the configured translator. Whoever gives it can be asked; of the
+            configuration's own, which nobody may be there to choose for, the safer reading is
+            taken (see `Translator.translate`).
         formula: linear temporal logic, in place of an instruction. With neither, the
             configuration's own instruction or target is taken.
+        reading: which of the instruction's readings is meant, counted from 1.
 
     Raises:
+        AmbiguousError: the instruction can be read in several ways, and none was chosen.
         UserError: the instruction was not understood, the formula is malformed, too large, a
             contradiction (the parts that conflict are named), asks for nothing, or is too large for
             the configured planner.
@@ -83,7 +99,8 @@ def prepare(config: Mission, instruction: str | None = None, formula: str | None
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
         said = instruction if instruction is not None else config.instruction
-        translation = make_translator(config.translator).translate(said, ask=False)
+        asked = instruction is not None
+        translation = make_translator(config.translator).translate(said, reading, ask=asked)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")

@@ -36,9 +36,10 @@ class AmbiguousError(TranslationError):
             f"({i}) {one_line(reading.english, _SHOWN)}" for i, reading in enumerate(readings, 1)
         )
         super().__init__(
-            f"instruction: it can be read in {len(readings)} ways, choose one: {listed}"
+            f"instruction: it can be read in {len(readings)} ways, choose a reading: {listed}"
         )
         self.readings = readings
+        self.details = {"readings": [one_line(one.english, _SHOWN) for one in readings]}
         self.implied = implied
 
 

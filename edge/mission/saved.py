@@ -40,6 +40,7 @@ class Saved:
             follows from running them, whatever number a later compiler gives to it.
         reached: R of ViTL III; `failed` is B, `detected` is D. All are propositions of `formula`.
         target: the proposition that was pursued, or None.
+        reading, readings, implied: see `edge.mission.translate.Translation`.
         id: see `edge.mission.run.MissionRun`.
         task: it is a task (`edge.tasks`): `word` has one `NOTHING` for each step that was driven.
     """
@@ -60,6 +61,9 @@ class Saved:
     paused: bool
     elapsed_s: Annotated[float, Field(ge=0)]
     path_m: Annotated[float, Field(ge=0)]
+    reading: Annotated[int, Field(ge=1)] | None = None
+    readings: tuple[str, ...] = ()
+    implied: bool = False
     id: Word = ""
     task: bool = False
 

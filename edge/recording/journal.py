@@ -191,17 +191,19 @@ def _pose(pose: SE2 | None) -> list[float] | None:
     return None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad]
 
 
-def _translation(t: Translation) -> dict[str, str]:
+def _translation(t: Translation) -> dict[str, Any]:
     return {
         "instruction": t.instruction, "formula": str(t.formula), "english": t.english,
-        "backend": t.backend,
+        "backend": t.backend, "reading": t.reading, "readings": t.readings, "implied": t.implied,
     }  # fmt: skip
 
 
-def _translation_of(said: dict[str, str]) -> Translation:
+def _translation_of(said: dict[str, Any]) -> Translation:
     return Translation(
-        said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"]
-    )
+        said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"],
+        reading=said.get("reading"), readings=tuple(said.get("readings", ())),
+        implied=said.get("implied", False),
+    )  # fmt: skip
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ _MOST_WORDS = 4
 """Of a name that is looked for in an instruction."""
 
 
-def prepared(config: Config, task: str | None = None, **mission: str | None) -> Brief:
+def prepared(config: Config, task: str | None = None, **mission: str | int | None) -> Brief:
     """A task, or else a mission as `edge.mission.brief.prepare` makes it.
 
     Raises:

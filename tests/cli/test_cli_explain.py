@@ -45,11 +45,12 @@ texts = st.one_of(
 )  # fmt: skip
 
 
-def explained(text: str, formula: bool) -> list[str]:
+def explained(text: str, formula: bool, reading: int | None = None) -> list[str]:
     """What `edge mission explain` prints."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        args = argparse.Namespace(text=text, formula=formula, config="demo", draw=None)
+        args = argparse.Namespace(text=text, formula=formula, reading=reading, config="demo")
+        args.draw = None
         assert explain.run(args) == 0
     return out.getvalue().removesuffix("\n").split("\n")
 
@@ -66,6 +67,19 @@ def assert_refused(text: str, formula: bool, says: str) -> None:
     assert says in str(caught.value)
 
 
+def test_all_readings_are_told_and_one_is_chosen():
+    said = "visit the sofa before the bed"
+    first, *listed, last = explained(said, formula=False)
+    assert first == f"ambiguous:   it can be read in {len(listed)} ways"
+    assert "Reach the sofa, then the bed." in listed[-1]
+    assert last.endswith("(1) is taken: it fulfils all the others")
+    lines = explained(said, formula=False, reading=len(listed))
+    assert lines[0] == "understood:  Reach the sofa, then the bed."
+    assert lines[1 : 2 + len(listed)] == [f"reading:     {len(listed)} of {len(listed)}", *listed]
+    with pytest.raises(UserError, match="there is no reading 9"):
+        explained(said, formula=False, reading=9)
+
+
 @given(texts, st.booleans())
 def test_any_text_is_explained_or_refused_in_one_line(text, formula):
     try:
@@ -73,7 +87,8 @@ def test_any_text_is_explained_or_refused_in_one_line(text, formula):
     except UserError as error:
         assert_safe(error)
     else:
-        assert [line.partition(":")[0] for line in lines[:4]] == [
+        names = [line.partition(":")[0] for line in lines if not line.startswith(" ")]
+        assert names == ["ambiguous", "choose"] or names[:4] == [
             "understood", "formula", "by", "targets",
         ]  # fmt: skip
         assert all(map(str.isprintable, lines))

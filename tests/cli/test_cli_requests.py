@@ -110,6 +110,7 @@ def parser() -> argparse.ArgumentParser:
     [
         (["new", "demo", "words"], {"do": "new", "formula": False, "timeout": NEW_S}),
         (["new", "demo", "F a", "--formula", "--json"], {"formula": True, "json": True}),
+        (["new", "demo", "words", "--reading", "2"], {"formula": False, "reading": 2}),
         (["status", "demo"], {"do": "status", "timeout": ANSWER_S, "json": False}),
         (["pause", "demo", "--timeout", "0.5"], {"do": "pause", "timeout": 0.5}),
         (["resume", "demo"], {"do": "resume"}),

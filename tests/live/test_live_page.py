@@ -133,6 +133,19 @@ def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
     assert house.service.mission.brief.targets == ("bed",)
 
 
+def test_of_several_readings_the_page_lets_one_choose(page, house):
+    page.click("#new")
+    page.type("#words", "visit the sofa before the bed")
+    page.click("#new-ok")
+    page.until("document.querySelectorAll('#readings button').length === 3")
+    page.says("#new-error", "This can be read in several ways. Which one do you mean?")
+    assert house.service.mission.brief.targets == ("bed",)
+    page.click("#readings button:last-child")
+    page.until("!document.getElementById('new-dialog').open")
+    page.says("#formula", "F (sofa & F bed)")
+    assert house.service.mission.brief.translation.reading == 3
+
+
 def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
     with open_house(mission={"target": "bed", "on_request": True}, robot=SLOWLY) as house:
         tab.open(house.url)

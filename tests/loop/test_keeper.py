@@ -62,6 +62,29 @@ def test_with_no_checkpoint_there_is_nothing_to_go_on_with(path):
     keeper.close()
 
 
+def test_which_reading_was_taken_is_kept(path):
+    loop = ClosedLoop(
+        simulated(
+            {
+                "loop": {"lockstep": True},
+                "sim": {"lockstep": True},
+                "mission": {"instruction": "visit the sofa before the bed"},
+            }
+        )
+    )
+    first = restart(loop, path)
+    loop.step()
+    first.close()
+    before, kept = loop.service.mission.brief, Keeper(loop.config, path, None)
+    again = kept.brief()
+    kept.close()
+    assert before.translation.implied
+    assert again.warnings == before.warnings != ()
+    assert again.translation.readings == before.translation.readings
+    mission = mission_of(facts_of(loop.service.mission))
+    assert (mission["reading"], mission["readings"]) == (1, list(before.translation.readings))
+
+
 def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     loop = ClosedLoop(config("F (sofa & F television)"))
     first = restart(loop, path)

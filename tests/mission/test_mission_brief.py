@@ -9,6 +9,7 @@ from edge.errors import UserError
 from edge.mission.automaton import compile_formula
 from edge.mission.brief import prepare
 from edge.mission.ltl import parse
+from edge.mission.readings import AmbiguousError
 
 
 def test_a_bare_target_is_the_mission_to_reach_it():
@@ -74,3 +75,22 @@ def test_what_does_not_matter_is_no_letter_that_a_planner_could_choose():
     assert automaton.delta.flags.c_contiguous
     for word in itertools.product(("", *whole.letters), repeat=3):
         assert automaton.run(word) == whole.run(word)
+
+
+AMBIGUOUS = "visit the sofa before the bed"
+
+
+def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
+    with pytest.raises(AmbiguousError) as caught:
+        prepare(Mission(), AMBIGUOUS)
+    told = caught.value.details["readings"]
+    assert told == [reading.english for reading in caught.value.readings]
+    brief = prepare(Mission(instruction=AMBIGUOUS))
+    assert brief.translation.implied
+    assert brief.warnings == (
+        f"it can be read in {len(told)} ways: nobody was there to choose, so reading 1 was taken, "
+        "which fulfils all of them",
+    )
+    chosen = prepare(Mission(), AMBIGUOUS, reading=2)
+    assert chosen.translation.english == told[1]
+    assert chosen.warnings == ()

@@ -3,8 +3,9 @@
 const TOKEN = "edge-token";
 
 export class Refused extends Error {
-  constructor(status, why, bearer) {
+  constructor(status, why, bearer, readings) {
     super(why);
+    this.readings = readings; // of an instruction that can be read in several ways
     this.status = status;
     this.bearer = bearer; // the token that was sent
   }
@@ -27,12 +28,15 @@ async function ask(path, options, limit_ms) {
   if (!answer.ok) {
     const said = (await answer.text()).trim();
     let why = said;
+    let readings = [];
     try {
-      why = JSON.parse(said).error ?? said;
+      const told = JSON.parse(said);
+      why = told.error ?? said;
+      readings = told.readings ?? [];
     } catch {
       // It is plain text.
     }
-    throw new Refused(answer.status, why, bearer);
+    throw new Refused(answer.status, why, bearer, readings);
   }
   return answer;
 }

@@ -1,7 +1,7 @@
 // What is asked of the robot: only who knows the token can.
 
 import { post, token } from "./api.js";
-import { $, say } from "./dom.js";
+import { $, make, say } from "./dom.js";
 import { isDone } from "./panels.js";
 
 const SURE_MS = 3000;
@@ -70,28 +70,50 @@ const example = () => ($("words").placeholder = EXAMPLES[chosen()]);
 dialog.querySelector(".choice").addEventListener("change", example);
 example();
 $("new").addEventListener("click", () => {
-  $("new-error").hidden = true;
+  settle();
   dialog.showModal();
 });
 $("new-close").addEventListener("click", () => dialog.close());
-dialog.querySelector("form").addEventListener("submit", async (event) => {
+dialog.querySelector("form").addEventListener("submit", (event) => {
   event.preventDefault();
+  begin({ [chosen()]: $("words").value });
+});
+
+function settle() {
+  $("new-error").hidden = true;
+  $("readings").replaceChildren();
+}
+
+// Where the words can be read in several ways, whoever wrote them chooses.
+function offer(said, readings) {
+  say("new-error", "This can be read in several ways. Which one do you mean?");
+  $("readings").replaceChildren(...readings.map((text, i) => {
+    const button = make("button", { text: `${i + 1}. ${text}`, type: "button" });
+    button.addEventListener("click", () => begin({ ...said, reading: i + 1 }));
+    return button;
+  }));
+}
+
+$("words").addEventListener("input", settle);
+
+async function begin(said) {
   $("new-ok").disabled = true;
   say("new-ok", "Understanding…");
-  $("new-error").hidden = true;
+  settle();
   try {
-    const answer = await post("mission/request", { do: "new", [chosen()]: $("words").value });
+    const answer = await post("mission/request", { do: "new", ...said });
     $("words").value = "";
     dialog.close();
     toast(`Begun: ${answer.english ?? answer.instruction}`);
   } catch (error) {
-    say("new-error", error.message);
+    if (error.readings?.length) offer(said, error.readings);
+    else say("new-error", error.message);
     $("new-error").hidden = false;
   } finally {
     $("new-ok").disabled = false;
     say("new-ok", "Start");
   }
-});
+}
 
 // -- the token ----------------------------------------------------------------------------------
 
