@@ -39,7 +39,7 @@ from edge.mission.ltl import (
     renamed,
     to_text,
 )
-from edge.mission.translate import TranslationError, Translator, make_translator
+from edge.mission.translate import AmbiguousError, TranslationError, Translator, make_translator
 from edge.text import aligned, one_line
 
 _TASKS = 2000
@@ -68,8 +68,8 @@ class Score:
 
     Attributes:
         outcome: "right", "right if weak" (once the reference's `!x U y` is read as the weak
-            until), "wrong" or "refused".
-        got: the translator's formula as text, or why it refused.
+            until), "wrong", "asked" (which of several readings is meant) or "refused".
+        got: the translator's formula as text, or why it asked or refused.
         witness: a shortest word on which reference and translation differ.
     """
 
@@ -79,7 +79,7 @@ class Score:
     witness: tuple[str, ...] = ()
 
 
-OUTCOMES = ("right", "right if weak", "wrong", "refused")
+OUTCOMES = ("right", "right if weak", "wrong", "asked", "refused")
 
 
 def benchmark_cases(n: int, seed: int = 0) -> list[Case]:
@@ -178,6 +178,8 @@ def score(case: Case, translator: Translator) -> Score:
     """
     try:
         formula = translator.translate(case.sentence).formula
+    except AmbiguousError as error:
+        return Score(case, "asked", str(error))
     except (TranslationError, FormulaError) as error:
         return Score(case, "refused", str(error))
     witness = difference(formula, case.formula, case.endless)

@@ -139,6 +139,7 @@ visit,['a'],hum a,F a
 past_avoidance,"['a', 'b']",do not go to a until you see b,U ! a b
 global_avoidance,['a'],visit a,G ! a
 patrolling,['a'],keep visiting a,G F a
+past_avoidance,"['a', 'b']",visit a before b,& F a F b
 """
 
 
@@ -149,13 +150,13 @@ def test_outcomes(tmp_path: Path) -> None:
     assert left_out == Counter(patrolling=1)
     translator = make_translator(TranslatorGrammar())
     scores = [translate.score(case, translator) for case in cases]
-    assert [s.outcome for s in scores] == ["right", "refused", "right if weak", "wrong"]
+    assert [s.outcome for s in scores] == ["right", "refused", "right if weak", "wrong", "asked"]
     counts = translate.summary(scores, left_out)
-    assert counts["cases"] == 4
+    assert counts["cases"] == 5
     assert counts["not_expressible"] == 1
     assert counts["parts"]["visit"]["right"] == 1
     table = translate.table("set", counts)
-    assert table.splitlines()[-1].split() == ["all", "4", "1", "1", "1", "1", "1"]
+    assert table.splitlines()[-1].split() == ["all", "5", "1", "1", "1", "1", "1", "1"]
     assert len({len(line) for line in table.splitlines()}) == 1
 
 
@@ -173,7 +174,7 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
     assert counts["ViTL tasks"]["right"] == counts["ViTL tasks"]["cases"] == 20
     assert counts["Lang2LTL"]["right if weak"] == 1
     failed = [json.loads(line) for line in failures.read_text().splitlines()]
-    assert [row["outcome"] for row in failed] == ["refused", "right if weak", "wrong"]
+    assert [row["outcome"] for row in failed] == ["refused", "right if weak", "wrong", "asked"]
     assert failed[2]["differ_on"] == []
     assert "ViTL tasks" in capsys.readouterr().out
 
