@@ -219,15 +219,22 @@ class ObjectMap:
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
         """One picture says that a thing of that label is there (1), or something else (-1)."""
         label = names.canonical(label)
-        for voxel in np.unique(np.floor(points_m / VOXEL_M).astype(np.int64), axis=0).tolist():
+        for voxel in np.unique(_voxels(points_m), axis=0).tolist():
             self._votes[(label, *voxel)] = self._votes.pop((label, *voxel), 0) + by
         for place in list(islice(self._votes, max(0, len(self._votes) - MOST_VOTES))):
             del self._votes[place]
 
+    def doubt(self, thing: MapObject, points_m: np.ndarray) -> None:
+        """One picture says that points (n, 3) which it shows beside a thing are not the thing's."""
+        held = {tuple(voxel) for voxel in _voxels(thing.points_m).tolist()}
+        for voxel in {tuple(voxel) for voxel in _voxels(points_m).tolist()} & held:
+            if (thing.label, *voxel) in self._votes:
+                self._votes[(thing.label, *voxel)] -= 1
+
     def agreed_m(self, thing: MapObject) -> np.ndarray:
         """(n, 3) float32, the points of a thing for which `AGREED` more pictures speak than against
         them, or a third of all that there are; all, where that leaves too few."""
-        voxels = np.floor(thing.points_m / VOXEL_M).astype(np.int64).tolist()
+        voxels = _voxels(thing.points_m).tolist()
         votes = np.array([self._votes[(thing.label, *voxel)] for voxel in voxels])
         agreed = (votes > 0) & (votes >= min(AGREED, thing.hits / 3))
         enough = agreed.sum() >= LEAST_POINTS
@@ -238,6 +245,11 @@ class ObjectMap:
         for other in [o for o in self.objects.values() if o is not one and _same(one, o)]:
             _absorb(one, other)
             del self.objects[other.id]
+
+
+def _voxels(points_m: np.ndarray) -> np.ndarray:
+    """(n, 3) int64."""
+    return np.floor(points_m / VOXEL_M).astype(np.int64)
 
 
 def _same(a: MapObject, b: MapObject) -> bool:

@@ -34,6 +34,8 @@ from edge.types import Detections, Instance, Observation
 
 OFF_GROUND_M = 0.15
 """Lower points are the ground's, or say too little of a thing."""
+MARGIN_SHARE = 0.05
+"""A box is as wide and as high as its thing but for so much on each side, and a pixel."""
 MOST_DEPTH_POINTS = 60_000
 GROUND_VOXEL_M = 0.2
 MASK_SCALE = 4
@@ -145,7 +147,8 @@ def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
     """Bring what the boxes of one picture show into an object map (OpenNav eq. 2).
 
     What stands before a thing, such as the chair before a desk, is in its box too: where the
-    detector tells of other things, what a smaller box shows is not the larger one's.
+    detector tells of other things, what a smaller box shows is not the larger one's. What is seen
+    past a thing is beside its box in a picture from elsewhere.
 
     Args:
         found: with a picture that has a camera, and a cloud or depth; and its context.
@@ -171,9 +174,11 @@ def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
         label, own = found.prompts[found.class_id[i]], smallest_px2[which] >= area_px2
         points = points_m[which[own]]
         points = points[main_cluster(points, sensor_m)]
-        objects.add(label, points, score=float(found.score[i]))
+        thing = objects.add(label, points, score=float(found.score[i]))
         objects.vote(label, points, 1)
         objects.vote(label, points_m[which[~own]], -1)
+        if thing is not None:
+            objects.doubt(thing, points_m[_beside(found, label, cloud_m, T_base_cloud)])
 
 
 def scene_of_map(
@@ -214,6 +219,24 @@ def _whole(instances: Sequence[Instance], seen: ObjectMap) -> list[MapObject]:
         whole = MapObject(one.id, {one.label: one.score}, points_m, score=one.score, hits=one.hits)
         objects.setdefault(key, whole)
     return list(objects.values())
+
+
+def _beside(
+    found: Detections, label: str, cloud_m: np.ndarray, T_base_cloud: np.ndarray
+) -> np.ndarray:
+    """(n,) bool: points in the picture, and clearly outside of each box of a label."""
+    seen, camera = found.observation, found.observation.camera
+    x, y, z = _moved(invert(seen.T_base_camera) @ T_base_cloud, cloud_m).T
+    ahead = z > 0.0
+    z = np.where(ahead, z, 1.0)
+    u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
+    beside = ahead & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+    for box_px, k in zip(found.xyxy_px, found.class_id, strict=True):
+        if found.prompts[k] == label:
+            x0, y0, x1, y1 = box_px.tolist()
+            mx, my = MARGIN_SHARE * (x1 - x0) + 1.0, MARGIN_SHARE * (y1 - y0) + 1.0
+            beside &= (u < x0 - mx) | (u > x1 + mx) | (v < y0 - my) | (v > y1 + my)
+    return beside
 
 
 def _in_boxes(

@@ -16,7 +16,8 @@ from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
 from edge.tasks.chain import Chain, boxes_alone
 from edge.tasks.ground import ground_of
-from edge.tasks.survey import Survey, cloud_of, contours_of, scene_of_map
+from edge.tasks.objects import ObjectMap
+from edge.tasks.survey import Survey, add_found, cloud_of, contours_of, scene_of_map
 from edge.types import MASK_SIDE, Instance, Observation
 
 MAP = config.Mapping(
@@ -217,6 +218,28 @@ def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     forget(grid, 0.5, blind_m)
     seen = found_in(observation, boxes) if found else None
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
+
+
+def test_what_is_beside_a_things_box_in_other_pictures_is_not_of_it():
+    """The first box is too wide, and shows the post too; the others fit."""
+    can, post = STREET[1], Box(9.0, -2.2, (1.0, 1.0, 1.2), 0.0, "post", (90, 90, 90))
+    objects = ObjectMap()
+    for k in range(3):
+        observation, _ = street((can, post), seq=k + 1)
+        found = found_in(observation, (can, post))
+        boxes = found.xyxy_px[:1].copy()
+        if k == 0:
+            boxes = np.concatenate((np.minimum(*found.xyxy_px[:, :2])[None],
+                                    np.maximum(*found.xyxy_px[:, 2:])[None]), axis=1)  # fmt: skip
+        found = replace(
+            found, xyxy_px=boxes, score=found.score[:1], class_id=found.class_id[:1],
+            prompts=("trash can",),
+        )  # fmt: skip
+        add_found(objects, found, 20.0)
+        (thing,) = objects.objects.values()
+        reach_m = objects.agreed_m(thing)[:, 1].max()
+        assert (reach_m > -2.2) == (k == 0)
+    assert thing.points_m[:, 1].max() > -2.2
 
 
 def test_the_service_has_seen_nothing():
