@@ -153,16 +153,22 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
         reader.refuse("no thing that is known; if it is one, say 'to the …'")
     through = reader.tokens[reader.at - 1].text in _THROUGH
-    from_first = reader.tokens[reader.at - 1].text == "from"
+    last = reader.tokens[reader.at - 1]
+    from_first = last.text == "from"
     if starts_things(reader):
         clause.through = through or clause.verb.startswith("cross")
         clause.things = take_things(reader, memory.named, banned=clause.negated, way=clause.through)
         _take_more_bans(reader, memory, clause)
-        while (from_first or _onward(reader, through)) and _take_onward(reader):
-            # "travel from a to b to c", "go through a and into b"
+        while (from_first or _onward(reader, clause, through)) and _take_onward(reader):
+            # "travel from a to b to c", "go through a and into b", "go to a or b, to c"
             further = take_things(reader, memory.named)
-            clause.things = Things(clause.things.groups + further.groups)
-            clause.order = "in order"
+            if clause.negated:  # "do not go through a to b"
+                lead(reader, memory, clause, further, last)
+            elif from_first and reader.pick(last, 2) == 0:  # where the robot is
+                clause.things = further
+            else:
+                clause.things = Things(clause.things.groups + further.groups)
+                clause.order = "in order"
     elif not clause.negated or not clause.verb.startswith("stop"):
         reader.refuse("expected the name of a thing here", reader.peek())
 
@@ -170,8 +176,11 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
 _THROUGH = ("through", "past", "by", "via", "continue through")
 
 
-def _onward(reader: Reader, through: bool) -> bool:
-    return through or (reader.sees("and") and reader.peek(1).text in ("into", "onto"))
+def _onward(reader: Reader, clause: Clause, through: bool) -> bool:
+    """Whether "to b" may go on from there."""
+    onto = reader.peek(1 if reader.sees("and") else 0).text in ("into", "onto", "in to")
+    moved = clause.verb in _MOTION and reader.sees("to")
+    return through or (not clause.negated and (onto or moved))
 
 
 def _take_onward(reader: Reader) -> bool:
@@ -233,7 +242,13 @@ def _well_known(reader: Reader, memory: Memory) -> bool:
     begin = reader.at
     things = take_things(reader, memory.named)
     reader.at = begin
-    return all(len(name) == 1 or nouns.is_noun(name) for name in things.names)
+    return all(len(name) == 1 or nouns.is_noun(_unnumbered(name)) for name in things.names)
+
+
+def _unnumbered(name: str) -> str:
+    """`room three` is as well known as a room is."""
+    kind, _, number = name.rpartition(" ")
+    return kind if number in nouns.CARDINALS else name
 
 
 def _plainly_named(reader: Reader) -> bool:

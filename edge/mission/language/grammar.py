@@ -226,6 +226,7 @@ _MOVES = (
     "navigate",
     "cross",
 )
+_ONWARD = ("proceed", "continue", "end up", "ends up", "ending up", "end at", "end in", "finish")
 _THEN = ("then", "only then")
 _JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
 
@@ -400,8 +401,12 @@ class _Discourse:
         then = clause.trails or (joint is not None and joint.kind in _THEN)
         then = then or (clause.returns and bool(sequence) and not clause.negated)
         moves = clause.verb in _MOVES and not clause.negated and not clause.first
+        goes_on = clause.verb.startswith(_ONWARD) and not clause.negated
+        then = then or (goes_on and bool(sequence) and not sequence[-1].loose)
         then = then or (moves and self.moved and joint is not None and joint.kind == "")
         then = then or (moves and self.passed and joint is not None)
+        if moves and self.moved and not then and joint is not None and joint.kind == "and":
+            then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
         if clause.through and moves and not then and self.moved and not self.passed:
             self.reader.refuse("before or after that? say 'go through … to …'", clause.token)
         self.moved, self.passed = moves, clause.through and clause.order != "in order"

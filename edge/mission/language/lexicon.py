@@ -29,7 +29,7 @@ PHRASES: dict[str, str] = {
     "neither": "neither",
     "filler": "me|us|please|at any point in time|at any point|eventually|sometime|some time|just|"
     "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
-    "in the future|along the way|on the way|on your way|on its way|hi|hello|hey|"
+    "in the future|along the way|on your travels|on the way|on your way|on its way|hi|hello|hey|"
     "thanks|thank you|"
     "thank you very much|when you have a minute|when you have time|mind|if you do not mind|"
     "at some time|always|in turn|in the end|whenever you can|"
@@ -57,9 +57,14 @@ PHRASES: dict[str, str] = {
     "while": "while|whilst|during which|as long as",
     "without": "without|not through|but not through|without ever|not via",
     "via": "via|by way of|by going through|by passing through|by going via|by first going through|"
-    "while passing|while passing through|while going through",
+    "while passing|while passing through|while going through|by entering|by first entering|"
+    "by visiting|by first visiting|by first going to|by going to|by first passing through|"
+    "by crossing|by moving through|by walking through|by traveling through|by travelling through|"
+    "by using|by first using",
     "bound": "on the way to|on your way to|on its way to|en route to|to get to|to get into|"
-    "in order to reach|in order to get to|in order to go to|in order to enter",
+    "in order to reach|in order to get to|in order to go to|in order to enter|while moving to|"
+    "while going to|while heading to|while traveling to|while travelling to|while on the way to|"
+    "on the way into|on your way into|on its way into",
     "bound there": "to get there|on the way there|on your way there|to reach it|to get to it",
     "immediately": "immediately|right|straight|straight away|right away|at the next step|"
     "in the next step",
@@ -69,13 +74,14 @@ PHRASES: dict[str, str] = {
     "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single",
     "times": "time|times|separate times|occasion|occasions|separate occasions|different times|"
     "different occasions|times in total|separate visits|visits|visits to|visit to|"
-    "separate visits to|in total",
+    "separate visits to|in total|distinct visits|distinct visits to",
     "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least",
     "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum",
     "exactly": "exactly|precisely|on exactly|just exactly",
     "more than": "more than|greater than|any more than|more often than",
     "less than": "less than|fewer than|any less than|any fewer than",
-    "more or less": "more or less than|any more or less than|any more or fewer than",
+    "more or less": "more or less than|any more or less than|any more or fewer than|"
+    "any more or any fewer than|any more or any less than",
     "or more": "or more|or more often|and more",
     "or less": "or less|or fewer|or less often|or fewer times",
     "only": "only|solely",
@@ -103,7 +109,7 @@ PHRASES: dict[str, str] = {
     "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
     "opposite|against|between|of",
-    "to": "to|towards|toward|over to|back to|up to the|through|into|onto",
+    "to": "to|towards|toward|over to|back to|up to the|through|into|onto|in to",
     "happen": "happen|happens|happened|happening|occur|occurs|occurred|occurred|occurring",
     # Known only to be refused with a reason: see `words.REASONS`.
     "endless": "keep visiting|keep going|keep on|keep moving|continue|continuously|repeatedly|"

@@ -90,6 +90,9 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
         reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
         return _until_done(clause, reader)
+    alone = len(clause.things.groups) < 2 and not clause.negated
+    if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
+        reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.negated:
         return _forbidden(clause, clause.things, reader, times)
     if then and clause.mood == "can":

@@ -95,6 +95,9 @@ def _range(
         count = Count(n + 1)
     else:
         count = Count(min(numbers))
+        once = next((t for t in reader.tokens[begin : reader.at] if t.kind == "once"), None)
+        if once and not (markers or negated) and reader.pick(once, 2) == 1:
+            count = Count(1, 1)  # "visit a once" may mean: no second time
     if not negated:
         return count
     rest = count.negated()
@@ -185,6 +188,12 @@ class Memory:
     asked: Things | None = None
 
 
+def names_one_robot(reader: Reader) -> bool:
+    """Whether "robot c" comes."""
+    letter = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
+    return letter and reader.peek().text in ("robot", "the robot")
+
+
 def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> set[str]:
     """Passes "you must never", "please make sure to", and so on; which kinds there were."""
     seen: set[str] = set()
@@ -194,8 +203,7 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             reader.refuse("what need not be done asks for nothing; leave it out", token)
         if token.text == "need" and reader.sees("not", ahead=1):
             reader.refuse("what need not be done asks for nothing; leave it out", token)
-        named = reader.sees("word", ahead=1) and len(reader.peek(1).text) == 1
-        if named and token.text in ("robot", "the robot"):
+        if names_one_robot(reader):
             reader.refuse("only one robot is spoken to", token)
         if token.kind == "to" and reader.sees("verb", "not", "avoid", "be", "happen", ahead=1):
             reader.at += 1
@@ -238,6 +246,8 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         elif token.kind == "first":
             clause.first = True
             reader.at += 1
+        elif token.kind == "filler" and names_one_robot(reader):
+            reader.refuse("only one robot is spoken to", token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):

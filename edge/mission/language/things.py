@@ -27,7 +27,7 @@ _NOT_NAMES = """
     among exit mean means if than which who whose whom what how why where about because not very
     again here else anything something anyone someone everyone nobody otherwise except unlike
     soon fast quickly slowly carefully today tomorrow tonight exactly really maybe perhaps
-    instead
+    instead spot spots position point
     """
 _NEVER_IN_NAMES = frozenset(_NOT_NAMES.split())
 
