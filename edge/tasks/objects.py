@@ -19,7 +19,8 @@ NEAR_M = 0.3
 """A point of a thing lies about this near to one that was seen of it before."""
 SAME_SHARE, ALIKE_SHARE = 0.25, 0.6
 """Two of one label are one thing where so many of the points of either lie near the other's; two of
-different labels, where so many of both do: a detector calls one thing by two names."""
+different labels, where so many of both do: a detector calls one thing by two names. So do two boxes
+of one picture, which tells a row of cars from a car that it shows twice."""
 _CLOSE_M = 0.05
 """What a point lies off a side counts about this much at least."""
 _FIT_POINTS = 400
@@ -42,7 +43,9 @@ class MapObject:
         captions: what was said of it in each picture, counted, by what it was called.
         embedding: (d,) float32, the mean over pictures; None: there are none.
         score: the highest of its boxes.
-        hits: pictures that it was found in.
+        hits: boxes that it was found in.
+        picture: the newest that it was found in; None: it is not known.
+        apart: ids of things that one picture has shown beside it.
     """
 
     id: int
@@ -52,6 +55,8 @@ class MapObject:
     embedding: np.ndarray | None = None
     score: float = 0.0
     hits: int = 1
+    picture: int | None = None
+    apart: set[int] = field(default_factory=set)
 
     @property
     def label(self) -> str:
@@ -191,12 +196,14 @@ class ObjectMap:
         caption: str = "",
         score: float = 1.0,
         embedding: np.ndarray | None = None,
+        picture: int | None = None,
     ) -> MapObject | None:
         """Bring in what one picture shows of a thing.
 
         Args:
             points_m: (n, 3) float32 in `map`.
             embedding: (d,) of the picture's part.
+            picture: its number, such as `Observation.seq`; None: nothing else was in it.
 
         Returns:
             The thing; None: too few points.
@@ -206,15 +213,22 @@ class ObjectMap:
             return None
         label = names.canonical(label)
         said = {label: Counter([caption])} if caption else {}
-        new = MapObject(self._newest + 1, {label: score}, points, said, embedding, score)
-        one = next((old for old in self.objects.values() if _same(old, new)), None)
+        new = MapObject(
+            self._newest + 1, {label: score}, points, said, embedding, score, picture=picture
+        )
+        likeness = {old.id: _likeness(old, new) for old in self.objects.values()}
+        best = max(likeness, key=lambda id: likeness[id], default=0)
+        one = self.objects[best] if likeness.get(best) else None
         if one is None:
             self._newest += 1
-            self.objects[new.id] = new
-            return new
-        _absorb(one, new)
-        self._unite(one)
-        return one
+            one = self.objects[new.id] = new
+        else:
+            _absorb(one, new)
+        for other in self.objects.values():
+            if picture is not None and other.picture == picture and other is not one:
+                one.apart.add(other.id)
+                other.apart.add(one.id)
+        return self._united(one)
 
     def vote(self, label: str, points_m: np.ndarray, by: int) -> None:
         """One picture says that a thing of that label is there (1), or something else (-1)."""
@@ -240,11 +254,15 @@ class ObjectMap:
         enough = agreed.sum() >= LEAST_POINTS
         return thing.points_m[agreed] if enough else thing.points_m
 
-    def _unite(self, one: MapObject) -> None:
-        """What has grown may touch what was apart from it before."""
-        for other in [o for o in self.objects.values() if o is not one and _same(one, o)]:
-            _absorb(one, other)
-            del self.objects[other.id]
+    def _united(self, one: MapObject) -> MapObject:
+        """What has grown may touch what was apart from it before; the oldest of them stays."""
+        alike = [o for o in self.objects.values() if o is one or _likeness(one, o)]
+        first = min(alike, key=lambda thing: thing.id)
+        for other in alike:
+            if other is not first:
+                _absorb(first, other)
+                del self.objects[other.id]
+        return first
 
 
 def _voxels(points_m: np.ndarray) -> np.ndarray:
@@ -252,14 +270,16 @@ def _voxels(points_m: np.ndarray) -> np.ndarray:
     return np.floor(points_m / VOXEL_M).astype(np.int64)
 
 
-def _same(a: MapObject, b: MapObject) -> bool:
+def _likeness(a: MapObject, b: MapObject) -> float:
+    """The share of points by which two are one thing; 0 where they are not."""
     apart = np.maximum(a.points_m.min(0) - b.points_m.max(0), b.points_m.min(0) - a.points_m.max(0))
     if apart.max() > NEAR_M:
-        return False
+        return 0.0
     shares = share_near(a.points_m, b.points_m), share_near(b.points_m, a.points_m)
-    if a.label == b.label:
-        return max(shares) >= SAME_SHARE
-    return min(shares) >= ALIKE_SHARE
+    together = b.id in a.apart or (a.picture is not None and a.picture == b.picture)
+    if a.label == b.label and not together:
+        return max(shares) if max(shares) >= SAME_SHARE else 0.0
+    return max(shares) if min(shares) >= ALIKE_SHARE else 0.0
 
 
 def _absorb(one: MapObject, other: MapObject) -> None:
@@ -274,3 +294,4 @@ def _absorb(one: MapObject, other: MapObject) -> None:
     for label, said in other.captions.items():
         one.captions.setdefault(label, Counter()).update(said)
     one.score, one.hits = max(one.score, other.score), hits
+    one.picture, one.apart = other.picture, one.apart | other.apart

@@ -110,6 +110,7 @@ class Survey:
             thing = self.objects.add(
                 seen.found.prompts[seen.found.class_id[i]], points, seen.caption[i],
                 float(seen.found.score[i]), None if seen.embedding is None else seen.embedding[i],
+                observation.seq,
             )  # fmt: skip
             if thing is not None:
                 self._contours.setdefault(thing.id, []).extend(contours_of(seen.found, i))
@@ -174,7 +175,7 @@ def add_found(objects: ObjectMap, found: Detections, range_m: float) -> None:
         label, own = found.prompts[found.class_id[i]], smallest_px2[which] >= area_px2
         points = points_m[which[own]]
         points = points[main_cluster(points, sensor_m)]
-        thing = objects.add(label, points, score=float(found.score[i]))
+        thing = objects.add(label, points, score=float(found.score[i]), picture=seen.seq)
         objects.vote(label, points, 1)
         objects.vote(label, points_m[which[~own]], -1)
         if thing is not None:

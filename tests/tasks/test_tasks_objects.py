@@ -149,6 +149,17 @@ def test_what_is_seen_again_joins_what_was_seen(case):
     assert (one is two) == (n == 1)
 
 
+def test_a_row_of_things_stays_one_in_each_box():
+    """0.1 m apart, their ends lie near each other's; twice in one picture, a thing is one."""
+    things = ObjectMap()
+    for picture in (1, 2):
+        for x_m in (0.0, 1.1, 2.2):
+            things.add("chair", block(x_m, size=(1.0, 0.6, 1.0), seed=picture), picture=picture)
+    assert [len(things.objects), {thing.hits for thing in things.objects.values()}] == [3, {2}]
+    things.add("chair", block(size=(1.0, 0.6, 1.0), seed=3), picture=2)
+    assert [thing.hits for thing in things.objects.values()] == [3, 2, 2]
+
+
 def test_a_thing_is_called_by_what_most_pictures_show():
     things = ObjectMap()
     things.add("truck", block(), "white truck", 0.5)
