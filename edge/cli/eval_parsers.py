@@ -138,6 +138,11 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "--clean-up", type=Path, metavar="JSONL",
         help="what people wrote for a robot in coloured rooms (golden.jsonl of Clean-up World)",
     )  # fmt: skip
+    option(
+        "--own", type=Path, metavar="TSV",
+        help="sentences of your own: each in double quotes, a tab, and a JSON list of the formulas "
+        "that are right ([] among them: refusing is); the first line is a heading",
+    )  # fmt: skip
     option("--failures", type=Path, metavar="FILE", help="what failed, as JSON lines")
     option("--out", type=Path, metavar="FILE", help="the counts as JSON")
     translate.set_defaults(handler=lazy("edge.eval.translate", "run"))

@@ -89,7 +89,8 @@ _DEMO_SCORERS = {
 
 
 def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
-    """The configuration that a command names, with `--target`, `--mission`, `--policy` put in.
+    """The configuration that a command names, with `--target`, `--mission`, `--reading`, `--policy`
+    put in.
 
     A formula is no part of it: the configured translator is still there for later requests.
     """
@@ -101,6 +102,9 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
         environ["EDGE__MISSION__INSTRUCTION"] = "null"
     elif (instruction := getattr(args, "mission", None)) is not None:
         environ["EDGE__MISSION__INSTRUCTION"] = json.dumps(instruction)
+        environ["EDGE__MISSION__READING"] = json.dumps(args.reading)  # no other instruction's
+    elif (reading := getattr(args, "reading", None)) is not None:
+        environ["EDGE__MISSION__READING"] = json.dumps(reading)
     if (policy := getattr(args, "policy", None)) is not None:
         environ["EDGE__POLICY"] = json.dumps({"kind": policy})
         if args.config == "demo" and policy in _DEMO_SCORERS:

@@ -109,6 +109,7 @@ def _what(command: argparse.ArgumentParser) -> None:
     what.add_argument("--formula", metavar="LTL", help="a formula of linear temporal logic")
     text = "a way in words, as 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
+    requests.add_reading(command)
 
 
 def _trust(command: argparse.ArgumentParser) -> None:

@@ -89,7 +89,9 @@ class PlannerOwn(Section):
 
 class Mission(Section):
     """What to do, and when to give up. `instruction` takes the place of `target` (which means
-    just "reach it") and is read by `translator`; see `edge mission explain`. A target that was
+    just "reach it") and is read by `translator`; see `edge mission explain`. `reading` is which one
+    of its readings is meant, where it has several; without it the one that fulfils all others is
+    taken, and where there is none, it is refused. A target that was
     pursued for `search_limit_s` in vain has failed; another branch of the mission may be left.
     `max_states` and `compile_limit_steps` bound the work of compiling it, in counts that are the
     same on every machine: the default takes a few seconds at most.
@@ -100,6 +102,7 @@ class Mission(Section):
 
     target: Name = "chair"
     instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
+    reading: Annotated[int, Field(ge=1)] | None = None
     translator: Annotated[
         Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
     ] = TranslatorGrammar()

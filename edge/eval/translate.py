@@ -1,10 +1,11 @@
 """`edge eval translate`: how many instructions a translator gets right, by language equivalence.
 
-Three sets: the 2000 tasks of the task-level benchmark (ViTL V-C); Lang2LTL's symbolic utterances
-(Liu et al., CoRL 2023), whose formulas are about endless words; and what people wrote for a robot
-in a house of coloured rooms (Gopalan et al., RSS 2018). A mission ends, so a formula about endless
-words applies to the words that fulfil it when nothing more is reached afterwards; it counts where
-there is such a word with one object or nothing per step. "Visit a for ever" has none.
+Four sets: the 2000 tasks of the task-level benchmark (ViTL V-C); Lang2LTL's symbolic utterances
+(Liu et al., CoRL 2023), whose formulas are about endless words; what people wrote for a robot in a
+house of coloured rooms (Gopalan et al., RSS 2018); and sentences of one's own. A mission ends, so a
+formula about endless words applies to the words that fulfil it when nothing more is reached
+afterwards; it counts where there is such a word with one object or nothing per step. "Visit a for
+ever" has none.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from edge.eval.planning.templates import generate
 from edge.host.bars import counted
 from edge.host.files import open_regular, save
 from edge.mission.ltl import (
+    FALSE,
     STRENGTH,
     UNARY,
     Formula,
@@ -36,6 +38,7 @@ from edge.mission.ltl import (
     ap,
     conj,
     disj,
+    parse,
     renamed,
     to_text,
 )
@@ -53,6 +56,7 @@ class Case:
 
     Attributes:
         part: what it is counted under.
+        others: further formulas that are right.
         endless: the formula is about endless words.
     """
 
@@ -60,6 +64,7 @@ class Case:
     sentence: str
     formula: Formula
     endless: bool = False
+    others: tuple[Formula, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +150,35 @@ def clean_up_cases(path: Path) -> tuple[list[Case], Counter[str]]:
     return cases, left_out
 
 
+TO_READ, MAY_REFUSE = "to be read", "may be refused or asked about"
+
+
+def own_cases(path: Path) -> tuple[list[Case], Counter[str]]:
+    """Sentences of one's own, in a table with tabs: a sentence in double quotes, as JSON has it,
+    and a JSON list of the formulas that are right; an empty list among them says that refusing or
+    asking is right. Without a formula any is wrong.
+
+    Raises:
+        UserError: the file cannot be read, or is no such table.
+    """
+    cases: list[Case] = []
+    left_out: Counter[str] = Counter()
+    try:
+        with open_regular(path) as file:
+            lines = io.TextIOWrapper(file, encoding="utf-8").read().splitlines()[1:]
+        for line in lines:
+            said, right = (json.loads(cell) for cell in line.split("\t")[:2])
+            if right == ["LONG"]:
+                left_out[TO_READ] += 1
+                continue
+            part = MAY_REFUSE if [] in right else TO_READ
+            formulas = tuple(parse(text) for text in right if text)
+            cases.append(Case(part, said, formulas[0] if formulas else FALSE, others=formulas[1:]))
+    except (OSError, ValueError, TypeError, FormulaError) as error:
+        raise UserError(f"{path}: not readable as a table of sentences: {error!r}") from error
+    return cases, left_out
+
+
 def from_prefix(text: str) -> Formula:
     """The formula that prefix text writes, as Lang2LTL's data does: `& F a U ! b c`.
 
@@ -183,7 +217,7 @@ def score(case: Case, translator: Translator) -> Score:
     except (TranslationError, FormulaError) as error:
         return Score(case, "refused", str(error))
     witness = difference(formula, case.formula, case.endless)
-    if witness is None:
+    if witness is None or any(difference(formula, other) is None for other in case.others):
         return Score(case, "right", to_text(formula))
     weak = with_weak_untils(case.formula)
     outcome = "wrong"
@@ -249,6 +283,8 @@ def run(args: argparse.Namespace) -> int:
         sets["Lang2LTL"] = lang2ltl_cases(args.lang2ltl)
     if args.clean_up is not None:
         sets["Clean-up"] = clean_up_cases(args.clean_up)
+    if args.own is not None:
+        sets["Own"] = own_cases(args.own)
     result: dict[str, Any] = {"backend": args.backend, "seed": args.seed}
     failed: list[str] = []
     stopped_by: BaseException | None = None

@@ -87,7 +87,8 @@ def prepare(
             taken (see `Translator.translate`).
         formula: linear temporal logic, in place of an instruction. With neither, the
             configuration's own instruction or target is taken.
-        reading: which of the instruction's readings is meant, counted from 1.
+        reading: which of the given instruction's readings is meant, counted from 1; of the
+            configuration's own, `config.reading` tells.
 
     Raises:
         AmbiguousError: the instruction can be read in several ways, and none was chosen.
@@ -98,9 +99,11 @@ def prepare(
     if formula is not None:
         translation = make_translator(TranslatorLtl()).translate(formula)
     elif instruction is not None or config.instruction is not None:
-        said = instruction if instruction is not None else config.instruction
-        asked = instruction is not None
-        translation = make_translator(config.translator).translate(said, reading, ask=asked)
+        translator = make_translator(config.translator)
+        if instruction is not None:
+            translation = translator.translate(instruction, reading)
+        else:
+            translation = translator.translate(config.instruction, config.reading, ask=False)
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")

@@ -242,10 +242,15 @@ def test_an_empty_mission_is_not_taken_for_none(option, code, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), (None, None, "chair", None)),
-        (("--target", "bed"), ("bed", None, "bed", None)),
-        (("--mission", "go to the bed"), ("go to the bed", None, "chair", "go to the bed")),
-        (("--formula", "F bed"), (None, "F bed", "chair", None)),
+        ((), (None, None, "chair", None, 3)),
+        (("--reading", "2"), (None, None, "chair", None, 2)),
+        (("--target", "bed"), ("bed", None, "bed", None, 3)),
+        (("--mission", "go to the bed"), ("go to the bed", None, "chair", "go to the bed", None)),
+        (
+            ("--mission", "go to the bed", "--reading", "1"),
+            ("go to the bed", None, "chair", "go to the bed", 1),
+        ),
+        (("--formula", "F bed"), (None, "F bed", "chair", None, 3)),
     ],
 )
 def test_the_service_is_told_the_mission_that_was_asked_for(
@@ -256,14 +261,16 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
 
     def open_service(config, sinks, asked, formula, task, stop, progress, amiss):
         assert config.mission.translator.kind == "grammar"
-        opened.append((asked, formula, config.mission.target, config.mission.instruction))
+        mission = config.mission
+        opened.append((asked, formula, mission.target, mission.instruction, mission.reading))
         raise Stopped
 
     monkeypatch.setattr("edge.cli.commands.open_service", open_service)
     monkeypatch.setattr("edge.cli.commands.children", lambda *_: nullcontext())
     path = tmp_path / "mine.yaml"
     detector = {"detector": {"kind": "sim"}}
-    path.write_text(json.dumps({"mission": {"target": "chair"}, "perception": detector}))
+    mission = {"target": "chair", "reading": 3}
+    path.write_text(json.dumps({"mission": mission, "perception": detector}))
     assert main([command, str(path), *words, "--report", str(tmp_path / "report")]) == 0
     assert opened == [expected]
 

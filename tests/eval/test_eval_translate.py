@@ -160,6 +160,30 @@ def test_outcomes(tmp_path: Path) -> None:
     assert len({len(line) for line in table.splitlines()}) == 1
 
 
+OWN = """sentence\tright
+"visit the bed"\t["F bed"]
+"visit the bed twice"\t["F bed", "F (bed & F (!bed & F bed))"]
+"visit the bed or the sofa"\t["F bed"]
+"fly to the moon"\t[[]]
+"visit, …"\t["LONG"]
+"""
+
+
+def test_sentences_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "own.tsv"
+    path.write_text(OWN, encoding="utf-8")
+    cases, left_out = translate.own_cases(path)
+    assert left_out == Counter({translate.TO_READ: 1})
+    assert [case.part for case in cases] == [translate.TO_READ] * 3 + [translate.MAY_REFUSE]
+    translator = make_translator(TranslatorGrammar())
+    outcomes = [translate.score(case, translator).outcome for case in cases]
+    assert outcomes == ["right", "right", "wrong", "refused"]
+    for text in ("sentence\nno json", 'x\n"a"\t["F ("]', 'x\n"a"\t3', 'x\n"a"'):
+        path.write_text(text)
+        with pytest.raises(UserError, match="not readable as a table of sentences"):
+            translate.own_cases(path)
+
+
 def _run(*argv: str) -> int:
     return translate.run(make_parser("", {}).parse_args(["eval", "translate", *argv]))
 

@@ -91,6 +91,9 @@ def test_whoever_gives_an_instruction_is_asked_and_the_configuration_cannot_be()
         f"it can be read in {len(told)} ways: nobody was there to choose, so reading 1 was taken, "
         "which fulfils all of them",
     )
-    chosen = prepare(Mission(), AMBIGUOUS, reading=2)
-    assert chosen.translation.english == told[1]
-    assert chosen.warnings == ()
+    for chosen in (
+        prepare(Mission(), AMBIGUOUS, reading=2),
+        prepare(Mission(instruction=AMBIGUOUS, reading=2)),
+    ):
+        assert chosen.translation.english == told[1]
+        assert chosen.warnings == ()

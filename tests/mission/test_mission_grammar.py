@@ -398,6 +398,58 @@ def test_a_meaningful_word_changes_the_reading(sentence: str, word: str) -> None
         assert difference(parse_english(f"{word} {sentence}"), read) is not None
 
 
+# Clauses over two things; a word that means something is marked by a star.
+CLAUSES = (
+    "visit the *A", "go to the *A", "please check the *A too", "visit the *A *twice",
+    "visit the *A at *most *twice", "visit the *A *exactly *three *times",
+    "do *not visit the *A", "*never go to the *A", "*avoid the *A", "you must *not enter the *A",
+    "visit either the *A *or the *B", "visit the *A and the *B", "visit the *A *before the *B",
+    "visit the *A while *avoiding the *B", "visit the *A *without visiting the *B",
+    "do *not visit the *A *until you visit the *B", "go through the *A *to the *B",
+    "*only go to the *A *if you have been to the *B", "visit the *A via the *B",
+    "*once you have seen the *A you *must visit the *B", "find *neither the *A nor the *B",
+)  # fmt: skip
+JOINTS = (", then ", " and finally ", ". ")
+
+
+@st.composite
+def sentences(draw: st.DrawFn) -> tuple[list[str], list[int]]:
+    """The words of an instruction, and where those that mean something are."""
+    nouns = iter(draw(st.permutations(["sofa", "bed", "tv", "oven", "desk", "lamp"])))
+    said = ""
+    for n in range(draw(st.integers(1, 3))):
+        clause = draw(st.sampled_from(CLAUSES))
+        for letter in "AB":
+            clause = clause.replace(f"*{letter}", f"*{next(nouns)}" if letter in clause else "")
+        said += (draw(st.sampled_from(JOINTS)) if n else "") + clause
+    words = said.split()
+    stars = [i for i, word in enumerate(words) if word.startswith("*")]
+    return [word.removeprefix("*") for word in words], stars
+
+
+def meant(words: list[str]) -> tuple[Formula, ...]:
+    """What they may mean; nothing where they are refused."""
+    with contextlib.suppress(TranslationError):
+        return distinct(readings(" ".join(words)))[0]
+    return ()
+
+
+@settings(max_examples=150, deadline=None)
+@given(sentences(), st.data())
+def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]], data) -> None:
+    """Dropped, or another thing's name in its place, it changes what is meant, or is missed."""
+    words, stars = sentence
+    read, at = meant(words), data.draw(st.sampled_from(stars))
+    joint = words[at][len(words[at].rstrip(".,")) :]
+    swapped = data.draw(st.sampled_from(["", "fridge"]))
+    changed = [*words[:at], *([swapped + joint] if swapped else []), *words[at + 1 :]]
+    again = meant(changed)
+    if read and again:
+        assert len(read) != len(again) or any(
+            difference(one, other) is not None for one, other in zip(read, again, strict=True)
+        ), f"{' '.join(changed)!r} means as much as {' '.join(words)!r}"
+
+
 def test_limits_are_named() -> None:
     for text in ("x" * (MAX_CHARS + 1), "a " * (MAX_WORDS + 1)):
         with pytest.raises(TranslationError, match=r"at most|more than"):
