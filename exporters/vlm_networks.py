@@ -41,9 +41,8 @@ class Decoder(nn.Module):
         rotation = self.rotary_emb(inputs_embeds, position_ids)
         hidden = inputs_embeds
         for layer in self.layers:
-            hidden = layer(
-                hidden, attention_mask=mask, position_embeddings=rotation, past_key_values=cache
-            )
+            # Fourth, by its place: not every release of transformers calls the cache alike.
+            hidden = layer(hidden, mask, None, cache, position_embeddings=rotation)
         logits = self.lm_head(self.norm(hidden[:, -1:]))
         return logits, *cache.present
 
@@ -55,7 +54,9 @@ class _Cache:
         self._past = past
         self.present: list[Tensor] = []
 
-    def update(self, key: Tensor, value: Tensor, layer: int, *_: object) -> tuple[Tensor, Tensor]:
+    def update(
+        self, key: Tensor, value: Tensor, layer: int, *_: object, **__: object
+    ) -> tuple[Tensor, Tensor]:
         """As `transformers.Cache.update`, layer by layer."""
         both = self._past[2 * layer : 2 * layer + 2]
         joined = [torch.cat(pair, dim=2) for pair in zip(both, (key, value), strict=True)]
