@@ -1,13 +1,16 @@
-"""CONTRIBUTING.md: what it names is there, and its recipe for a model works word for word."""
+"""CONTRIBUTING.md: what it names is there, its recipe for a model works word for word, and what
+every change must pass depends on nobody's next release."""
 
 from __future__ import annotations
 
 import hashlib
 import re
 import shutil
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 from simulated import simulated
 
 from edge.cli.main import main
@@ -51,3 +54,21 @@ def test_a_model_is_a_card_and_a_file(card, capsys):
     loop.step()
     assert loop.service.result().health()["detector"]["done"] == 1
     loop.close()
+
+
+def test_what_ci_installs_is_pinned():
+    """Otherwise a release of others fails a change of ours."""
+    files = ("docker/constraints.txt", ".ci/constraints.txt")
+    pins = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)
+    ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
+    run = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    extras = {name for some in re.findall(r"-e '\.\[(.+?)\]'", run) for name in some.split(",")}
+    extras |= {e for of in ours if of.name == "edge-vln" for e in of.extras}
+    wanted = {
+        of.name
+        for of in ours
+        if of.name != "edge-vln"
+        and (of.marker is None or any(of.marker.evaluate({"extra": e}) for e in extras))
+    }
+    assert {"numba", "onnxscript", "pytest", "transformers"} <= wanted
+    assert wanted <= set(re.findall(r"^([\w-]+)==", pins, re.MULTILINE))
