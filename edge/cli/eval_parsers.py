@@ -120,7 +120,11 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
 def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     translate = kinds.add_parser("translate", help="how well instructions become formulas")
     option = translate.add_argument
-    option("--backend", choices=("grammar", "llm"), default="grammar", help="translator to score")
+    option(
+        "--backend", nargs="+", choices=("grammar", "model", "auto", "llm"),
+        default=("grammar", "model", "auto"), metavar="NAME",
+        help="translators to score: grammar, model, auto, llm (default: all but llm)",
+    )  # fmt: skip
     option("--url", help="of the OpenAI-compatible server, for --backend llm")
     option("--model", help="its model, for --backend llm")
     option(

@@ -38,9 +38,13 @@ def run(args: argparse.Namespace) -> int:
     try:
         brief = prepare(mission, text, formula, args.reading)
     except AmbiguousError as error:
-        print(f"ambiguous:   it can be read in {len(error.readings)} ways")
+        several = len(error.readings) > 1
+        ways = f"it can be read in {len(error.readings)} ways" if several else "it may be meant so"
+        print(f"{'ambiguous:' if several else 'not sure:':13}{ways}")
+        for doubt in error.doubts:
+            print(f"word:        {doubt}")
         _list([reading.english for reading in error.readings])
-        print("choose:      --reading N" + _unasked(error.implied))
+        print(f"choose:      --reading {'N' if several else 1}{_unasked(error.implied)}")
         return 0
     translation = brief.translation
     planner = make_planner(mission.planner, brief.automaton, translation.instruction)
@@ -70,7 +74,7 @@ def _list(readings: Sequence[str]) -> None:
 
 def _unasked(implied: int | None) -> str:
     if implied is None:
-        return "; none fulfils all the others, so mission.instruction cannot be this"
+        return "; nothing is taken unasked, so mission.instruction cannot be this"
     return f"; where nobody can be asked, ({implied + 1}) is taken: it fulfils all the others"
 
 

@@ -16,6 +16,8 @@ from edge.config.section import (
     kind_of,
 )
 
+SMALL_TRANSLATOR = "mini-translator"
+
 
 class TranslatorLtl(Section):
     """The instruction is itself a formula of linear temporal logic."""
@@ -41,6 +43,28 @@ class TranslatorLlm(Section):
     constrain: Literal["gbnf", "guided_grammar", "none"] = "none"
     time_limit_s: Positive = 30.0
     max_answer_kb: Positive = 64.0
+
+
+class TranslatorModel(Section):
+    """A small network of our own, read from a model card; it asks where it is in doubt."""
+
+    kind: Literal["model"] = "model"
+    card: Name = SMALL_TRANSLATOR
+
+
+class TranslatorAuto(Section):
+    """The grammar; what it refuses, the small model; what that is not sure of, `llm`, where it is
+    given. Where two of them differ, whoever gave the instruction is asked."""
+
+    kind: Literal["auto"] = "auto"
+    card: Name = SMALL_TRANSLATOR
+    llm: TranslatorLlm | None = None
+
+
+Translator = Annotated[
+    Union[TranslatorLtl, TranslatorGrammar, TranslatorModel, TranslatorLlm, TranslatorAuto],
+    Field(discriminator="kind"),
+]
 
 
 class PlannerVitl(Section):
@@ -103,9 +127,7 @@ class Mission(Section):
     target: Name = "chair"
     instruction: Annotated[str, Field(min_length=1, max_length=10000)] | None = None
     reading: Annotated[int, Field(ge=1)] | None = None
-    translator: Annotated[
-        Union[TranslatorLtl, TranslatorGrammar, TranslatorLlm], Field(discriminator="kind")
-    ] = TranslatorGrammar()
+    translator: Translator = TranslatorAuto()
     planner: Annotated[
         Union[
             Annotated[PlannerVitl, Tag("vitl")],

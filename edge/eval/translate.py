@@ -20,10 +20,13 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from edge.config import TranslatorGrammar, TranslatorLlm
+from edge.config import Translator as TranslatorConfig
+from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLlm, TranslatorModel
+from edge.config.mission import SMALL_TRANSLATOR
 from edge.errors import UserError
 from edge.eval.languages import difference, satisfiable, with_weak_untils
 from edge.eval.planning.templates import generate
@@ -43,6 +46,7 @@ from edge.mission.ltl import (
     to_text,
 )
 from edge.mission.translate import AmbiguousError, TranslationError, Translator, make_translator
+from edge.perception.cards import load_card
 from edge.text import aligned, one_line
 
 _TASKS = 2000
@@ -254,11 +258,12 @@ def table(title: str, counts: dict[str, Any]) -> str:
     return aligned(lines, left=1)
 
 
-def failure_lines(scores: Iterable[Score]) -> Iterator[str]:
+def failure_lines(scores: Iterable[Score], translator: str) -> Iterator[str]:
     """What failed, one line of JSON each."""
     for s in scores:
         if s.outcome != "right":
             yield json.dumps({
+                "translator": translator,
                 "part": s.case.part,
                 "sentence": s.case.sentence,
                 "outcome": s.outcome,
@@ -275,30 +280,33 @@ def run(args: argparse.Namespace) -> int:
         UserError: bad options; a file cannot be read or written; the scoring was stopped (what
             was done until then is printed and written before).
     """
-    translator = make_translator(_config(args))
-    sets = {"ViTL tasks": (benchmark_cases(_TASKS, args.seed), Counter[str]())}
+    translators = {name: make_translator(_config(name, args)) for name in args.backend}
+    sets = {VITL: (benchmark_cases(_TASKS, args.seed), Counter[str]())}
     if args.lang2ltl is None:
         print("Lang2LTL: skipped; give its table with --lang2ltl FILE", file=sys.stderr)
     else:
-        sets["Lang2LTL"] = lang2ltl_cases(args.lang2ltl)
+        sets[LANG2LTL] = lang2ltl_cases(args.lang2ltl)
     if args.clean_up is not None:
-        sets["Clean-up"] = clean_up_cases(args.clean_up)
+        sets[CLEAN_UP] = clean_up_cases(args.clean_up)
     if args.own is not None:
         sets["Own"] = own_cases(args.own)
-    result: dict[str, Any] = {"backend": args.backend, "seed": args.seed}
+    result: dict[str, Any] = {"seed": args.seed}
     failed: list[str] = []
     stopped_by: BaseException | None = None
-    for title, (cases, left_out) in sets.items():
+    for (title, (cases, left_out)), (name, translator) in product(
+        sets.items(), translators.items()
+    ):
         began = time.perf_counter()
-        scores, stopped_by = _scored(title, _sample(cases, args.limit), translator)
+        scores, stopped_by = _scored(f"{title}, {name}", _sample(cases, args.limit), translator)
         seconds = time.perf_counter() - began
         counts = summary(scores, left_out)
-        result[title] = {**counts, "seconds": round(seconds, 2)}
-        lines = list(failure_lines(scores))
+        result.setdefault(title, {})[name] = {**counts, "seconds": round(seconds, 2)}
+        lines = list(failure_lines(scores, name))
         failed += lines
-        print(table(title, counts), *_shown(lines), sep="\n", end="\n\n")
+        print(table(f"{title}, {name}", counts), *_shown(lines), sep="\n", end="\n\n")
         if stopped_by is not None:
             break
+    print(overview(result, _not_seen() if set(args.backend) & set(_OF_THE_CARD) else {}))
     if args.failures is not None:
         save(args.failures, "".join(f"{line}\n" for line in failed).encode())
     if args.out is not None:
@@ -306,6 +314,53 @@ def run(args: argparse.Namespace) -> int:
     if stopped_by is not None:
         raise stopped_by
     return 0
+
+
+VITL, LANG2LTL, CLEAN_UP = "ViTL tasks", "Lang2LTL", "Clean-up"
+SEEN = {
+    VITL: "made by code",
+    LANG2LTL: "seen while the grammar was written, and by the model",
+    CLEAN_UP: "seen while the grammar was written, and by the model",
+}
+"""Set → what is to be known of its figures."""
+NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
+"""Said of figures of a model that did not learn from the set."""
+_OF_THE_CARD = ("model", "auto")
+
+
+def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:
+    """One row for each set and translator, as shares.
+
+    Args:
+        result: set → translator → what `summary` counts; other entries are passed over.
+        not_seen: set → translator → outcomes, of models that did not see the set.
+    """
+    rows = [["set", "translator", "cases", *OUTCOMES, ""]]
+    for title, by in result.items():
+        if isinstance(by, dict):
+            rows += [_shares(title, name, told, SEEN.get(title, "")) for name, told in by.items()]
+            rows += [
+                _shares(title, name, told, NOT_SEEN)
+                for name, told in not_seen.get(title, {}).items()
+                if name in by
+            ]
+    return aligned(rows, left=2)
+
+
+def _shares(title: str, name: str, told: dict[str, Any], note: str) -> list[str]:
+    cases = sum(told[outcome] for outcome in OUTCOMES)
+    shares = (f"{100 * told[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
+    return [title, name, str(cases), *shares, note]
+
+
+def _not_seen() -> dict[str, dict[str, dict[str, int]]]:
+    """What the small model's card tells of models that did not learn from a set."""
+    measured = load_card(SMALL_TRANSLATOR).measured
+    found = {
+        title: {name: measured.get(f"{title.lower()}, not seen, {name}") for name in _OF_THE_CARD}
+        for title in (LANG2LTL, CLEAN_UP)
+    }
+    return {title: {n: c for n, c in by.items() if c} for title, by in found.items()}
 
 
 def _scored(
@@ -342,8 +397,10 @@ def _sample(cases: Sequence[Case], limit: int | None) -> Sequence[Case]:
     return [cases[i * len(cases) // limit] for i in range(limit)]
 
 
-def _config(args: argparse.Namespace) -> TranslatorGrammar | TranslatorLlm:
-    if args.backend == "grammar":
-        return TranslatorGrammar()
+def _config(name: str, args: argparse.Namespace) -> TranslatorConfig:
+    if name != "llm":
+        return {"grammar": TranslatorGrammar, "model": TranslatorModel, "auto": TranslatorAuto}[
+            name
+        ]()
     given = {"url": args.url, "model": args.model, "constrain": args.constrain}
     return TranslatorLlm(**{key: value for key, value in given.items() if value is not None})

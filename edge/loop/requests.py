@@ -58,8 +58,9 @@ def mission_verbs(prepare: Callable[..., object]) -> dict[str, Verb]:
     is prepared.
 
     A new mission may have an `id`, by which whoever gave it knows it again; given once more, it
-    is not begun anew. An instruction that can be read in several ways is refused with its
-    `readings`; `reading` chooses one, counted from 1.
+    is not begun anew. An instruction that can be read in several ways, or in one that is not sure,
+    is refused with its `readings` and with `doubts` of single words; `reading` chooses one, counted
+    from 1.
 
     With `if_free: true` it takes no other's place. `cancel` with an `id` ends that mission and no
     other; its `why` becomes the reason.

@@ -23,24 +23,38 @@ class Reading:
 
 
 class AmbiguousError(TranslationError):
-    """An instruction that can be read in several ways.
+    """An instruction that can be read in several ways, or in one that may not be meant.
 
     Attributes:
-        readings: two or more, of different languages.
+        readings: one or more, of different languages.
         implied: the index of the reading that implies all others, which is the safer one: whoever
-            fulfils it fulfils them all. None where there is none, or it is not known.
+            fulfils it fulfils them all. None where there is none, it is not known, or none of them
+            may be taken unasked.
+        doubts: what is doubted of single words, as "firdge: fridge?".
     """
 
-    def __init__(self, readings: tuple[Reading, ...], implied: int | None) -> None:
+    def __init__(
+        self, readings: tuple[Reading, ...], implied: int | None, doubts: Sequence[str] = ()
+    ) -> None:
         listed = " ".join(
             f"({i}) {one_line(reading.english, _SHOWN)}" for i, reading in enumerate(readings, 1)
         )
-        super().__init__(
-            f"instruction: it can be read in {len(readings)} ways, choose a reading: {listed}"
-        )
+        several = f"it can be read in {len(readings)} ways, choose a reading"
+        single = "it may be meant so; if it is, choose reading 1"
+        what = "; ".join((*doubts, several if len(readings) > 1 else single))
+        super().__init__(f"instruction: {what}: {listed}")
         self.readings = readings
-        self.details = {"readings": [one_line(one.english, _SHOWN) for one in readings]}
+        self.details = {
+            "readings": [one_line(one.english, _SHOWN) for one in readings],
+            "doubts": list(doubts),
+        }
         self.implied = implied
+        self.doubts = tuple(doubts)
+
+
+def same(a: Formula, b: Formula) -> bool:
+    """Whether two formulas ask for the same; False where one is too large to compile."""
+    return len(distinct((a, b))[0]) == 1
 
 
 def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | None]:

@@ -5,20 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
-from edge.config import TranslatorGrammar, TranslatorLlm, TranslatorLtl
+from edge.config import Translator as TranslatorConfig
+from edge.config import TranslatorLlm
 from edge.mission import ltl
 from edge.mission.language import grammar
 from edge.mission.language.english import describe
 from edge.mission.language.words import TranslationError
 from edge.mission.ltl import Formula
-from edge.mission.readings import AmbiguousError, Reading, distinct
+from edge.mission.readings import AmbiguousError, Reading, distinct, same
 from edge.text import one_line
+
+if TYPE_CHECKING:
+    from edge.mission.language.model import SmallModel
 
 _UNDERSTOOD_CHARS = 1000  # English says in 300 characters what a formula says in 100
 
 __all__ = [
-    "AmbiguousError", "Reading", "Translation", "TranslationError", "Translator", "make_translator",
+    "AmbiguousError", "Read", "Reading", "Translation", "TranslationError", "Translator",
+    "make_translator",
 ]  # fmt: skip
 
 
@@ -29,7 +36,7 @@ class Translation:
     Attributes:
         formula: its text parses back to the same formula.
         english: the formula in plain English, to be shown to whoever gave the instruction.
-        backend: the translator's kind.
+        backend: the kind of translator that read it.
         seconds: how long it took.
         reading: which of the readings was taken, counted from 1; None: there is but one.
         readings: all of an ambiguous instruction's readings in English; none of another's.
@@ -52,15 +59,33 @@ class Translation:
 
 
 @dataclass(frozen=True)
-class Translator:
-    """Turns instructions into formulas.
+class Read:
+    """What a translator made of an instruction.
 
     Attributes:
-        read: the formulas that an instruction may ask for, one or more.
+        formulas: that it may ask for, one or more, the likeliest first.
+        by: the kind of translator that read it.
+        sure: one formula may be carried out unasked, and of several the one that implies the
+            others where nobody can be asked.
+        doubts: of words, to be told with a question.
     """
 
+    formulas: Sequence[Formula]
+    by: str
+    sure: bool = True
+    doubts: tuple[str, ...] = ()
+
+
+Reader = Callable[[str], Read]
+"""Reads an instruction; raises TranslationError for what it does not understand."""
+
+
+@dataclass(frozen=True)
+class Translator:
+    """Turns instructions into formulas."""
+
     kind: str
-    read: Callable[[str], Sequence[Formula]]
+    read: Reader
 
     def translate(
         self, instruction: str, reading: int | None = None, ask: bool = True
@@ -75,10 +100,12 @@ class Translator:
 
         Raises:
             UserError: it cannot be translated; a TranslationError names the part.
-            AmbiguousError: it can be read in several ways, and none was chosen.
+            AmbiguousError: it can be read in several ways, or in one that is not sure, and none
+                was chosen.
         """
         began_s = time.monotonic()
-        formulas, safer = distinct([validated(formula) for formula in self.read(instruction)])
+        read = self.read(instruction)
+        formulas, safer = distinct([validated(formula) for formula in read.formulas])
         readings = tuple(Reading(formula, describe(formula)) for formula in formulas)
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
@@ -86,11 +113,12 @@ class Translator:
                 f"instruction: it can be read in {len(readings)} {ways}: there is no reading "
                 f"{reading}"
             )
-        if reading is None and len(readings) > 1 and (ask or safer is None):
-            raise AmbiguousError(readings, safer)
+        unclear = len(readings) > 1 and (ask or safer is None)
+        if reading is None and (unclear or not read.sure):
+            raise AmbiguousError(readings, safer if read.sure else None, read.doubts)
         taken = readings[reading - 1 if reading is not None else safer or 0]
         seconds = time.monotonic() - began_s
-        translation = Translation(instruction, taken.formula, taken.english, self.kind, seconds)
+        translation = Translation(instruction, taken.formula, taken.english, read.by, seconds)
         if len(readings) == 1:
             return translation
         return replace(
@@ -116,17 +144,102 @@ def validated(formula: Formula) -> Formula:
     return formula
 
 
-def make_translator(config: TranslatorLtl | TranslatorGrammar | TranslatorLlm) -> Translator:
+def make_translator(config: TranslatorConfig) -> Translator:
     """The translator that a configuration names.
 
     Raises:
         ChatError: the language model's URL or API key cannot be used.
+        ModelError: the small model's card or file is not there or not sound.
     """
-    if config.kind == "grammar":
-        return Translator("grammar", grammar.readings)
-    if config.kind == "ltl":
-        return Translator("ltl", lambda text: (ltl.parse(text),))
+    readers: dict[str, Callable[[], Reader]] = {
+        "grammar": lambda: _by_grammar,
+        "ltl": lambda: lambda text: Read((ltl.parse(text),), "ltl"),
+        "llm": lambda: _by_llm(config),
+        "model": lambda: by_model(_small_model(config.card)),
+        "auto": lambda: by_all(
+            by_model(_small_model(config.card)), config.llm and _by_llm(config.llm)
+        ),
+    }
+    return Translator(config.kind, readers[config.kind]())
+
+
+def _by_grammar(instruction: str) -> Read:
+    return Read(grammar.readings(instruction), "grammar")
+
+
+def _by_llm(config: TranslatorLlm) -> Reader:
     from edge.mission.language.llm import Model  # needs the chat client; the others do not
 
     model = Model(config)
-    return Translator("llm", lambda text: (model.read(text),))
+    return lambda text: Read((model.read(text),), "llm")
+
+
+@lru_cache(maxsize=1)
+def _small_model(card: str) -> SmallModel:
+    from edge.mission.language.model import SmallModel  # needs onnxruntime; the grammar does not
+    from edge.mission.language.network import Network
+
+    return SmallModel(Network(card))
+
+
+def by_model(model: SmallModel) -> Reader:
+    """The small model alone."""
+
+    def read(instruction: str) -> Read:
+        found = model.read(instruction)
+        return Read(found.formulas, "model", found.sure, found.doubts)
+
+    return read
+
+
+def by_all(small: Reader, large: Reader | None) -> Reader:
+    """The grammar first, then the small model, then a language model: see `TranslatorAuto`."""
+
+    def read(instruction: str) -> Read:
+        try:
+            first = _by_grammar(instruction)
+        except TranslationError as refusal:
+            return _unread(instruction, refusal, small, large)
+        if len(first.formulas) > 1:
+            return first
+        return _compared(instruction, first, small)
+
+    return read
+
+
+def _unread(
+    instruction: str, refusal: TranslationError, small: Reader, large: Reader | None
+) -> Read:
+    """What the others make of what the grammar refused.
+
+    A language model's formula is taken where the small one offers it too, or has none to offer.
+
+    Raises:
+        TranslationError: they refuse it as well; the grammar tells best what to change.
+    """
+    try:
+        offered = small(instruction)
+    except TranslationError:
+        if large is None:
+            raise refusal from None
+        return large(instruction)
+    if offered.sure or large is None:
+        return offered
+    try:
+        told = large(instruction)
+    except TranslationError:
+        return offered
+    if any(same(told.formulas[0], formula) for formula in offered.formulas):
+        return told
+    return Read((*told.formulas, *offered.formulas), "llm", False, offered.doubts)
+
+
+def _compared(instruction: str, first: Read, small: Reader) -> Read:
+    """The grammar's formula, and beside it the small model's where that surely means another."""
+    try:
+        second = small(instruction)
+    except TranslationError:
+        return first
+    if not second.sure or same(first.formulas[0], second.formulas[0]):
+        return first
+    return Read((*first.formulas, *second.formulas), "grammar", sure=False)

@@ -23,6 +23,7 @@ from edge.perception.card_types import (
     MarksCard,
     MaskDecoderCard,
     MaskEncoderCard,
+    TranslateCard,
 )
 from edge.perception.cards import ModelError, all_cards, verify_file, verify_model
 from edge.perception.choice.onnx_scorer import asked_of
@@ -196,11 +197,25 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
     return f"masks {masks.shape}, finite"
 
 
+def _check_translator(path: Path, session: Any, card: TranslateCard) -> str:
+    """One token of a text of one token."""
+    feed = {
+        v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
+        for v in session.get_inputs()
+    }  # fmt: skip
+    across, logits, present = _infer(path, session, feed)
+    _hold_shape(path, "across", across, across.shape)
+    _hold_shape(path, "present", present, present.shape)
+    _hold_shape(path, "logits", logits, (1, 1, logits.shape[-1]))
+    return f"{logits.shape[-1]} tokens, finite"
+
+
 _TRIALS = {
     DetectCard: _check_detector,
     MaskEncoderCard: _check_mask_encoder,
     MaskDecoderCard: _check_mask_decoder,
     MarksCard: _check_marks,
+    TranslateCard: _check_translator,
 }
 """How a model is tried out, where it is no encoder of one embedding."""
 

@@ -390,6 +390,19 @@ class MarksCard(_FileCard):
     text_encoder: str
 
 
+class TranslateCard(_FileCard):
+    """A small network from instructions to formulas, and back (`edge.mission.language.network`).
+
+    `source` (1, n) int64 → `across` (2 x layers, 1, heads, n, d) float32; `target` (b, m) int64,
+    `past` (2 x layers, b, heads, p, d) and `across_in` → `logits` (b, m, tokens) and `present`,
+    the past with the target before the next call. Its tokens are in the file's metadata.
+    """
+
+    task: Literal["translate"]
+    server: None = None
+    parity: None = None
+
+
 RUNNING = "running detector"
 """What a similarity card names in the place of one detector: whichever runs."""
 
@@ -500,8 +513,13 @@ class ChoiceCard(BaseCard):
 
 DirectionsCard = Union[ChoiceCard, MarksCard]
 """What `perception.choice.card` may name."""
-FileCard = Union[DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard]
-Card = Union[DetectCard, TextCard, ImageCard, MarksCard, SegmentCard, SimilarityCard, ChoiceCard]
+FileCard = Union[
+    DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard
+]
+Card = Union[
+    DetectCard, TextCard, ImageCard, MarksCard, SegmentCard, SimilarityCard, ChoiceCard,
+    TranslateCard,
+]  # fmt: skip
 
 
 def _locate(file: str) -> Path:

@@ -31,6 +31,7 @@ from edge.perception.card_types import (
     SegmentCard,
     SimilarityCard,
     TextCard,
+    TranslateCard,
 )
 from edge.perception.model_file import ModelError, fresh_sha256, known_sha256, trusts_cache
 from edge.perception.onnx_file import check_file, check_network
@@ -48,6 +49,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "marks": MarksCard,
     "similarity": SimilarityCard,
     "choice": ChoiceCard,
+    "translate": TranslateCard,
 }
 
 

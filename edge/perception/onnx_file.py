@@ -22,6 +22,7 @@ from edge.perception.card_types import (
     MaskDecoderCard,
     MaskEncoderCard,
     TextCard,
+    TranslateCard,
 )
 from edge.perception.choice.question import MAX_MARKS
 from edge.perception.model_file import ModelError
@@ -224,6 +225,12 @@ def wanted(card: FileCard) -> tuple[list[Value], list[Value]]:
         length = card.tokenizer.context if card.tokenizer.kind == "clip" else _ANY
         tokens = Value("tokens", INT64, (None, length))
         return [tokens], [Value("embeddings", FLOAT, (_ANY, card.dim))]
+    if isinstance(card, TranslateCard):
+        kept, over = (_ANY, None, _ANY, None, _ANY), (_ANY, 1, _ANY, None, _ANY)
+        inputs = [Value("source", INT64, (1, None)), Value("target", INT64, (None, None))]
+        inputs += [Value("past", FLOAT, kept), Value("across_in", FLOAT, over)]
+        outputs = [Value("across", FLOAT, over), Value("logits", FLOAT, (None, None, _ANY))]
+        return inputs, [*outputs, Value("present", FLOAT, kept)]
     image = (1, 3, card.input.height, card.input.width)
     if isinstance(card, DetectCard):
         texts = Value("txt_feats", FLOAT, (1, None, card.text_dim))

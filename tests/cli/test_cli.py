@@ -260,7 +260,7 @@ def test_the_service_is_told_the_mission_that_was_asked_for(
     opened = []
 
     def open_service(config, sinks, asked, formula, task, stop, progress, amiss):
-        assert config.mission.translator.kind == "grammar"
+        assert config.mission.translator.kind == "auto"
         mission = config.mission
         opened.append((asked, formula, mission.target, mission.instruction, mission.reading))
         raise Stopped

@@ -192,15 +192,30 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
     table, out, failures = (tmp_path / name for name in ("t.csv", "o.json", "f.jsonl"))
     table.write_text(TABLE)
     code = _run("--limit", "20", "--lang2ltl", str(table), "--out", str(out),
-                "--failures", str(failures))  # fmt: skip
+                "--failures", str(failures), "--backend", "grammar", "auto")  # fmt: skip
     assert code == 0
     counts = json.loads(out.read_text())
-    assert counts["ViTL tasks"]["right"] == counts["ViTL tasks"]["cases"] == 20
-    assert counts["Lang2LTL"]["right if weak"] == 1
-    failed = [json.loads(line) for line in failures.read_text().splitlines()]
+    for name in ("grammar", "auto"):
+        assert counts["ViTL tasks"][name]["right"] == counts["ViTL tasks"][name]["cases"] == 20
+    assert counts["Lang2LTL"]["grammar"]["right if weak"] == 1
+    rows = [json.loads(line) for line in failures.read_text().splitlines()]
+    failed = [row for row in rows if row["translator"] == "grammar"]
     assert [row["outcome"] for row in failed] == ["refused", "right if weak", "wrong", "asked"]
     assert failed[2]["differ_on"] == []
-    assert "ViTL tasks" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "ViTL tasks, auto" in told
+    *_, model, held_out = (
+        line for line in told.splitlines() if line.split()[:2] == ["Lang2LTL", "auto"]
+    )
+    assert (translate.SEEN["Lang2LTL"] in model, translate.NOT_SEEN in held_out) == (True, True)
+
+
+def test_an_overview_has_shares() -> None:
+    counts = {"cases": 4, "right": 3, "right if weak": 0, "wrong": 0, "asked": 1, "refused": 0}
+    told = translate.overview({"seed": 0, "Mine": {"grammar": counts}}, {"Mine": {"model": counts}})
+    assert [line.split() for line in told.splitlines()][1:] == [
+        ["Mine", "grammar", "4", "75.0", "%", "0.0", "%", "0.0", "%", "25.0", "%", "0.0", "%"]
+    ]
 
 
 class _Failing:
@@ -221,7 +236,7 @@ class _Failing:
 @pytest.mark.parametrize(
     ("error", "raised", "words"),
     [
-        (ChatError("http://x: down"), UserError, "ViTL tasks: stopped after 2 of 9: http://x: d"),
+        (ChatError("http://x: down"), UserError, "ViTL tasks, llm: stopped after 2 of 9: http://x"),
         (KeyboardInterrupt(), KeyboardInterrupt, None),
     ],
 )
@@ -236,7 +251,7 @@ def test_what_stops_the_scoring_is_no_refusal_and_costs_nothing_that_is_done(
     with pytest.raises(raised, match=words):
         _run("--backend", "llm", "--limit", "9", "--out", str(out), "--lang2ltl", str(table))
     assert len(translator.asked) == 3  # the other set is not begun
-    counts = json.loads(out.read_text())["ViTL tasks"]
+    counts = json.loads(out.read_text())["ViTL tasks"]["llm"]
     assert (counts["cases"], counts["right"], counts["refused"]) == (2, 2, 0)
     assert "ViTL tasks" in capsys.readouterr().out
 
@@ -252,7 +267,7 @@ def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_run_says_what_it_skips(capsys: pytest.CaptureFixture[str]) -> None:
-    assert _run("--limit", "1") == 0
+    assert _run("--limit", "1", "--backend", "grammar") == 0
     assert "--lang2ltl" in capsys.readouterr().err
 
 

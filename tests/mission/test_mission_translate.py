@@ -7,7 +7,16 @@ import pytest
 from edge.config import TranslatorGrammar, TranslatorLtl
 from edge.errors import UserError
 from edge.mission.ltl import FormulaError, ap, eventually, parse
-from edge.mission.translate import AmbiguousError, TranslationError, make_translator, validated
+from edge.mission.translate import (
+    AmbiguousError,
+    Read,
+    Reader,
+    TranslationError,
+    Translator,
+    by_all,
+    make_translator,
+    validated,
+)
 
 BACKENDS = [
     (TranslatorGrammar(), "reach a tv, then a couch"),
@@ -67,3 +76,63 @@ def test_a_formula_without_a_text_is_refused() -> None:
     object.__setattr__(broken, "args", (broken.args[0],))  # & of one: its text is "F a"
     with pytest.raises(TranslationError, match="another formula"):
         validated(broken)
+
+
+def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Reader:
+    """Reads whatever it is told as these formulas; refuses it where there are none."""
+
+    def read(said: str) -> Read:
+        if not texts:
+            raise TranslationError(f"not the grammar's reason: {said}")
+        return Read([parse(text) for text in texts], "stub", sure, doubts)
+
+    return read
+
+
+# Said, what the small model and the large one make of it, the formulas then, who spoke, whether
+# it is sure. The grammar reads the first instructions, and refuses the last.
+PLAIN, OPEN, STRANGE = "go to the bed", "go to the bed without the sofa, then to the tv", "zoom bed"
+NOTHING = _reader()
+TOGETHER = [
+    (PLAIN, NOTHING, None, ["F bed"], "grammar", True),
+    (PLAIN, _reader("F bed"), None, ["F bed"], "grammar", True),
+    (PLAIN, _reader("F sofa"), None, ["F bed", "F sofa"], "grammar", False),
+    (PLAIN, _reader("F sofa", sure=False), None, ["F bed"], "grammar", True),
+    (OPEN, _reader("F sofa"), None, 2, "grammar", True),
+    (STRANGE, NOTHING, None, "did not understand 'zoom bed'", "", True),
+    (STRANGE, _reader("F bed"), NOTHING, ["F bed"], "stub", True),
+    (STRANGE, _reader("F bed", sure=False), None, ["F bed"], "stub", False),
+    (STRANGE, _reader("F bed", sure=False), NOTHING, ["F bed"], "stub", False),
+    (STRANGE, _reader("F bed", "F sofa", sure=False), _reader("F sofa"), ["F sofa"], "stub", True),
+    (STRANGE, _reader("F bed", sure=False), _reader("F tv"), ["F tv", "F bed"], "llm", False),
+    (STRANGE, NOTHING, _reader("F bed"), ["F bed"], "stub", True),
+    (STRANGE, NOTHING, NOTHING, "not the grammar's reason", "", True),
+]
+
+
+@pytest.mark.parametrize(("said", "small", "large", "wanted", "by", "sure"), TOGETHER)
+def test_auto_takes_what_is_agreed_on(
+    said: str, small: Reader, large: Reader | None, wanted: object, by: str, sure: bool
+) -> None:
+    read = by_all(small, large)
+    if isinstance(wanted, str):
+        with pytest.raises(TranslationError, match=wanted):
+            read(said)
+        return
+    found = read(said)
+    texts = [str(formula) for formula in found.formulas]
+    assert len(texts) == wanted if isinstance(wanted, int) else texts == wanted
+    assert (found.by, found.sure) == (by, sure)
+
+
+def test_what_is_not_sure_is_asked_about_even_where_it_is_one_thing() -> None:
+    doubtful = Translator("model", _reader("F bed", sure=False, doubts=("bde: bed?",)))
+    for ask in (True, False):
+        with pytest.raises(AmbiguousError, match=r"bde: bed\?; it may be meant so; if it is, cho"):
+            doubtful.translate("go to the bde", ask=ask)
+    chosen = doubtful.translate("go to the bde", reading=1, ask=False)
+    assert (chosen.formula, chosen.backend) == (parse("F bed"), "stub")
+    two = Translator("model", _reader("F bed", "F (bed & F sofa)", sure=False))
+    with pytest.raises(AmbiguousError) as asked:
+        two.translate("bed sofa", ask=False)
+    assert asked.value.implied is None

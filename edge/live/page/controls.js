@@ -84,9 +84,12 @@ function settle() {
   $("readings").replaceChildren();
 }
 
-// Where the words can be read in several ways, whoever wrote them chooses.
+// Where the words can be read in several ways, or it is not sure that they mean one, whoever wrote
+// them chooses.
 function offer(said, readings) {
-  say("new-error", "This can be read in several ways. Which one do you mean?");
+  say("new-error", readings.length > 1
+    ? "This can be read in several ways. Which one do you mean?"
+    : "It is not sure that this is meant. Is it?");
   $("readings").replaceChildren(...readings.map((text, i) => {
     const button = make("button", { text: `${i + 1}. ${text}`, type: "button" });
     button.addEventListener("click", () => begin({ ...said, reading: i + 1 }));

@@ -26,7 +26,7 @@ REASONS = {
 _SHOWN = 60
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
-_STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
+STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
 
 
 class TranslationError(UserError):
@@ -99,7 +99,7 @@ def tokenise(text: str) -> list[Token]:
 
 def _words(text: str) -> list[Token]:
     words: list[Token] = []
-    for match in _TOKEN.finditer(text.translate(_STRAIGHT)):
+    for match in _TOKEN.finditer(text.translate(STRAIGHT)):
         found, start, end = match.group(), match.start(), match.end()
         if match["quoted"] is not None:
             words.append(Token("quoted", found[1:-1].strip(), start, end))

@@ -1,0 +1,219 @@
+"""An instruction with its names lifted out: what is left is how things hang together, in words.
+
+The small translator knows no things. It reads `<0>` for the first thing that is named, `<1>` for
+the second, and so on, and the same number again where the same thing is named again.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from edge import names
+from edge.mission.language import nouns
+from edge.mission.language.compact import MOST_NAMES, NAMES
+from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expanded
+from edge.mission.language.words import MAX_CHARS, STRAIGHT, not_understood
+
+MOST_PIECES = 250
+"""Words and marks of an instruction that is lifted."""
+LONGEST_NAME = 6  # words
+ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
+_SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
+_PLACES = tuple(sorted(PHRASES["place"].split("|"), key=len, reverse=True))
+_OF_NO_NAME = {"of", "between", "against"}
+_STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
+_AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", "until"}
+_CUT_OFF = {
+    "don",
+    "doesn",
+    "didn",
+    "isn",
+    "aren",
+    "wasn",
+    "can",
+    "won",
+    "shouldn",
+    "mustn",
+    "couldn",
+}
+"""What a contraction is before a `t` that lost its apostrophe."""
+_ALSO_VERBS = """
+    swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
+    track frame file mop sponge exit
+"""
+"""Things that are so only after an article."""
+_MARKS = {",": ",", ":": ",", ".": ".", ";": ".", "!": ".", "?": ".", "&": "and"}
+_NEVER_NAMES = {*ARTICLES, *_MARKS.values(), "robot", "robots"}
+_NEVER_ALONE = {"can"}
+_PIECE = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
+
+
+@dataclass(frozen=True, slots=True)
+class Lifted:
+    """An instruction in the translator's words.
+
+    Attributes:
+        words: lower case, `NAMES[i]` for the thing `names[i]`; of marks "," and "." are left.
+        names: canonical names in the order in which they are first named, each once.
+        starts: of each word, the offset of its first character in the instruction.
+    """
+
+    words: tuple[str, ...]
+    names: tuple[str, ...]
+    starts: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    text: str
+    start: int
+    quoted: bool = False
+
+
+def lift(text: str) -> Lifted:
+    """The instruction with its names lifted out.
+
+    Known names are those of the grammar: the alias table's, places and common things with what
+    they are like ("the small red box"), single letters, and whatever stands in double quotes.
+
+    Raises:
+        TranslationError: it is too long, a character has no place in it, or it names more than
+            `MOST_NAMES` things.
+    """
+    pieces = _pieces(text)
+    among_letters = _names_letters(pieces)
+    words: list[str] = []
+    starts: list[int] = []
+    found: list[str] = []
+    at = 0
+    while at < len(pieces):
+        length, name = _name_at(pieces, at, among_letters)
+        if name is None:
+            words.append(pieces[at].text)
+            starts.append(pieces[at].start)
+            at += 1
+            continue
+        if name not in found:
+            if len(found) == MOST_NAMES:
+                hint = f"at most {MOST_NAMES} things at once"
+                raise not_understood(text[pieces[at].start :], pieces[at].start + 1, hint)
+            found.append(name)
+        if words and words[-1] in ARTICLES:
+            words.pop()
+            starts.pop()
+        words.append(NAMES[found.index(name)])
+        starts.append(pieces[at].start)
+        at += length
+    return Lifted(tuple(words), tuple(found), tuple(starts))
+
+
+def _pieces(text: str) -> list[_Piece]:
+    if len(text) > MAX_CHARS:
+        hint = f"an instruction has at most {MAX_CHARS} characters"
+        raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)
+    pieces: list[_Piece] = []
+    for match in _PIECE.finditer(text.translate(STRAIGHT)):
+        found, start = match.group(), match.start()
+        if match["quoted"] is not None:
+            if not names.is_name(found[1:-1]):
+                raise not_understood(found, start + 1, "no name")
+            pieces.append(_Piece(found[1:-1], start, quoted=True))
+        elif found.lower() == "t" and pieces and pieces[-1].text in _CUT_OFF:
+            cut = pieces.pop()
+            pieces += [_Piece(part, cut.start) for part in expanded(f"{cut.text}'t")]
+        elif match["word"] is not None:
+            pieces += [_Piece(part, start) for part in expanded(found.lower())]
+        elif found in _MARKS:
+            pieces.append(_Piece(_MARKS[found], start))
+        else:
+            raise not_understood(found, start + 1, "this character has no place in an instruction")
+    if len(pieces) > MOST_PIECES:
+        late = pieces[MOST_PIECES].start
+        raise not_understood(text[late:], late + 1, f"it has more than {MOST_PIECES} words")
+    return pieces
+
+
+def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, str | None]:
+    """How many pieces from here are a name, and its canonical form; None when none are."""
+    if pieces[at].quoted:
+        return 1, names.canonical(pieces[at].text)
+    if _is_letter(pieces, at, among_letters):
+        return 1, pieces[at].text
+    length = _known_length(pieces, at)
+    if not length:
+        return 0, None
+    text = _spelled(pieces[at : at + length])
+    place, skipped = _place_at(pieces, at + length)
+    if place and (more := _known_length(pieces, at + length + skipped)):
+        where = pieces[at + length + skipped : at + length + skipped + more]
+        text = f"{text} {place} {_spelled(where)}"
+        length += skipped + more
+    return (length, names.canonical(text)) if names.is_name(text) else (0, None)
+
+
+def _spelled(pieces: list[_Piece]) -> str:
+    """A name with its number in letters, since `edge.names` takes digits for a model's."""
+    *texts, last = (piece.text for piece in pieces)
+    if texts and last.isdecimal() and len(last) < 3 and int(last) < len(nouns.CARDINALS):
+        last = nouns.CARDINALS[int(last)]
+    return " ".join((*texts, last))
+
+
+def _known_length(pieces: list[_Piece], at: int) -> int:
+    """How many pieces from here are the longest name made of known words."""
+    singled = at > 0 and pieces[at - 1].text in _SINGLING
+    for length in range(min(LONGEST_NAME, len(pieces) - at), 0, -1):
+        run = pieces[at : at + length]
+        texts = [piece.text for piece in run]
+        if any(piece.quoted for piece in run) or nouns.unknown_in(texts) is not None:
+            continue
+        if _NEVER_NAMES & set(texts) or not _begins_name(texts, singled):
+            continue
+        return length
+    return 0
+
+
+def _begins_name(texts: list[str], singled: bool) -> bool:
+    """Whether words that may name a thing do: "first" and "check" mostly mean something else."""
+    if texts[0] in _NEVER_ALONE and len(texts) == 1:
+        return False
+    if singled:
+        return True
+    if texts[0] in nouns.ORDINALS:
+        return any(text in _STORIES for text in texts)
+    if texts[0] in _ALSO_VERBS.split():
+        return False
+    kind = TABLE.get((texts[0],))
+    return (len(texts) > 1 and texts[0] in nouns.QUALITIES) or kind in (None, "word", "group")
+
+
+def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
+    """Whether a single letter stands here that names something; `a` is mostly an article."""
+    text = pieces[at].text
+    if len(text) != 1 or not text.isalpha() or not text.isascii() or text == "i":
+        return False
+    if text != "a":
+        return True
+    after = pieces[at + 1] if at + 1 < len(pieces) else _Piece(".", 0)
+    if after.quoted or (len(after.text) > 1 and _known_length(pieces, at + 1)):
+        return False
+    return after.text in _AFTER_LETTER or among_letters
+
+
+def _names_letters(pieces: list[_Piece]) -> bool:
+    """Whether letters name things in this text, so that `a` may too: others do, or nothing else."""
+    if any(p.text not in "ais" and len(p.text) == 1 and p.text.isalpha() for p in pieces):
+        return True
+    return not any(_known_length(pieces, at) for at in range(len(pieces)))
+
+
+def _place_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
+    """A word that says where a thing is, and how many pieces it and an article after it take."""
+    for place in _PLACES:
+        words = place.split()
+        if place not in _OF_NO_NAME and [p.text for p in pieces[at : at + len(words)]] == words:
+            end = at + len(words)
+            article = end < len(pieces) and pieces[end].text in ARTICLES
+            return place, len(words) + article
+    return "", 0

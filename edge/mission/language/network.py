@@ -1,0 +1,164 @@
+"""The small translator's network at work: words to formulas, and how well formulas tell the words.
+
+An ONNX file with two halves. The encoder's (`source` → `across`) is asked once for a text, the
+decoder's (`target`, `past`, `across_in` → `logits`, `present`) once for each token that is written;
+each is given one token of nothing for the half that it leaves alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, allowed
+from edge.perception.backends.runtime import open_session
+from edge.perception.card_types import TranslateCard
+from edge.perception.cards import load_card_of, verify_model
+from edge.perception.model_file import ModelError
+
+MOST_WORDS = 90
+"""Of a sentence that is read; longer ones are refused before."""
+MOST_TOKENS = 60
+"""Of a formula that is written."""
+BEAM = 6
+PAD, END, UNKNOWN, TO_FORMULA, TO_WORDS = SPECIAL = (
+    "<pad>", "<end>", "<unknown>", "<formula>", "<words>",
+)  # fmt: skip
+VOCABULARY = "vocabulary"
+"""Key of the file's metadata: a JSON list of tokens, in the order of their ids."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What the decoder wrote, and the natural logarithm of its probability."""
+
+    tokens: tuple[str, ...]
+    log_p: float
+
+
+class Network:
+    """One session on one core.
+
+    Args:
+        card: name of a card of task `translate`.
+
+    Raises:
+        ModelError: no such card, or its file is not there or not sound.
+    """
+
+    def __init__(self, card: str) -> None:
+        described = load_card_of(TranslateCard, card)
+        self._open(verify_model(described))
+
+    @classmethod
+    def of_file(cls, path: Path) -> Network:
+        """Of a file that has no card yet."""
+        network = cls.__new__(cls)
+        network._open(path)
+        return network
+
+    def _open(self, path: Path) -> None:
+        self._session = open_session(
+            path, ["CPUExecutionProvider"], 1, key="mission.translator.card"
+        )
+        told = self._session.get_modelmeta().custom_metadata_map.get(VOCABULARY, "")
+        self.tokens = _vocabulary(path, told)
+        self._ids = {token: i for i, token in enumerate(self.tokens)}
+        past = next(i for i in self._session.get_inputs() if i.name == "past")
+        parts, _, heads, _, width = past.shape
+        self._no_past = np.zeros((parts, 1, heads, 0, width), np.float32)
+        self._no_across = np.zeros((parts, 1, heads, 1, width), np.float32)
+        self._nothing = np.array([[self._ids[PAD]]], np.int64)
+
+    def knows(self, word: str) -> bool:
+        """Whether the word is in its vocabulary."""
+        return word in self._ids
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words of its vocabulary."""
+        return tuple(t for t in self.tokens if t not in OPERATORS and not t.startswith("<"))
+
+    def formulas(self, words: Sequence[str], names: int, beam: int = BEAM) -> list[Written]:
+        """The likeliest formulas over the first so many names, the likeliest first.
+
+        Beam search over the tokens that the formulas' grammar allows; a probability is a share of
+        what is allowed.
+        """
+        across = self._read(words)
+        target = np.array([[self._ids[TO_FORMULA]]], np.int64)
+        logits, past = self._write(target, self._no_past, across)
+        live: list[tuple[list[str], float]] = [([], 0.0)]
+        done: list[Written] = []
+        while live and len(live[0][0]) < MOST_TOKENS:
+            grown: list[tuple[float, int, str]] = []
+            for row, (tokens, log_p) in enumerate(live):
+                options = list(allowed(tokens, names, MOST_TOKENS))
+                each = _log_softmax(logits[row, -1, [self._ids[token] for token in options]])
+                grown += [
+                    (log_p + p, row, token) for p, token in zip(each.tolist(), options, strict=True)
+                ]
+            grown.sort(key=lambda one: -one[0])
+            following: list[tuple[list[str], float]] = []
+            rows: list[int] = []
+            for log_p, row, token in grown[:beam]:
+                tokens = [*live[row][0], token]
+                if token == REFUSED or not any(allowed(tokens, names, MOST_TOKENS)):
+                    done.append(Written(tuple(tokens), log_p))
+                else:
+                    following.append((tokens, log_p))
+                    rows.append(row)
+            live = following
+            if not live or (len(done) >= beam and max(d.log_p for d in done) > live[0][1]):
+                break
+            target = np.array([[self._ids[tokens[-1]]] for tokens, _ in live], np.int64)
+            logits, past = self._write(target, past[:, rows], across)
+        return sorted(done, key=lambda one: -one.log_p)[:beam]
+
+    def telling(self, tokens: Sequence[str], words: Sequence[str]) -> float:
+        """The log probability that whoever means this formula says these words: the
+        back-translation that a sentence is held against."""
+        across = self._read(tokens)
+        ids = [self._ids.get(word, self._ids[UNKNOWN]) for word in words]
+        target = np.array([[self._ids[TO_WORDS], *ids]], np.int64)
+        logits, _ = self._write(target, self._no_past, across)
+        each = _log_softmax(logits[0])
+        return float(each[np.arange(len(ids) + 1), [*ids, self._ids[END]]].sum())
+
+    def _read(self, tokens: Sequence[str]) -> np.ndarray:
+        ids = [self._ids.get(token, self._ids[UNKNOWN]) for token in tokens]
+        feeds = {
+            "source": np.array([ids], np.int64), "target": self._nothing,
+            "past": self._no_past, "across_in": self._no_across,
+        }  # fmt: skip
+        return self._session.run(["across"], feeds)[0]
+
+    def _write(
+        self, target: np.ndarray, past: np.ndarray, across: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        feeds = {"source": self._nothing, "target": target, "past": past, "across_in": across}
+        logits, present = self._session.run(["logits", "present"], feeds)
+        return logits, present
+
+
+def _vocabulary(path: Path, told: str) -> tuple[str, ...]:
+    try:
+        tokens = json.loads(told)
+    except ValueError:
+        tokens = None
+    needed = {*SPECIAL, *NAMES, REFUSED, *OPERATORS}
+    if not isinstance(tokens, list) or not needed <= set(map(str, tokens)):
+        raise ModelError(
+            f"{path}: its metadata has no {VOCABULARY!r} with the tokens of formulas: export it "
+            "again"
+        )
+    return tuple(map(str, tokens))
+
+
+def _log_softmax(x: np.ndarray) -> np.ndarray:
+    shifted = x - x.max(axis=-1, keepdims=True)
+    return shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))

@@ -1,0 +1,1 @@
+"""The small translator: its sentences, its network, its training, and the files it becomes."""

@@ -1,0 +1,198 @@
+"""Sentences made by code, each from a formula: what the small translator mostly learns from.
+
+`phrases.yaml` says how people put each kind of formula; here its templates are filled, joined to
+longer instructions, and worn down as speech and haste do.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+import yaml
+
+from edge.mission.language.compact import MOST_NAMES, NAMES, REFUSED
+from edge.mission.language.lexicon import expanded
+
+PHRASES = Path(__file__).with_name("phrases.yaml")
+LETTERS, _AFTER = "abcde", "fghij"
+REFUSED_SHARE = 0.12
+JOINED_SHARE = 0.18
+"""Of the sentences, those that say two things one after the other."""
+_SLOT = re.compile(r"\{(\w+)\}")
+_CHOICE = re.compile(r"\(([^()]*)\)")
+_HOLE = re.compile(r"\$([a-e])")
+
+
+class Pair(NamedTuple):
+    """Words of an instruction whose names are lifted out, and the formula in compact tokens."""
+
+    words: tuple[str, ...]
+    tokens: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Family:
+    """A kind of formula, over letters, and how it is said."""
+
+    tokens: tuple[str, ...]
+    weight: float
+    templates: tuple[str, ...]
+
+    @property
+    def letters(self) -> list[str]:
+        return [letter for letter in LETTERS if letter in self.tokens]
+
+
+@dataclass(slots=True)
+class Phrases:
+    """The tables of `phrases.yaml`."""
+
+    slots: dict[str, list[str]]
+    families: list[Family]
+    refused: list[str]
+    goals: list[Family] = field(init=False)
+    bans: list[Family] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.goals = [f for f in self.families if f.tokens[0] in "F&" and "W" not in f.tokens]
+        self.bans = [f for f in self.families if f.tokens[0] in "GW<" or f.tokens[0][0] == "<"]
+
+
+def load(path: Path = PHRASES) -> Phrases:
+    """The tables of a file."""
+    told = yaml.safe_load(path.read_text(encoding="utf-8"))
+    slots = {name: " ".join(text.split()).split("|") for name, text in told["slots"].items()}
+    for name, table in told["verbs"].items():
+        rows = [row.strip().partition("|") for row in table.replace("\n", ";").split(";")]
+        rows = [row for row in rows if row[0]]
+        for form, slot in enumerate(_FORMS[name]):
+            slots[slot] = [f"{verbs.split()[form]} {rest}".strip() for verbs, _, rest in rows]
+    families = [
+        Family(tuple(row["formula"].split()), row["weight"], tuple(row["say"].splitlines()))
+        for row in told["families"]
+    ]
+    return Phrases(slots, families, told["refused"].splitlines())
+
+
+_FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
+
+
+class Composer:
+    """Draws pairs, the same ones for the same seed."""
+
+    def __init__(self, phrases: Phrases, rng: Random) -> None:
+        self._phrases, self._rng = phrases, rng
+        self._weights = [family.weight for family in phrases.families]
+        self._goal_weights = [family.weight for family in phrases.goals]
+        self._ban_weights = [family.weight for family in phrases.bans]
+
+    def pair(self) -> Pair:
+        """One sentence and its formula."""
+        rng, phrases = self._rng, self._phrases
+        drawn = rng.random()
+        if drawn < REFUSED_SHARE:
+            return self._refused()
+        if drawn < REFUSED_SHARE + JOINED_SHARE:
+            return self._joined()
+        family = rng.choices(phrases.families, self._weights)[0]
+        return lifted(self._worn(self._said(family)), family.tokens)
+
+    def _said(self, family: Family) -> str:
+        return self.filled(self._rng.choice(family.templates))
+
+    def filled(self, template: str) -> str:
+        """The template with a phrase for each slot and one of each choice."""
+        rng = self._rng
+        for pattern, options in ((_SLOT, self._phrases.slots.__getitem__), (_CHOICE, _split)):
+            while found := pattern.search(template):
+                chosen = rng.choice(options(found[1]))
+                template = f"{template[: found.start()]}{chosen}{template[found.end() :]}"
+                if pattern is _CHOICE and _SLOT.search(template):
+                    return self.filled(template)
+        return template
+
+    def _joined(self) -> Pair:
+        """Two things said one after the other, in sentences of their own or not."""
+        rng = self._rng
+        goal = rng.choices(self._phrases.goals, self._goal_weights)[0]
+        other, weights = (
+            (self._phrases.bans, self._ban_weights)
+            if rng.random() < 0.75
+            else (self._phrases.goals, self._goal_weights)
+        )
+        rule = rng.choices(other, weights)[0]
+        shared = rng.random() < 0.15 and rule.tokens[0] != "G"
+        first, second = self._said(goal), _shifted(self._said(rule), goal, rule, shared)
+        tokens = ("&", *goal.tokens, *_shift(rule.tokens, goal, rule, shared))
+        if rng.random() < 0.2:
+            first, second = second, first
+        joint = rng.choice((" . ", " . ", " , ", " , and ", " and ", " . also , ", " but "))
+        if len(set(tokens) & set(LETTERS + _AFTER)) > MOST_NAMES:
+            return self.pair()
+        return lifted(self._worn(f"{first}{joint}{second}"), tokens)
+
+    def _refused(self) -> Pair:
+        said = self.filled(self._rng.choice(self._phrases.refused))
+        if self._rng.random() < 0.3:
+            goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
+            other = _shifted(self._said(goal), Family(tuple("abc"), 0, ()), goal, False)
+            said = self._rng.choice((f"{said} . {other}", f"{other} , then {said}"))
+        return lifted(self._worn(said), (REFUSED,))
+
+    def _worn(self, said: str) -> str:
+        """As it is spoken: marks left out, a word said twice, a sound of hesitation."""
+        rng = self._rng
+        words = said.split()
+        if rng.random() < 0.45:
+            words = [word for word in words if word not in (",", ".")]
+        if words and rng.random() < 0.03:
+            at = rng.randrange(len(words))
+            words.insert(at, rng.choice(self._phrases.slots["hesitation"]))
+        if words and rng.random() < 0.3:
+            words.append(".")
+        if rng.random() < 0.12:
+            words += rng.choice(self._phrases.slots["thanks"]).split()
+        return " ".join(words)
+
+
+def lifted(said: str, tokens: Sequence[str]) -> Pair:
+    """Names numbered in the order in which they are first named, as `lift` does."""
+    order: dict[str, str] = {}
+    words: list[str] = []
+    for word in said.split():
+        hole = re.fullmatch(r"\$(\w)", word)
+        if hole:
+            if hole[1] not in order:
+                order[hole[1]] = NAMES[len(order)]
+            words.append(order[hole[1]])
+        else:
+            words += expanded(word)
+    return Pair(tuple(words), tuple(order.get(token, token) for token in tokens))
+
+
+def _split(options: str) -> list[str]:
+    return options.split("|")
+
+
+def _shift(tokens: Sequence[str], goal: Family, rule: Family, shared: bool) -> tuple[str, ...]:
+    """The rule's formula over other letters than the goal's, but for one they share."""
+    moved = dict(zip(LETTERS, _AFTER, strict=True))
+    if shared:
+        moved[rule.letters[0]] = goal.letters[-1]
+    return tuple(moved.get(token, token) for token in tokens)
+
+
+def _shifted(said: str, goal: Family, rule: Family, shared: bool) -> str:
+    words = said.split()
+    named = [word[1:] if _HOLE.fullmatch(word) else word for word in words]
+    marks = ["$" if _HOLE.fullmatch(word) else "" for word in words]
+    moved = [
+        mark + (_shift([word], goal, rule, shared)[0] if mark else word)
+        for mark, word in zip(marks, named, strict=True)
+    ]
+    return " ".join(moved)

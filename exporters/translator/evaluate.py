@@ -1,0 +1,40 @@
+"""How well a file translates what people wrote, by itself and after the grammar."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from edge.eval.translate import OUTCOMES, Case, score
+from edge.mission.language.model import SmallModel
+from edge.mission.language.network import Network
+from edge.mission.translate import Translator, by_all, by_model
+
+TIMED = 300
+"""Sentences that latency is measured on."""
+
+
+def translators(path: Path) -> dict[str, Translator]:
+    """Those that use the file, by kind."""
+    small = by_model(SmallModel(Network.of_file(path)))
+    return {"model": Translator("model", small), "auto": Translator("auto", by_all(small, None))}
+
+
+def outcomes(cases: Sequence[Case], translator: Translator) -> dict[str, int]:
+    """How many cases had each of `edge.eval.translate.OUTCOMES`."""
+    counts = Counter(score(case, translator).outcome for case in cases)
+    return {outcome: counts[outcome] for outcome in OUTCOMES}
+
+
+def latency_ms(cases: Sequence[Case], translator: Translator) -> dict[str, float]:
+    """Percentiles of the time that a sentence takes, with all that is done to trust it."""
+    took: list[float] = []
+    for case in cases[:: max(1, len(cases) // TIMED)]:
+        began = time.perf_counter()
+        score(case, translator)
+        took.append((time.perf_counter() - began) * 1e3)
+    return {f"p{q}_ms": round(float(np.percentile(took, q)), 1) for q in (50, 95)}

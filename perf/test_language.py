@@ -1,0 +1,25 @@
+"""From an instruction to a formula, offline: the grammar, and the small model with its doubts."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorModel
+from edge.mission.translate import make_translator
+
+PLAIN = "go to the kitchen, then go through the hallway to the bedroom, but avoid the sofa"
+OTHER = "swing by the kitchen, and from there get to the bedroom, staying well clear of the sofa"
+
+CASES = {
+    "translate_grammar": (TranslatorGrammar(), PLAIN),
+    "translate_model": (TranslatorModel(), PLAIN),
+    "translate_auto": (TranslatorAuto(), OTHER),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_translate(benchmark, name):
+    benchmark.extra_info["budget"] = name
+    config, said = CASES[name]
+    read = make_translator(config).read
+    assert benchmark(read, said).formulas

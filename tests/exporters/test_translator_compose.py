@@ -1,0 +1,51 @@
+"""Sentences composed for the small translator."""
+
+from __future__ import annotations
+
+from random import Random
+
+from edge.mission.automaton import compile_formula
+from edge.mission.language.compact import NAMES, OPERATORS, REFUSED, arity, formula_of
+from edge.mission.ltl import propositions
+from exporters.translator.compose import Composer, lifted, load
+
+PHRASES = load()
+THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
+
+
+def test_every_phrase_can_be_said() -> None:
+    """No slot is missing, nothing is left of the notation, and every name has its thing."""
+    composer = Composer(PHRASES, Random(0))
+    for family in PHRASES.families:
+        assert all(token in OPERATORS or token in "abcde" for token in family.tokens)
+        compile_formula(formula_of(lifted(_said(family.letters), family.tokens).tokens, THINGS))
+        for template in family.templates:
+            words = composer.filled(template)
+            assert not set("{}()|") & set(words), template
+            named = {word[1] for word in words.split() if word.startswith("$")}
+            assert set(family.letters) <= named, template
+    for template in PHRASES.refused:
+        assert not set("{}()|") & set(composer.filled(template)), template
+
+
+def _said(letters: list[str]) -> str:
+    return " ".join(f"${letter}" for letter in letters)
+
+
+def test_names_are_numbered_as_they_are_named() -> None:
+    pair = lifted("don't go to $b before $a", ["W", "!", "b", "a"])
+    assert pair.words == ("do", "not", "go", "to", "<0>", "before", "<1>")
+    assert pair.tokens == ("W", "!", "<0>", "<1>")
+
+
+def test_pairs_are_formulas_over_what_is_named() -> None:
+    composer = Composer(PHRASES, Random(1))
+    pairs = [composer.pair() for _ in range(500)]
+    assert pairs == [c.pair() for c in [Composer(PHRASES, Random(1))] for _ in range(500)]
+    for words, tokens in pairs:
+        named = [word for word in dict.fromkeys(words) if word in NAMES]
+        assert named == list(NAMES[: len(named)])
+        if tokens != (REFUSED,):
+            assert set(propositions(formula_of(tokens, NAMES))) <= set(named)
+            assert all(arity(t) or t in NAMES for t in tokens)
+    assert 0.05 < sum(tokens == (REFUSED,) for _, tokens in pairs) / 500 < 0.25

@@ -1,0 +1,196 @@
+"""The small translator: when it is believed, when it asks, when it refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.eval.languages import difference
+from edge.mission.language import model as small
+from edge.mission.language.compact import NAMES, REFUSED
+from edge.mission.language.model import SmallModel
+from edge.mission.language.network import Network, Written
+from edge.mission.language.words import TranslationError
+from edge.mission.ltl import parse
+from edge.perception.model_file import ModelError
+
+KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
+
+
+class Stub:
+    """A network that writes what it is told to.
+
+    Args:
+        written: formulas with their probability, and how well each tells a sentence back, a word.
+    """
+
+    words = KNOWN
+
+    def __init__(self, *written: tuple[str, float, float]) -> None:
+        self._written = written
+
+    def knows(self, word: str) -> bool:
+        return word in KNOWN or word in NAMES
+
+    def formulas(self, words: Sequence[str], names: int) -> list[Written]:
+        return [Written(tuple(text.split()), math.log(p)) for text, p, _ in self._written]
+
+    def telling(self, tokens: Sequence[str], words: Sequence[str]) -> float:
+        told = {tuple(text.split()): each for text, _, each in self._written}
+        return told[tuple(tokens)] * len(words)
+
+
+SURE = ("F & <0> F <1>", 0.98, -1.0)
+OTHER = "& F <0> F <1>"
+SAID = "go to the sofa, then to the bed"
+BELIEVED = [
+    (SAID, [SURE], True, ["F (sofa & F bed)"]),
+    (SAID, [SURE, (OTHER, 0.02, -2.0)], True, ["F (sofa & F bed)"]),
+    (SAID, [SURE, (OTHER, 0.02, -1.1)], True, ["F (sofa & F bed)"]),  # told worse
+    (SAID, [SURE, (OTHER, 0.02, -0.5)], False, ["F (sofa & F bed)"]),  # told better
+    (SAID, [("F & <0> F <1>", 0.7, -1.0), (OTHER, 0.3, -1.5)], False,
+     ["F (sofa & F bed)", "F sofa & F bed"]),
+    (SAID, [("F & <0> F <1>", 0.98, -4.0)], False, ["F (sofa & F bed)"]),  # words unaccounted for
+    (SAID, [("F <0>", 0.98, -1.0)], False, ["F sofa"]),  # a thing is left out
+    (SAID, [("& F <0> F <1>", 0.6, -1.0), ("& F <1> F <0>", 0.4, -1.0)], True,
+     ["F sofa & F bed"]),  # one language, written twice
+    (SAID, [SURE, (REFUSED, 0.02, 0.0)], True, ["F (sofa & F bed)"]),
+    (SAID, [("& F <0> G ! <0>", 0.9, -1.0), ("F & <0> F <1>", 0.1, -1.0)], False, None),
+    ("vist the sofa then the bed", [SURE], False, ["F (sofa & F bed)"]),  # a slip
+    ("go to the soffa, then to the bed", [SURE], False, ["F (sofa & F bed)"]),
+    ("wobble to the sofa, then to the bed", [SURE], False, ["F (sofa & F bed)"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("said", "written", "sure", "texts"), BELIEVED)
+def test_what_is_believed(
+    said: str, written: list[tuple[str, float, float]], sure: bool, texts: list[str] | None
+) -> None:
+    if texts is None:  # what cannot be fulfilled is nothing to offer, and the rest is unlikely
+        with pytest.raises(TranslationError, match="no formula over what is reached"):
+            SmallModel(Stub(*written)).read(said)
+        return
+    guess = SmallModel(Stub(*written)).read(said)
+    assert guess.sure is sure
+    assert list(guess.formulas) == [parse(text) for text in texts]
+
+
+DOUBTS = [
+    ("go to the soffa, then to the bed", ("soffa: sofa?",)),
+    ("vist the sofa then the bed", ("vist: visit?",)),
+    ("zzz the sofa then the bed", ("zzz: not known?",)),
+]
+
+
+@pytest.mark.parametrize(("said", "doubts"), DOUBTS)
+def test_slips_are_told(said: str, doubts: tuple[str, ...]) -> None:
+    assert SmallModel(Stub(SURE)).read(said).doubts == doubts
+
+
+REFUSALS = [
+    ("", "names nothing that is known"),
+    ("go there", "names nothing that is known"),
+    ("Geh zum Sofa und dann zum Bett", "English only"),
+    ("wibble wobble wubble wabble the sofa then the bed", "did not understand 'wabble the sofa"),
+    ("go " * 95 + "to the bed", "too long for one sentence"),
+    ("go to the bed \x00", "no place in an instruction"),
+]
+
+
+@pytest.mark.parametrize(("said", "hint"), REFUSALS)
+def test_refusals(said: str, hint: str) -> None:
+    with pytest.raises(TranslationError, match=hint) as refused:
+        SmallModel(Stub(SURE)).read(said)
+    assert len(str(refused.value)) < 250
+
+
+@pytest.mark.parametrize("written", [[], [(REFUSED, 0.6, 0.0), ("F <0>", 0.4, -1.0)]])
+def test_what_no_formula_says(written: list[tuple[str, float, float]]) -> None:
+    with pytest.raises(TranslationError, match="no formula over what is reached says this"):
+        SmallModel(Stub(*written)).read(SAID)
+
+
+@cache
+def shipped() -> SmallModel:
+    """One session for all tests."""
+    return SmallModel(Network("mini-translator"))
+
+
+READ = [
+    ("swing by the kitchen, and from there get to the bedroom", "F (kitchen & F bedroom)"),
+    ("find a route to the hall that does not pass the kitchen", "F hall & G !kitchen"),
+    ("your final destination is the bed, but first visit the sofa", "F (sofa & F bed)"),
+    ("don't set foot in the hall until you have been to the kitchen", "!hall W kitchen"),
+    ("go to landmark 1 by way of the second floor", 'F ("second floor" & F "landmark one")'),
+]
+
+
+@pytest.mark.parametrize(("said", "text"), READ)
+def test_the_shipped_one_reads_what_people_say(said: str, text: str) -> None:
+    guess = shipped().read(said)
+    assert guess.sure
+    assert difference(guess.formulas[0], parse(text)) is None
+
+
+NOT_READ = [
+    "turn left at the sofa",
+    "go to the sofa in five minutes",
+    "bring me the cup from the table",
+    "if the door is open, go to the bed",
+    "stay near the sofa until I come back",
+    "go to the sofa and the bed, but avoid the former",
+]
+
+
+@pytest.mark.parametrize("said", NOT_READ)
+def test_the_shipped_one_takes_no_orders_it_cannot_keep(said: str) -> None:
+    with contextlib.suppress(TranslationError):
+        assert not shipped().read(said).sure
+
+
+CHANGED = [
+    ("go to the sofa and never enter the hall", "never"),
+    ("go to the sofa without passing the hall", "without"),
+    ("do not go to the bed before you have been to the hall", "not"),
+    ("visit the sofa exactly twice", "twice"),
+    ("go to the sofa, but only after you have been to the hall", "only"),
+]
+
+
+@pytest.mark.parametrize(("said", "word"), CHANGED)
+def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
+    whole = shipped().read(said).formulas[0]
+    try:
+        less = shipped().read(" ".join(w for w in said.split() if w.strip(",") != word))
+    except TranslationError:
+        return
+    assert not less.sure or difference(whole, less.formulas[0]) is not None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.sampled_from([*"abc", "the sofa", "go", "not", "until", "twice", ".", "zz", "or"])
+        | st.text(max_size=6),
+        max_size=12,
+    ).map(" ".join)
+)
+def test_any_text_is_read_or_refused(said: str) -> None:
+    try:
+        guess = shipped().read(said)
+    except TranslationError:
+        return
+    assert 1 <= len(guess.formulas) <= small.MOST_OFFERED
+
+
+def test_a_card_of_another_task_is_refused() -> None:
+    with pytest.raises(ModelError, match="is a model of task 'text', not 'translate'"):
+        Network("mini-house-text")
+    with pytest.raises(ModelError, match="no such card"):
+        Network("none")
