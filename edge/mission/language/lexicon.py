@@ -7,35 +7,52 @@ under one kind; the longest phrase that fits wins.
 from __future__ import annotations
 
 import re
+from itertools import product
 
 from edge import names
+from edge.mission.language import nouns
+
+
+def _product(*slots: str) -> str:
+    """All phrases with one of each slot's alternatives: `by`, `going|moving`, `through`."""
+    return "|".join(map(" ".join, product(*(slot.split("|") for slot in slots))))
+
 
 PHRASES: dict[str, str] = {
     # Who is spoken to, how strongly, and words that carry nothing.
     "you": "you|we|i|the robot|you robot",
-    "ensure": "make sure|make sure that|ensure|ensure that|be sure|remember|your task is|"
-    "your mission is|i want you|i would like you|please make sure|take care",
+    "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
+    "ensuring that|be sure|be sure that|being sure|remember|remembering|i want you|i need you|"
+    "i would like you|please make sure|take care|taking care|be careful|being careful|"
+    "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
+    "never fail|go ahead and|"
+    + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
     "must": "must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
-    "ought|will",
+    "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
-    "permitted|are free",
+    "permitted|are free|are welcome",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
     "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
     "prohibited from|are prohibited from|are forbidden|"
-    "not allowed|are not allowed|not permitted|are not permitted",
+    "not allowed|are not allowed|not permitted|are not permitted|at no point|at no time|"
+    "at no stage|under no circumstances|under no circumstance|on no account|in no case|"
+    "by no means",
     "banned": "is prohibited|is forbidden|is not allowed|is not permitted|are prohibited|"
-    "are banned",
+    "are banned|is off limits|are off limits|is out of bounds|are out of bounds|are forbidden|"
+    "is banned",
     "neither": "neither",
     "filler": "me|us|please|at any point in time|at any point|eventually|sometime|some time|just|"
     "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
-    "in the future|along the way|on your travels|on the way|on your way|on its way|hi|hello|hey|"
+    "in the future|on your travels|hi|hello|hey|"
     "thanks|thank you|"
     "thank you very much|when you have a minute|when you have time|mind|if you do not mind|"
     "at some time|always|in turn|in the end|whenever you can|"
     "when you have the chance|already|for me|now|robot|as many times as you want|"
     "at some point in the future|some time in the future|sometime in the future|no more no less|"
-    "no more and no less",
+    "no more and no less|under any circumstances|under any circumstance|at all times|in any way|"
+    "at any stage|no matter what|completely|totally|entirely|"
+    + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
     # How clauses hang together.
     "and": "and|plus|as well as|&",
     "or": "or|or else|or alternatively|alternatively|nor",
@@ -45,7 +62,9 @@ PHRASES: dict[str, str] = {
     "sometime afterwards|and sometime afterward|and sometime afterwards|after this|and after this|"
     "followed by|thereafter|later|later on|some time later|and later|subsequently|move on|"
     "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
-    "move on to|then followed by|and then after that|and then later|next up|last of all|at last",
+    "move on to|from there|and from there|from there on|from here|then from there|"
+    "and then from there|then followed by|and then after that|"
+    "and then later|next up|last of all|at last",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
     "first": "first|first of all|to begin with|firstly|initially",
     # Conditions.
@@ -55,26 +74,56 @@ PHRASES: dict[str, str] = {
     "unless": "unless|if not|except after",
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
-    "without": "without|not through|but not through|without ever|not via",
-    "via": "via|by way of|by going through|by passing through|by going via|by first going through|"
-    "while passing|while passing through|while going through|by entering|by first entering|"
-    "by visiting|by first visiting|by first going to|by going to|by first passing through|"
-    "by crossing|by moving through|by walking through|by traveling through|by travelling through|"
-    "by using|by first using",
-    "bound": "on the way to|on your way to|on its way to|en route to|to get to|to get into|"
-    "in order to reach|in order to get to|in order to go to|in order to enter|while moving to|"
-    "while going to|while heading to|while traveling to|while travelling to|while on the way to|"
-    "on the way into|on your way into|on its way into",
-    "bound there": "to get there|on the way there|on your way there|to reach it|to get to it",
-    "immediately": "immediately|right|straight|straight away|right away|at the next step|"
-    "in the next step",
+    "without": "without|not through|but not through|without ever|not via|but not via|not past",
+    "via": "via|by way of|"
+    + _product(
+        "by|by first|while|while first",
+        "going|moving|passing|walking|driving|flying|traveling|travelling|heading",
+        "through|via|past|along|by|across",
+    )
+    + "|"
+    + _product(
+        "by|by first",
+        "entering|visiting|crossing|using|going to|taking|following|"
+        "traversing|stopping at|stopping by|passing",
+    )
+    + "|"
+    + _product("while", "passing|crossing|traversing")
+    + "|"
+    + _product("that|which", "goes|leads|passes|runs|takes you", "through|via|past")
+    + "|that crosses|which crosses",
+    "bound": "en route to|while moving to|while going to|while heading to|while traveling to|"
+    "while travelling to|when on the way to|while on the way to|when on your way to|"
+    "while on your way to|"
+    + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
+    + "|"
+    + _product("in order to|so as to", "reach|get to|go to|enter|get into"),
+    "bound there": "to get there|to reach it|to get to it|to go there",
+    "on the way": "on the way|on your way|on its way|along the way|en route|on the way there|"
+    "on your way there|on its way there|along your way|as you go",
+    "around": "around|by going around|going around|by driving around|by walking around",
+    "origin": "starting from|starting at|starting in|starting out from|start from|start at|"
+    "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
+    "opener": "start by|begin by|start off by|starting by|beginning by|start with|begin with|"
+    "starting with|beginning with",
+    "halt": _product("stay|stop|wait|remain|rest|be", "there")
+    + "|stay put|you are done|you can stop|you can stop there",
+    "onward": _product(
+        "keep going|keep moving|keep walking|keep driving|keep flying|continue|"
+        "proceed|go on|carry on|go|move|drive|walk|fly|continue on|move on|do not stop|never stop",
+        "until|till",
+    ),
+    "immediately": "immediately|right|straight|straight away|right away|"
+    + _product("at|in", "the next|the very next", "step|instant|time step|time instant|instance")
+    + "|immediately in the next time step",
     # Counting.
     "once": "once",
     "times n": "twice|thrice",
     "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single",
-    "times": "time|times|separate times|occasion|occasions|separate occasions|different times|"
-    "different occasions|times in total|separate visits|visits|visits to|visit to|"
-    "separate visits to|in total|distinct visits|distinct visits to",
+    "times": "time|times|instances|separate instances|distinct times|separate times|occasion|"
+    "occasions|separate occasions|different times|different occasions|times in total|"
+    "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
+    "distinct visits to",
     "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least",
     "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum",
     "exactly": "exactly|precisely|on exactly|just exactly",
@@ -91,6 +140,8 @@ PHRASES: dict[str, str] = {
     "in arbitrary order|in an arbitrary order|in whatever order|any order|"
     "the order is not important|the order does not matter|order does not matter|"
     "it can be done in any order|regardless of order|in whichever order|in a random order|"
+    "in whichever order you like|in any order you want|in whatever order you like|in either order|"
+    "in any order required|"
     "the order is up to you|the order is arbitrary",
     "in order": "in order|in that order|in this order|in the order given|in the given order|"
     "in sequence|sequentially|consecutively|one after another|one after the other|in this sequence|"
@@ -109,8 +160,9 @@ PHRASES: dict[str, str] = {
     "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
     "opposite|against|between|of",
-    "to": "to|towards|toward|over to|back to|up to the|through|into|onto|in to",
-    "happen": "happen|happens|happened|happening|occur|occurs|occurred|occurred|occurring",
+    "to": "to|towards|toward|over to|back to|through|into|onto|in to",
+    "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
+    "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
     "endless": "keep visiting|keep going|keep on|keep moving|continue|continuously|repeatedly|"
     "infinitely|endlessly|perpetually|again and again|over and over again|over and over|patrol|"
@@ -130,6 +182,7 @@ _REGULAR_VERBS = """
     feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
     look
     turn switch stop pick plug sanitize disinfect activate start repair service contact access
+    fly follow climb traverse progress
     """
 
 _IRREGULAR_VERBS = """
@@ -140,12 +193,33 @@ _IRREGULAR_VERBS = """
     revisit revisits revisiting revisited
     """
 
+_IRREGULAR_VERBS += """
+    fly flies flying flew flown ride rides riding rode
+    """
 VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
 VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
-VERB_PHRASES += "end up|ends up|ending up|end at|end in|finish at|finish in"
+VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
+VERB_PHRASES += "find your way|get yourself|bring yourself|take yourself|pay a visit|drop by|"
+VERB_PHRASES += (
+    "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
+)
+VERB_PHRASES += _product(
+    "your|the", "final destination|destination|last stop", "is|will be|should be"
+)
+VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
+VERB_PHRASES += (
+    _product("take|find|follow|choose|use", "a|any|the|some|the shortest", "path|route|way") + "|"
+)
+VERB_PHRASES += (
+    _product(
+        "end|ends|ending|finish|finishes|finishing|stop", "up at|up in|up on|at|in|on|up by|by"
+    )
+    + "|end up|ends up|ending up"
+)
 
 _PARTICLES = """
-    to on off at by up in over for out through from into inside with back down toward towards
+    to on off at by up in over for out through from into inside with back down toward towards past
+    along across
     """
 AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the verb before them: "turn on", "look for", "stop at"."""
@@ -155,7 +229,17 @@ AVOID_PHRASES = (
     "keep away from|keeping away from|keep avoiding|stay clear of|staying clear of|"
     "steer clear of|steering clear of|keep off|stay off|keep out of|stay out of|skip|skipping|"
     "keep clear of|go anywhere but|visit anywhere but|go anywhere except|go anywhere other than|"
-    "by avoiding|by bypassing|refrain from|ignore|leave out|leaving out"
+    "by avoiding|by bypassing|by a path that avoids|by a route that avoids|refrain from|ignore|"
+    "leave out|leaving out|staying out of|"
+    "keeping out of|keeping off|keep well away from|stay well away from|keeping clear of|"
+    "getting around|"
+)
+AVOID_PHRASES += _product("that|which", "avoids|bypasses|skips")
+AVOID_PHRASES += "|" + _product(
+    "that|which",
+    "does not|never",
+    "go through|pass through|goes through|passes through|enter|"
+    "enters|cross|crosses|pass|touch|use|uses|lead through|take you through",
 )
 
 
@@ -196,10 +280,23 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
-    "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
+    "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
     "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",
 }  # fmt: skip
+_NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
+_ORDINALS = [
+    "first",
+    "second",
+    "third",
+    "fourth",
+    "fifth",
+    "sixth",
+    "seventh",
+    "eighth",
+    "ninth",
+    "tenth",
+]
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
 
@@ -207,6 +304,8 @@ def expanded(word: str) -> list[str]:
     """A word without its contraction: `don't` gives do, not."""
     if word in CONTRACTIONS:
         return CONTRACTIONS[word].split()
+    if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
+        return [nouns.NUMERALS[int(numeral[1]) - 1]]
     for ending, full in ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending):
             return (word[: -len(ending)] + full).split()

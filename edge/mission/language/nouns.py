@@ -147,14 +147,21 @@ def _listed(text: str) -> frozenset[str]:
 
 NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
 QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
-ORDINALS = frozenset(_ORDINALS.split())
+NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
+ORDINALS = frozenset(NUMERALS)
 CARDINALS = tuple(_CARDINALS.split())
+_WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
 
 def is_noun(phrase: str) -> bool:
     """Whether a phrase names a kind of thing, in the singular or plural."""
     return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
+
+
+def is_place(name: str) -> bool:
+    """Whether a name is a place's or of something that leads somewhere."""
+    return name.split()[-1] in _LEADING or name in _LEADING or name.split()[-1] in _WAYS
 
 
 def unknown_in(words: list[str]) -> int | None:
@@ -169,6 +176,11 @@ def unknown_in(words: list[str]) -> int | None:
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
         return _not_known(words, end)
+    twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
+    if twice is not None:
+        return twice
+    if words[start] in ("path", "way") and start and is_noun(words[start - 1]):
+        return start  # "the red room path": the room, or a path?
     while begin < start:
         word = words[begin]
         place = next(

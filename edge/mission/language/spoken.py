@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS
-from edge.mission.language.things import Things
+from edge.mission.language.things import Things, starts_things
 from edge.mission.language.words import Reader, Token
 
 MAX_VISITS = 20
@@ -95,7 +95,8 @@ def _range(
         count = Count(n + 1)
     else:
         count = Count(min(numbers))
-        once = next((t for t in reader.tokens[begin : reader.at] if t.kind == "once"), None)
+        said = reader.tokens[begin : reader.at]
+        once = next((t for t in said if t.kind == "once" or (n == 1 and t.kind == "times")), None)
         if once and not (markers or negated) and reader.pick(once, 2) == 1:
             count = Count(1, 1)  # "visit a once" may mean: no second time
     if not negated:
@@ -156,6 +157,12 @@ class Clause:
         returns: "return to", "go back to": after all before it.
         bound: where it leads, said first: "to reach x, go through y".
         through: the things are on the way to something.
+        route: what is reached before the things, one after the other.
+        only_way: nothing but the route leads there.
+        origin: it says where it starts.
+        enroute: said to be "on the way" to what was asked for before.
+        around: "around" the things, which goes only with something beyond them.
+        elsewhere: it names what is left out ("any room but a"), so something else is to be reached.
         verb: the word that named the action, "" in a bare clause.
     """
 
@@ -177,6 +184,12 @@ class Clause:
     returns: bool = False
     bound: Things | None = None
     through: bool = False
+    route: list[Things] = field(default_factory=list)
+    only_way: bool = False
+    origin: bool = False
+    enroute: bool = False
+    around: bool = False
+    elsewhere: bool = False
     verb: str = ""
 
 
@@ -213,6 +226,10 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         ):  # "are both visited"
             reader.at += 1
             continue
+        if token.text in ("then", "afterwards", "later") and seen & AUXILIARIES:
+            clause.trails = True  # "you must then visit it"
+            reader.at += 1
+            continue
         if token.kind == "only" and reader.sees(*CONDITIONS, ahead=1):
             return seen
         if token.kind == "banned":
@@ -242,6 +259,10 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
     while True:
         token = reader.peek()
         if token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
+            reader.at += 1
+        elif token.text == "up to" and starts_things(reader, 1):
+            reader.at += 1  # "go up to the roof" counts nothing
+        elif token.text == "straight" and not starts_things(reader, 1):
             reader.at += 1
         elif token.kind == "first":
             clause.first = True
