@@ -114,6 +114,13 @@ SEQUENCES = [
     ("go to the kitchen and remain there", "F kitchen"),
     ("go to the bank, then the school, then the park, and finally the zoo",
      "F (bank & F (school & F (park & F zoo)))"),
+    ("go to the kitchen and back to the hallway", "F (kitchen & F hallway)"),
+    ("visit the kitchen and the hallway in turn", "F (kitchen & F hallway)"),
+    ("second floor, then first floor", 'F ("second floor" & F "first floor")'),
+    ("go to the kitchen, and go to the hallway in the end", "F (kitchen & F hallway)"),
+    ("the kitchen then the hallway", "F (kitchen & F hallway)"),
+    ("go to the kitchen or the bedroom and then to the garage",
+     "F ((kitchen | bedroom) & F garage)"),
 ]  # fmt: skip
 
 ORDERS = [
@@ -159,6 +166,11 @@ ORDERS = [
     ("go to the kitchen and the bedroom, in whichever order you like", "F kitchen & F bedroom"),
     ("visit the kitchen and also the bedroom", "F kitchen & F bedroom"),
     ("visit the kitchen as well as the bedroom", "F kitchen & F bedroom"),
+    ("enter the red or blue room", 'F ("red room" | "blue room")'),
+    ("go to the red and the blue room", 'F "red room" & F "blue room"'),
+    ("go to the red, blue and green rooms", 'F "red room" & F "blue room" & F "green room"'),
+    ("go to the third or the fourth floor", 'F ("third floor" | "fourth floor")'),
+    ("go to the first or second floor", 'F ("first floor" | "second floor")'),
 ]  # fmt: skip
 
 AVOIDANCE = [
@@ -233,6 +245,11 @@ AVOIDANCE = [
      "F (kitchen & F bedroom) & G !hallway"),
     ("go to the kitchen and then to the bedroom. never enter the hallway.",
      "F (kitchen & F bedroom) & G !hallway"),
+    ("go to the kitchen, not the hallway", "F kitchen & G !hallway"),
+    ("go through any room but the hallway to get to the kitchen", "F kitchen & G !hallway"),
+    ("go to the kitchen through a room that is not the hallway", "F kitchen & G !hallway"),
+    ("go to the kitchen through a room other than the hallway", "F kitchen & G !hallway"),
+    ("use any door except the front door to get to the kitchen", 'F kitchen & G !"front door"'),
 ]  # fmt: skip
 
 RULES = [
@@ -264,6 +281,18 @@ RULES = [
     ("go to the kitchen at least two separate times", "F (kitchen & F (!kitchen & F kitchen))"),
     ("visit the kitchen two or more times", "F (kitchen & F (!kitchen & F kitchen))"),
     ("visit the kitchen on at least two occasions", "F (kitchen & F (!kitchen & F kitchen))"),
+    ("go to the kitchen and do not go back to it",
+     "F kitchen & !F (kitchen & F (!kitchen & F kitchen))"),
+    ("visit the kitchen twice, no more no less", "F (kitchen & F (!kitchen & F kitchen)) & "
+     "!F (kitchen & F (!kitchen & F (kitchen & F (!kitchen & F kitchen))))"),
+    ("the maximum number of visits to the kitchen is one",
+     "!F (kitchen & F (!kitchen & F kitchen))"),
+    ("the minimum number of times you must visit the kitchen is two",
+     "F (kitchen & F (!kitchen & F kitchen))"),
+    ("visit the kitchen once or more than once", "F kitchen"),
+    ("until you reach the kitchen, avoid the garage", "!garage U kitchen"),
+    ("after you ever see the cat, go to the door", "G (cat -> F door)"),
+    ("always go to the door once you see a cat", "G (cat -> F door)"),
 ]  # fmt: skip
 
 ASKED = [
@@ -292,6 +321,16 @@ ASKED = [
      ["!garage U kitchen", "F garage & (!garage W kitchen)"]),
     ("go to the kitchen, avoiding the hallway, and then to the bedroom",
      ["F (kitchen & F bedroom) & (!hallway W kitchen)", "F (kitchen & F bedroom) & G !hallway"]),
+    ("go to the bedroom by way of the kitchen and then the hallway",
+     ["F (kitchen & F (bedroom & F hallway))", "F (kitchen & F (hallway & F bedroom))"]),
+    ("visit the kitchen, then the hallway, then the hallway",
+     ["F (kitchen & F (hallway & X F hallway))", "F (kitchen & F hallway)"]),
+    ("go to the kitchen, then go to the hallway but do not go back to the kitchen",
+     ["F (kitchen & F hallway) & (!kitchen W (kitchen W (!kitchen W hallway)))",
+      "F (kitchen & F hallway) & !F (kitchen & F (!kitchen & F kitchen))"]),
+    ("you must visit the kitchen before the hallway",
+     ["F (kitchen & F hallway) & (!hallway W kitchen)", "F kitchen & (!hallway W kitchen)",
+      "F (kitchen & F hallway)"]),
 ]  # fmt: skip
 
 REFUSED = [
@@ -323,6 +362,26 @@ REFUSED = [
     ("go to every floor but the second", "every floor"),
     ("go to the kitchen alternately with the bedroom", "alternately"),
     ("go to the kitchen every five minutes", "minutes"),
+    ("get off the bed", "off the bed"),
+    ("go with the dog", "with the dog"),
+    ("move from the bed", "from the bed"),
+    ("mind the dog", "mind the dog"),
+    ("always visit the kitchen", "always visit the kitchen"),
+    ("go to the kitchen at all times", "at all times"),
+    ("visit the kitchen in the end, and visit the hallway", "visit the kitchen in the end"),
+    ("go to the kitchen but the hallway", "the hallway"),
+    ("visit the chair between the sofa and the desk", "between"),
+    ("go to the red and blue chair", "red"),
+    ("do not go to the kitchen until you have visited the hallway twice",
+     "until you have visited the hallway twice"),
+    ("you must visit the kitchen right before the hallway", "before the hallway"),
+    ("as soon as the cat is seen, visit the door in the next step", "as soon as the cat is seen"),
+    ("go to the hallway after the kitchen, go to the kitchen after the garage",
+     "go to the kitchen after the garage"),
+    ("avoid the kitchen and enter the kitchen through the hallway", "enter the kitchen"),
+    ("seeing the cat opens the door", "seeing the cat opens the door"),
+    ("bring me the cup from the table", "from the table"),
+    ("go to the red room room", "room"),
 ]  # fmt: skip
 
 

@@ -29,12 +29,17 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     assert token is not None
     kind = "when" if token.kind == "once" else token.kind
     if token.text.startswith("as soon"):
-        clause.next_step = True
+        clause.soon = True
         if reader.peek().text == "as":
             reader.at += 1
     recurring = token.text in ("whenever", "every time", "each time", "any time", "if", "if ever")
     condition = Condition(kind, token, Things(()), only, denied, recurring)
+    begin = reader.at
     take_happening(reader, memory, condition)
+    if kind in ("after", "when") and any(
+        t.text == "ever" for t in reader.tokens[begin : reader.at]
+    ):
+        condition.recurring = True  # "after you ever see a cat"
     return condition
 
 
@@ -138,14 +143,20 @@ _APART = ("on", "off", "up", "out", "in", "down")  # "turn the tv on"
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     """Takes one more part of the clause; False at its end."""
     token = reader.peek()
-    if token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
+    if token.kind == "always":
+        clause.always = token
+        reader.at += 1
+    elif token.kind == "in the end":
+        clause.ends = True
+        reader.at += 1
+    elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
         reader.at += 1
     elif take_route(reader, memory, clause):
         pass
     elif token.kind == "on the way":
         clause.enroute = not (clause.avoiding or clause.route)
         reader.at += 1
-    elif clause.things and token.text == "from" and starts_things(reader, 1) and not clause.negated:
+    elif token.text == "from" and clause.things and starts_things(reader, 1) and _moves(clause):
         take_origin(reader, memory, clause)
     elif token.text == "by going around" and clause.things and not clause.negated:
         reader.at += 1
@@ -155,7 +166,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     elif clause.things and bound_ahead(reader, clause):
         take_bound(reader, memory, clause)
     elif token.kind in ORDERS:
-        clause.order = token.kind
+        several = clause.things and len(clause.things.groups) > 1
+        clause.order = token.kind if several or token.text != "in turn" else clause.order
         reader.at += 1
     elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
         reader.at += 1
@@ -195,6 +207,14 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     return True
 
 
+def _moves(clause: Clause) -> bool:
+    """Whether "from" says where the robot starts, not where a thing is."""
+    return not clause.negated and not clause.verb.startswith(_HANDLES)
+
+
+_HANDLES = ("bring", "fetch", "get", "take", "grab", "pick", "collect", "feed", "charge", "unload")
+
+
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
     """A count whose clause turns out to be forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
@@ -210,6 +230,9 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
     count = take_count(reader, clause.negated)
+    if count is None and clause.count and reader.peek().text.startswith("no more "):
+        reader.at += 1  # "twice, no more no less"
+        count = Count(clause.count.least, clause.count.least)
     if count is None:
         reader.at = begin
         return False

@@ -34,6 +34,7 @@ from edge.mission.language.spoken import (
     skip_particles,
     take_count,
     take_mood,
+    take_quota,
 )
 from edge.mission.language.things import (
     Things,
@@ -47,7 +48,7 @@ Bare = Literal["yes", "known", "no"]
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
 _PERFORM = ("make", "complete", "perform", "have")
 _UP = ("up", "down", "over", "on")
-_OPENINGS = ("onward", "opener", "origin", "on the way", "bound", "around")
+_OPENINGS = ("quota", "onward", "opener", "origin", "on the way", "bound", "around")
 
 
 def starts_clause(reader: Reader, ahead: int = 0) -> bool:
@@ -99,6 +100,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.things = take_things(reader, memory.named)
     elif reader.sees("verb", "avoid"):
         _take_action(reader, memory, clause)
+    elif reader.sees("quota"):
+        take_quota(reader, clause, memory.named)
     elif reader.sees("onward"):
         _take_until(reader, memory, clause)
     elif starts_things(reader):
@@ -123,6 +126,13 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         lead(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
+    if clause.always:
+        for condition in clause.conditions:
+            condition.recurring = True
+    if clause.always and clause.route:
+        clause.only_way = True
+    elif clause.always and not (clause.negated or clause.avoiding or clause.conditions):
+        reader.refuse("a mission ends, so nothing can be asked for always", clause.always)
     if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
         reader.refuse("no order; say for example 'visit the bed'", clause.token)
     if clause.around:
@@ -148,6 +158,10 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
             reader.at += 1
         elif token.kind in ("while", "without") and not clause.conditions:
             take_avoiding(reader, memory, clause)
+        elif token.kind in ("always", "in the end"):
+            clause.always = token if token.kind == "always" else clause.always
+            clause.ends = clause.ends or token.kind == "in the end"
+            reader.at += 1
         elif token.kind in ("opener", "on the way"):
             clause.first = clause.first or token.kind == "opener"
             clause.enroute = clause.enroute or token.kind == "on the way"
@@ -197,6 +211,8 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
         reader.refuse("no thing that is known; if it is one, say 'to the …'")
     last = reader.tokens[reader.at - 1]
+    if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
+        reader.refuse("only reaching things can be asked for", last)
     passes = last.text in PASSING or clause.verb.startswith(_PASSES)
     if way := reader.take("via", "around"):
         passes = way.kind == "via"
@@ -216,6 +232,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.elsewhere = clause.mood != "can"
 
 
+_LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
@@ -253,6 +270,8 @@ def _take_passed(
         else:
             pass_by(reader, clause, clause.things, token)
         clause.things, start = further, None
+    if start:
+        reader.refuse("say where to go from there", start)
 
 
 def _onward(reader: Reader, clause: Clause) -> bool:

@@ -32,6 +32,7 @@ from dataclasses import dataclass, field
 
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
 from edge.mission.language.goals import Every, Goal, Some, formula_of, steps, visits
+from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.nouns import is_foreign
 from edge.mission.language.sequences import (
@@ -145,7 +146,9 @@ class _Discourse:
     Attributes:
         goal: what is to be achieved.
         rules: what holds throughout, whichever alternative is taken.
+        ordered: something was asked for without an upper limit.
         times: how often each name was asked for.
+        last: what the last clause asked for.
         first: the last goal was said to come first, so what follows comes after it.
         clauses: how many there were.
         denied: the last clause forbade something, so a bare "then the bed" could mean either.
@@ -153,6 +156,8 @@ class _Discourse:
         passed: the last clause only went through somewhere.
         elsewhere: where only what is left out was named ("go anywhere but to a").
         halted: where it was said to stop.
+        waits: what is not to be reached before what.
+        shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
     """
 
@@ -160,7 +165,9 @@ class _Discourse:
     memory: Memory = field(default_factory=Memory)
     goal: Goal | None = None
     rules: list[Meaning] = field(default_factory=list)
+    ordered: bool = False
     times: dict[str, int] = field(default_factory=dict)
+    last: Things | None = None
     first: bool = False
     clauses: int = 0
     permitted: Things | None = None
@@ -169,6 +176,8 @@ class _Discourse:
     passed: bool = False
     elsewhere: Token | None = None
     halted: Token | None = None
+    shuns: bool = False
+    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
 
     def formula(self) -> Formula:
         """Sentence after sentence; "then" at the start of one goes on from the one before."""
@@ -186,9 +195,9 @@ class _Discourse:
             reader.skip("comma", "stop")
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
-        if self.goal is None:
-            if self.elsewhere:
-                reader.refuse("say what is to be reached", self.elsewhere)
+        if self.goal is None and self.elsewhere:
+            reader.refuse("say what is to be reached", self.elsewhere)
+        if not self.ordered:
             parts += self._asked_after_all()
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
@@ -199,14 +208,20 @@ class _Discourse:
         return formula
 
     def _asked_after_all(self) -> list[Goal]:
-        """`do not go to b until a` and nothing else: a, or both, may be asked for all the same."""
-        waits = [wait for rule in self.rules for wait in rule.waits]
-        if not waits:
+        """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
+        if not self.waits:
             return []
-        way = self.reader.pick(self.reader.tokens[0], 3)
-        asked = [until for _, until in waits] if way else []
-        asked += [Things(tuple((n,) for n in names)) for names, _ in waits] if way == 2 else []
+        way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
+        asked = [until for _, until in self.waits] if way else []
+        if way == 2:
+            asked += [Things(tuple((n,) for n in names)) for names, _ in self.waits]
         return [visits(things) for things in asked]
+
+    def _ends(self, clause: Clause, sequence: list[Meaning]) -> None:
+        """What comes in the end comes after all that was asked for, and nothing after it."""
+        if clause.negated or (self.goal is not None and not sequence):
+            self.reader.refuse("say it in one sentence, with 'then'", clause.token)
+        self.halted = clause.token
 
     def _halts(self) -> bool:
         """Takes "and stay there" at the end: a mission ends where its last goal is reached."""
@@ -309,9 +324,27 @@ class _Discourse:
         self.moved, self.passed = moves, through and not clause.negated
         if clause.elsewhere:
             self.elsewhere = clause.token
+        if clause.ends:
+            self._ends(clause, sequence)
+            then = then or bool(sequence)
+        plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
+        if joint is not None and joint.kind == "but" and plain and not clause.count:
+            self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
+        if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
+            hint = "it was asked for before; say in one sentence what comes after what"
+            self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then)
+        limited = clause.count is not None and clause.count.most is not None
+        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
+        plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
+        meaning.repeats = then and plain and bool(meaning.goals) and clause.things == self.last
+        if meaning.repeats:  # "a, then b, then b and c": is b meant twice?
+            meaning.repeats = self.reader.pick(clause.token, 2) == 1
+        self.last = clause.things if meaning.goals else self.last
+        self.waits += meaning.waits
+        self.shuns = self.shuns or clause.verb in AVOIDING
         self.permitted = permission_of(clause)
         self.denied = clause.negated
         self.clauses += 1
@@ -330,6 +363,8 @@ class _Discourse:
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence)  # "…, but first go to the sofa"
             clause.first = False
+        elif meaning.repeats and sequence:
+            pass
         elif not sequence or meaning.follows or (self.first and not meaning.loose):
             sequence.append(meaning)
         else:

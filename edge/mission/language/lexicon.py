@@ -30,7 +30,7 @@ PHRASES: dict[str, str] = {
     "must": "must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
     "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
-    "permitted|are free|are welcome",
+    "permitted|are free|are welcome|are good",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
     "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
@@ -46,13 +46,16 @@ PHRASES: dict[str, str] = {
     "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
     "in the future|on your travels|hi|hello|hey|"
     "thanks|thank you|"
-    "thank you very much|when you have a minute|when you have time|mind|if you do not mind|"
-    "at some time|always|in turn|in the end|whenever you can|"
+    "thank you very much|when you have a minute|when you have time|would you mind|do you mind|"
+    "if you do not mind|at some time|whenever you can|"
     "when you have the chance|already|for me|now|robot|as many times as you want|"
-    "at some point in the future|some time in the future|sometime in the future|no more no less|"
-    "no more and no less|under any circumstances|under any circumstance|at all times|in any way|"
+    "at some point in the future|some time in the future|sometime in the future|"
+    "under any circumstances|under any circumstance|in any way|"
     "at any stage|no matter what|completely|totally|entirely|"
     + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
+    # Says nothing new of a ban or a condition, and too much of a goal.
+    "always": "always|at all times|all the time|each time you do|at every moment",
+    "in the end": "in the end|at the end|at the very end|last",
     # How clauses hang together.
     "and": "and|plus|as well as|&",
     "or": "or|or else|or alternatively|alternatively|nor",
@@ -122,16 +125,27 @@ PHRASES: dict[str, str] = {
     "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single",
     "times": "time|times|instances|separate instances|distinct times|separate times|occasion|"
     "occasions|separate occasions|different times|different occasions|times in total|"
+    "distinct visit|separate visit|separate instance|different instances|times overall|"
     "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
     "distinct visits to",
-    "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least",
-    "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum",
-    "exactly": "exactly|precisely|on exactly|just exactly",
+    "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least|"
+    "equal or more than|equal to or more than|greater than or equal to|more than or equal to",
+    "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum|"
+    "equal or less than|equal to or less than|less than or equal to",
+    "quota": _product(
+        "the maximum|the minimum|the required|maximum|minimum",
+        "number of|allowable|allowed|allowable number of|allowed number of|permitted",
+        "visits to|separate visits to|distinct visits to|passes through|separate passes through|"
+        "times you can visit|times you can reach|times you may visit|times you must visit|"
+        "times you must reach|times you visit|times you should visit|times to visit",
+    ),
+    "exactly": "exactly|precisely|on exactly|just exactly|no more no less|no more and no less",
     "more than": "more than|greater than|any more than|more often than",
     "less than": "less than|fewer than|any less than|any fewer than",
     "more or less": "more or less than|any more or less than|any more or fewer than|"
+    "no fewer or greater than|any greater or fewer than|greater or fewer than|"
     "any more or any fewer than|any more or any less than",
-    "or more": "or more|or more often|and more",
+    "or more": "or more|or more than|or more often|and more",
     "or less": "or less|or fewer|or less often|or fewer times",
     "only": "only|solely",
     "again": "again|anymore|any more|any longer|a second time|another time|once again|once more",
@@ -144,7 +158,8 @@ PHRASES: dict[str, str] = {
     "in any order required|"
     "the order is up to you|the order is arbitrary",
     "in order": "in order|in that order|in this order|in the order given|in the given order|"
-    "in sequence|sequentially|consecutively|one after another|one after the other|in this sequence|"
+    "in turn|in sequence|sequentially|"
+    "consecutively|one after another|one after the other|in this sequence|"
     "in that sequence|one by one",
     "strict order": "in strict order|in strictly this order|in this strict order|"
     "in that strict order|in this exact order|in that exact order|in exact order|"
@@ -152,15 +167,16 @@ PHRASES: dict[str, str] = {
     "strictly in order|strictly in this order|in the exact order|in the strict order|"
     "in that exact sequence|in this exact sequence",
     # Naming.
-    "article": "the|an|some|any|my|our|your|his|her|their|another",
+    "article": "the|an|some|any|my|our|your|his|her|their|another|any visit to|any visits to|"
+    "a visit to|every visit to",
     "pronoun": "it|that|there|them|this|those|these|that one|this one|the same",
     "either": "either|one of|either one of|either of|any of|any one of|at least one of",
     "all of": "both|both of|all of|each of|all|all the following|the following|"
     "every one of|each|every",
     "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
-    "opposite|against|between|of",
-    "to": "to|towards|toward|over to|back to|through|into|onto|in to",
+    "opposite|against|of",
+    "to": "to|towards|toward|over to|through|into|onto|in to",
     "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
     "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
@@ -241,6 +257,8 @@ AVOID_PHRASES += "|" + _product(
     "go through|pass through|goes through|passes through|enter|"
     "enters|cross|crosses|pass|touch|use|uses|lead through|take you through",
 )
+
+AVOIDING = frozenset(AVOID_PHRASES.split("|"))
 
 
 def _forms(verb: str) -> list[str]:

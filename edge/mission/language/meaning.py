@@ -42,6 +42,7 @@ class Meaning:
         loose: has no goal of its own.
         listed: its goals stand side by side with no "and" between them.
         follows: said to come after the step before it.
+        repeats: the same visit as the last one.
         anchors: what the goals are said to come after.
     """
 
@@ -54,6 +55,7 @@ class Meaning:
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
     listed: bool = True
     follows: bool = False
+    repeats: bool = False
     anchors: list[Things] = field(default_factory=list)
 
     @property
@@ -73,7 +75,6 @@ class Meaning:
         self.bans += other.bans
         self.withouts += other.withouts
         self.limits += other.limits
-        self.waits += other.waits
 
 
 def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: bool) -> Meaning:
@@ -163,7 +164,7 @@ def _forbidden_when(
         return rules
     if condition.count and condition.things.names == things.names:
         return [at_most([name], condition.count.least) for name in things.names]
-    if clause.next_step:
+    if clause.next_step or clause.soon:
         return [
             always(implies(any_of(group), weak_next(neg(ap(name)))))
             for name in things.names
@@ -278,12 +279,10 @@ def _conditioned(
     kind, when = condition.kind, condition.things
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     _one_time(condition, reader)
-    if clause.next_step and (kind != "when" or condition.only) and not answers:
-        reader.refuse(
-            "what comes right before or after can be told of a duty only", condition.token
-        )
     if clause.next_step and kind in ("before", "until"):
         reader.refuse("what comes right before cannot be told", condition.token)
+    if clause.next_step and not answers:
+        reader.refuse("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied and not condition.only:
         reader.refuse("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
@@ -323,7 +322,7 @@ def _reaction(
     if len(condition.things.groups) != 1:
         reader.refuse("a duty can follow on one thing, or on one of several", condition.token)
     when = any_of(condition.things.groups[0])
-    if clause.next_step:
+    if clause.next_step or clause.soon:
         if len(things.groups) != 1:
             reader.refuse("only one thing can come next", clause.token)
         answer = next_(any_of(things.groups[0]))

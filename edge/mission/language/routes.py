@@ -33,6 +33,11 @@ def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
     if len(clause.things.groups) > 1:
         reader.refuse("on the way to which of them? say it in two sentences", token)
     pass_by(reader, clause, take_things(reader, memory.named), token)
+    ahead = 1 if reader.sees("comma") else 0
+    then = reader.peek(ahead)
+    if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
+        reader.at += ahead + 1  # "via the sofa and then the bed": both on the way
+        pass_by(reader, clause, take_things(reader, memory.named), then)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
     return True
 

@@ -228,6 +228,8 @@ def _name(reader: Reader) -> str:
     if _is_letter(reader.peek()):
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
+    if words and (head := _head_ahead(reader, words)):
+        return _canonical(reader, " ".join(token.text for token in (*words, *head)), words[0])
     if start.kind == "number":
         reader.refuse("how many of a kind cannot be told; say 'the …'", start)
     if not words:
@@ -251,7 +253,7 @@ def _name(reader: Reader) -> str:
 def _words(reader: Reader, article: bool) -> list[Token]:
     """The run of words that a name consists of; after an article a verb may begin it."""
     words: list[Token] = []
-    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", ahead=1):
+    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", "and", "or", ahead=1):
         words.append(reader.tokens[_advance(reader)])
     if reader.sees("verb") and article:
         words.append(reader.tokens[_advance(reader)])
@@ -262,6 +264,31 @@ def _words(reader: Reader, article: bool) -> list[Token]:
     if words and _is_number(reader):
         words.append(reader.tokens[_advance(reader)])
     return words
+
+
+def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
+    """The noun that a quality shares with the next element: "the red or the blue room"."""
+    adjectives = nouns.QUALITIES | nouns.ORDINALS
+    if not all(token.text in adjectives for token in words):
+        return []
+    if nouns.is_noun(" ".join(token.text for token in words)):
+        return []
+    ahead, said = 0, {"comma"}
+    while reader.sees("comma", "and", "or", "to", "article", ahead=ahead) or (
+        ahead and reader.peek(ahead).text in adjectives
+    ):
+        said.add(reader.peek(ahead).kind)
+        ahead += 1
+    head: list[Token] = []
+    while ahead and reader.sees("word", "group", ahead=ahead):
+        head.append(reader.peek(ahead))
+        ahead += 1
+    texts = [token.text for token in head]
+    if not texts or nouns.unknown_in(texts) is not None:
+        return []
+    several = "article" in said or texts[-1] != names.singular(texts[-1])
+    # "a tall, white chair" and "the red and blue chair" are one chair
+    return head if "or" in said or ("and" in said and several) else []
 
 
 def _spelled(reader: Reader, words: list[Token]) -> str:
