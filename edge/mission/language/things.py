@@ -245,6 +245,8 @@ def _name(reader: Reader) -> str:
         if reader.peek().text in ("a", "an"):
             reader.take("word")
         where = _words(reader, article=True)
+        if not where:
+            reader.refuse("expected the name of a thing here")
         _check(reader, where)
         text = f"{text} {place.text} {' '.join(token.text for token in where)}"
     return _canonical(reader, text, words[0])
@@ -347,10 +349,10 @@ def _check(reader: Reader, words: list[Token]) -> None:
         return
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
-        reader.refuse(f"{one_line(texts[odd], 60)}: {close}?", words[odd])
-    whole = one_line(" ".join(texts), 60)
+        reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    whole = one_line(" ".join(texts), 40)
     if odd:
-        last = one_line(texts[odd - 1], 60)
+        last = one_line(texts[odd - 1], 20)
         hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
         reader.refuse(f"{hint} in double quotes", words[odd])
     reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
@@ -360,4 +362,4 @@ def _canonical(reader: Reader, text: str, token: Token) -> str:
     try:
         return names.canonical(text)
     except names.NotANameError as error:
-        reader.refuse(str(error), token)
+        reader.refuse(f"no name: {str(error).rpartition(' is no name: ')[2]}", token)
