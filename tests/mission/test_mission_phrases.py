@@ -59,6 +59,10 @@ THROUGH = [
     ("go to the kitchen, and from there go to the bedroom", "F (kitchen & F bedroom)"),
     ("make a stop at the bank on the way to the school", "F (bank & F school)"),
     ("drive by the church, then to the school", "F (church & F school)"),
+    ("go through the kitchen and out into the garden", "F (kitchen & F garden)"),
+    ("take the path through the park to the school", "F (park & F school)"),
+    ("go to landmark 1 through the purple room", 'F ("purple room" & F "landmark one")'),
+    ("go up to the third floor via the yellow room", 'F ("yellow room" & F "third floor")'),
 ]  # fmt: skip
 
 SEQUENCES = [
@@ -121,6 +125,10 @@ SEQUENCES = [
     ("the kitchen then the hallway", "F (kitchen & F hallway)"),
     ("go to the kitchen or the bedroom and then to the garage",
      "F ((kitchen | bedroom) & F garage)"),
+    ("go to the bus stop next to the bank, then the park",
+     'F ("bus stop next to bank" & F park)'),
+    ("go to the bank and then sometime later the school", "F (bank & F school)"),
+    ("go to red room 1st, blue room 2nd", 'F ("red room" & F "blue room")'),
 ]  # fmt: skip
 
 ORDERS = [
@@ -171,6 +179,12 @@ ORDERS = [
     ("go to the red, blue and green rooms", 'F "red room" & F "blue room" & F "green room"'),
     ("go to the third or the fourth floor", 'F ("third floor" | "fourth floor")'),
     ("go to the first or second floor", 'F ("first floor" | "second floor")'),
+    ("go to the coffee shop on main street", 'F "coffee shop on main street"'),
+    ("I want the robot to go to the kitchen", "F kitchen"),
+    ("please move the robot to the kitchen", "F kitchen"),
+    ("have the drone fly to the kitchen", "F kitchen"),
+    ("to the kitchen", "F kitchen"),
+    ("go to either landmark one or the red room", 'F ("landmark one" | "red room")'),
 ]  # fmt: skip
 
 AVOIDANCE = [
@@ -250,6 +264,12 @@ AVOIDANCE = [
     ("go to the kitchen through a room that is not the hallway", "F kitchen & G !hallway"),
     ("go to the kitchen through a room other than the hallway", "F kitchen & G !hallway"),
     ("use any door except the front door to get to the kitchen", 'F kitchen & G !"front door"'),
+    ("only go through rooms that are not the hallway to get to the kitchen",
+     "F kitchen & G !hallway"),
+    ("go to the kitchen, avoiding both the hallway and the lobby",
+     "F kitchen & G !hallway & G !lobby"),
+    ("visit the kitchen and never the hallway", "F kitchen & G !hallway"),
+    ("go to the kitchen; the hallway is out of bounds", "F kitchen & G !hallway"),
 ]  # fmt: skip
 
 RULES = [
@@ -293,6 +313,10 @@ RULES = [
     ("until you reach the kitchen, avoid the garage", "!garage U kitchen"),
     ("after you ever see the cat, go to the door", "G (cat -> F door)"),
     ("always go to the door once you see a cat", "G (cat -> F door)"),
+    ("visit the kitchen; the hallway may only be visited after the garden",
+     "F kitchen & (!hallway W garden)"),
+    ("avoid the park until you reach the bank, then go to the park", "F park & (!park W bank)"),
+    ("go to the kitchen, but if you see a cat go to the door", "F kitchen & G (cat -> F door)"),
 ]  # fmt: skip
 
 ASKED = [
@@ -331,6 +355,8 @@ ASKED = [
     ("you must visit the kitchen before the hallway",
      ["F (kitchen & F hallway) & (!hallway W kitchen)", "F kitchen & (!hallway W kitchen)",
       "F (kitchen & F hallway)"]),
+    ("start on the first floor and go to the third floor",
+     ['F "third floor"', 'F ("first floor" & F "third floor")']),
 ]  # fmt: skip
 
 REFUSED = [
@@ -382,6 +408,13 @@ REFUSED = [
     ("seeing the cat opens the door", "seeing the cat opens the door"),
     ("bring me the cup from the table", "from the table"),
     ("go to the red room room", "room"),
+    ("go to the bed room", "room"),
+    ("go to the kitchen after 5 minutes", "after 5 minutes"),
+    ("go to the kitchen before it closes", "before it closes"),
+    ("go to the kitchen with no stops", "with no stops"),
+    ("you could visit the kitchen", "you could visit the kitchen"),
+    ("go to the kitchen. no, go to the hallway", "go to the hallway"),
+    ("go to the sofa kitchen", "kitchen"),
 ]  # fmt: skip
 
 

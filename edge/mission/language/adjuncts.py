@@ -89,13 +89,18 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
             reader.skip("and")
             more = take_things(reader, memory.named, subject=True)
             condition.things = Things(condition.things.groups + more.groups)
-    elif condition.kind in ("before", "after") and memory.asked:
+    elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
     else:
         reader.refuse("expected what must have happened here", condition.token)
     condition.denied = condition.denied or says.negated
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
+
+
+def _ends(reader: Reader) -> bool:
+    """Whether a phrase is over here."""
+    return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
 def _asked(reader: Reader, memory: Memory, token: Token) -> Things:

@@ -65,13 +65,13 @@ def starts_clause(reader: Reader, ahead: int = 0) -> bool:
     )  # fmt: skip
 
 
-def _is_passing(reader: Reader, ahead: int = 0) -> bool:
-    """Whether a way without a verb comes: ", then past the sofa"."""
+def _is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
+    """Whether a way without a verb comes: ", then past the sofa"; with or without a thing."""
     token = reader.peek(ahead)
     if token.text == "back":
         return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in _UP
     passes = token.kind == "via" or token.text in PASSING
-    return passes and starts_things(reader, ahead + 1)
+    return passes and (any_way or starts_things(reader, ahead + 1))
 
 
 def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
@@ -112,7 +112,7 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     elif (bare == "yes" or clause.negated) and _is_passing(reader):
         reader.at += 1
         _take_passed(reader, memory, clause)
-    elif reader.sees("to") and starts_things(reader, 1) and (bare == "yes" or clause.negated):
+    elif reader.sees("to") and starts_things(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
         clause.things = take_things(reader, memory.named, banned=clause.negated)
     else:
@@ -214,7 +214,10 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
         reader.refuse("only reaching things can be asked for", last)
     passes = last.text in PASSING or clause.verb.startswith(_PASSES)
-    if way := reader.take("via", "around"):
+    if reader.sees("only") and _is_passing(reader, 1, any_way=True):
+        reader.at += 2  # "go only through a"
+        clause.only = passes = True
+    elif way := reader.take("via", "around"):
         passes = way.kind == "via"
         clause.around = way.kind == "around" and not clause.negated
         clause.negated = clause.negated or clause.around
@@ -222,7 +225,10 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         if clause.negated:
             reader.refuse("say what to avoid", last)
         clause.things, clause.negated, clause.elsewhere = other, True, True
-        clause.through = passes
+        clause.through, clause.only = passes, False
+        token = reader.peek()
+        if passes and _take_onward(reader):  # "go through any room but a to b"
+            lead(reader, memory, clause, take_things(reader, memory.named), token)
     elif starts_things(reader):
         _take_passed(reader, memory, clause, passes, last)
         _take_more_bans(reader, memory, clause)
@@ -232,6 +238,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.elsewhere = clause.mood != "can"
 
 
+_INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
@@ -276,7 +283,8 @@ def _take_passed(
 
 def _onward(reader: Reader, clause: Clause) -> bool:
     """Whether "to b" may go on from there."""
-    onto = reader.peek(1 if reader.sees("and") else 0).text in ("into", "onto", "in to")
+    ahead = 1 if reader.sees("and") else 0
+    onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
     moved = clause.verb in _MOTION and reader.sees("to")
     return clause.through or (not clause.negated and (onto or moved))
 
@@ -284,6 +292,7 @@ def _onward(reader: Reader, clause: Clause) -> bool:
 def _take_onward(reader: Reader) -> bool:
     """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
     ahead = 1 if reader.sees("and") else 0
+    ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
         return False
     if not reader.sees("to", ahead=ahead) or not starts_things(reader, ahead + 1):
@@ -330,8 +339,13 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
         reader.at += 2
         says.negated = True
+    barred = reader.tokens[reader.at - 1].kind == "banned"
     avoid = reader.take("avoid")
     verb = avoid or reader.take("verb", "happen")
+    if barred and verb is None:  # "the hallway is off limits"
+        clause.negated = clause.negated != says.negated
+        clause.things = _each(things)
+        return
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))

@@ -20,10 +20,11 @@ def _product(*slots: str) -> str:
 
 PHRASES: dict[str, str] = {
     # Who is spoken to, how strongly, and words that carry nothing.
-    "you": "you|we|i|the robot|you robot",
+    "you": "you|we|i|the robot|you robot|the drone|the agent",
     "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
-    "ensuring that|be sure|be sure that|being sure|remember|remembering|i want you|i need you|"
-    "i would like you|please make sure|take care|taking care|be careful|being careful|"
+    "ensuring that|be sure|be sure that|being sure|remember|remembering|"
+    + _product("i want|i need|i would like|we want|we need", "you|the robot|the drone|the agent")
+    + "|please make sure|take care|taking care|be careful|being careful|"
     "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
     "never fail|go ahead and|"
     + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
@@ -67,7 +68,9 @@ PHRASES: dict[str, str] = {
     "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
     "move on to|from there|and from there|from there on|from here|then from there|"
     "and then from there|then followed by|and then after that|"
-    "and then later|next up|last of all|at last",
+    "and then later|next up|last of all|at last|"
+    "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
+    "and then some time later",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
     "first": "first|first of all|to begin with|firstly|initially",
     # Conditions.
@@ -95,7 +98,8 @@ PHRASES: dict[str, str] = {
     + "|"
     + _product("that|which", "goes|leads|passes|runs|takes you", "through|via|past")
     + "|that crosses|which crosses",
-    "bound": "en route to|while moving to|while going to|while heading to|while traveling to|"
+    "bound": "en route to|on way to|on route to|while moving to|while going to|"
+    "while heading to|while traveling to|"
     "while travelling to|when on the way to|while on the way to|when on your way to|"
     "while on your way to|"
     + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
@@ -105,7 +109,8 @@ PHRASES: dict[str, str] = {
     "on the way": "on the way|on your way|on its way|along the way|en route|on the way there|"
     "on your way there|on its way there|along your way|as you go",
     "around": "around|by going around|going around|by driving around|by walking around",
-    "origin": "starting from|starting at|starting in|starting out from|start from|start at|"
+    "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
+    "starting from|starting at|starting in|starting out from|start from|start at|"
     "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
     "opener": "start by|begin by|start off by|starting by|beginning by|start with|begin with|"
     "starting with|beginning with",
@@ -176,7 +181,7 @@ PHRASES: dict[str, str] = {
     "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
     "opposite|against|of",
-    "to": "to|towards|toward|over to|through|into|onto|in to",
+    "to": "to|towards|toward|over to|through|into|onto|in to|inside of",
     "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
     "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
@@ -221,6 +226,10 @@ VERB_PHRASES += (
 )
 VERB_PHRASES += _product(
     "your|the", "final destination|destination|last stop", "is|will be|should be"
+)
+VERB_PHRASES += "|" + _product(
+    "move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking",
+    "the robot|the drone|the agent|yourself|itself",
 )
 VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
 VERB_PHRASES += (
@@ -283,11 +292,12 @@ def _table() -> dict[tuple[str, ...], str]:
     for phrase in AVOID_PHRASES.split("|"):
         phrases[tuple(phrase.split())] = "avoid"
     known = {word for phrase in phrases for word in phrase}
-    for name, others in names.ALIASES.items():  # "trash can" has nothing to do with "can"
-        for phrase in map(str.split, (name, *others)):
-            if len(phrase) > 1 and known & set(phrase):
-                phrases[tuple(phrase)] = "word"
-                phrases[(*phrase[:-1], f"{phrase[-1]}s")] = "word"
+    listed = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]
+    for name in (*listed, *nouns.NOUNS):  # "trash can" has nothing to do with "can"
+        phrase = name.split()
+        if len(phrase) > 1 and known & set(phrase):
+            phrases[tuple(phrase)] = "word"
+            phrases[(*phrase[:-1], f"{phrase[-1]}s")] = "word"
     return phrases
 
 

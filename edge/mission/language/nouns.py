@@ -24,7 +24,7 @@ _PLACES = """
     hospital hotel inn junction lake mall market memorial monument museum park parking|lot
     parking|space pharmacy pier platform playground plaza post|office pub restaurant river school
     square stadium store supermarket temple theater theatre tower town|hall train|station tunnel
-    university warehouse zoo
+    university warehouse zoo passage passageway doorway archway
 """
 _OBJECTS = """
     apple aquarium ashtray bag baggage banana banner barbecue barrel basket bat battery beam bedside
@@ -152,6 +152,8 @@ NUMBERED = _listed("floor level storey story landmark room door waypoint gate st
 NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
 ORDINALS = frozenset(NUMERALS)
 CARDINALS = tuple(_CARDINALS.split())
+_KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
+"""Places that are told apart by what is kept there: "coffee shop", "printer room"."""
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
@@ -183,6 +185,8 @@ def unknown_in(words: list[str]) -> int | None:
         return twice
     if words[start] in ("path", "way") and start and is_noun(words[start - 1]):
         return start  # "the red room path": the room, or a path?
+    if start and words[start] in _KEPT and _compound(*words[start - 1 : start + 1]):
+        start -= 1  # "coffee shop"
     while begin < start:
         word = words[begin]
         place = next(
@@ -195,6 +199,11 @@ def unknown_in(words: list[str]) -> int | None:
         else:
             return start if is_noun(word) else begin
     return None
+
+
+def _compound(first: str, second: str) -> bool:
+    """`coffee shop`; not `bed room`, which is a slip of one word."""
+    return is_noun(first) and not is_noun(first + second)
 
 
 def _not_known(words: list[str], end: int) -> int:

@@ -203,7 +203,8 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
     """`either x, y or z` ends after "or z"; `one of x, y and z` takes the whole list."""
     if reader.take("all of"):
         reader.skip("group")
-    reader.skip("group")
+    if not _is_singled(reader):
+        reader.skip("group")
     options = [_name(reader)]
     decided = False
     while (ahead := _joint_length(reader)) is not None:
