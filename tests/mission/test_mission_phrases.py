@@ -63,6 +63,7 @@ THROUGH = [
     ("take the path through the park to the school", "F (park & F school)"),
     ("go to landmark 1 through the purple room", 'F ("purple room" & F "landmark one")'),
     ("go up to the third floor via the yellow room", 'F ("yellow room" & F "third floor")'),
+    ("go to the second floor by the stairs", 'F (stair & F "second floor")'),
 ]  # fmt: skip
 
 SEQUENCES = [
@@ -415,6 +416,14 @@ REFUSED = [
     ("you could visit the kitchen", "you could visit the kitchen"),
     ("go to the kitchen. no, go to the hallway", "go to the hallway"),
     ("go to the sofa kitchen", "kitchen"),
+    ("go to the hall through the park and the garden through the lobby", "through the lobby"),
+    ("follow the dog", "follow the dog"),
+    ("go to the kitchen and the hallway and stay there", "stay there"),
+    ("go to the kitchen and wait there until I come", "wait there until I come"),
+    ("never go to the kitchen through the hallway", "through the hallway"),
+    ("go to another room", "another room"),
+    ("go to the kitchen and the garden via the hallway", "via the hallway"),
+    ("starting at the kitchen, avoid the hallway", "starting at the kitchen"),
 ]  # fmt: skip
 
 

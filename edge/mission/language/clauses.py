@@ -241,6 +241,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
 _INTO = ("into", "onto", "in to")
 _LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
 _PASSES = ("cross", "follow", "traverse", "pass")
+_PATHS = ("path", "route", "way")
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
 
@@ -261,6 +262,8 @@ def _take_passed(
     things = take_things(reader, memory.named, banned=clause.negated, way=passes)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
     clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
+    if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_PATHS):
+        reader.refuse("only a way can be followed", verb)
     start = verb if verb and verb.text == "from" else None
     on = start is not None
     while on or _onward(reader, clause):

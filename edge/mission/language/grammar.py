@@ -17,6 +17,10 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
 - "x before y" as an order asks for both, and y not before x; or for x only; or merely for x, then
   y. "x only after y" asks for x, and not before y;
 - "x while avoiding y" is: x, and no y before it;
+- what lies on the way ("x via y", "through y to x", "visit y on the way to x") is: y, then x; of
+  "through y and z" the order is asked, and of "from y" whether y is more than where it starts;
+- "do not x until y" with nothing asked for beside it is asked about: y, or both, may be meant;
+- "and stay there" at the end is where a mission ends anyway;
 - goals without "then" between them may come in any order; a list with commas only that "then"
   ends ("a, b, then c") is in order;
 - "in order" is "then" between all; "in exactly this order" also bans each before the one before;
@@ -157,6 +161,7 @@ class _Discourse:
         elsewhere: where only what is left out was named ("go anywhere but to a").
         halted: where it was said to stop.
         waits: what is not to be reached before what.
+        settled: one thing comes last.
         shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
     """
@@ -176,6 +181,7 @@ class _Discourse:
     passed: bool = False
     elsewhere: Token | None = None
     halted: Token | None = None
+    settled: bool = False
     shuns: bool = False
     waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
 
@@ -230,8 +236,8 @@ class _Discourse:
         if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
             return False
         self.halted = reader.peek()
-        if self.denied or self.permitted:
-            reader.refuse("say where to stop", self.halted)
+        if self.denied or self.permitted or not (bare or self.settled):
+            reader.refuse("say where to stop, and what comes last", self.halted)
         reader.at += 1
         return True
 
@@ -317,7 +323,7 @@ class _Discourse:
         bare_way = clause.verb == "" and not clause.negated
         then = then or ((moves or bare_way) and self.passed and joint is not None)
         through = clause.through and not clause.route
-        if through and moves and not then and self.moved and not self.passed:
+        if through and moves and not then and self.moved and not self.passed and sequence:
             clause.enroute = self.reader.pick(clause.token, 2) == 0
         elif moves and self.moved and not then and joint is not None and joint.kind == "and":
             then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
@@ -336,6 +342,8 @@ class _Discourse:
             hint = "it was asked for before; say in one sentence what comes after what"
             self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then)
+        if meaning.goals and clause.things:
+            self.settled = len(clause.things.groups) == 1 and (then or not self.times)
         limited = clause.count is not None and clause.count.most is not None
         self.ordered = self.ordered or (bool(meaning.goals) and not limited)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)

@@ -172,7 +172,7 @@ PHRASES: dict[str, str] = {
     "strictly in order|strictly in this order|in the exact order|in the strict order|"
     "in that exact sequence|in this exact sequence",
     # Naming.
-    "article": "the|an|some|any|my|our|your|his|her|their|another|any visit to|any visits to|"
+    "article": "the|an|some|any|my|our|your|his|her|their|any visit to|any visits to|"
     "a visit to|every visit to",
     "pronoun": "it|that|there|them|this|those|these|that one|this one|the same",
     "either": "either|one of|either one of|either of|any of|any one of|at least one of",

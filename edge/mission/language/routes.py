@@ -10,6 +10,7 @@ PASSING = ("through", "past", "along", "across", "via", "by")
 """Particles that make a verb of motion one of passing: "walk past", "drive through"."""
 
 _PARTICIPLES = ("passing", "crossing", "traversing")
+_RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
 _ANYWHERE = (
     "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
 )  # fmt: skip
@@ -19,9 +20,14 @@ _ANY = ("any", "only", "a", "the", "some")
 def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
     """Takes `via a`, `, passing a` or `only through a` behind a goal; False when there is none."""
     length, only = _way_length(reader)
-    if not length or clause.things is None or clause.negated:
+    if not length or clause.things is None:
         return False
     token = reader.peek()
+    if clause.negated:
+        hint = "which way not to take is said so: 'go to … without going through …'"
+        reader.refuse(hint, token)
+    if clause.several_ways:
+        reader.refuse("say it in two sentences", token)
     reader.at += length
     reader.skip("first", "filler")
     only = only or bool(reader.take("only"))
@@ -53,6 +59,8 @@ def _way_length(reader: Reader) -> tuple[int, bool]:
     token, follower = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind == "via" or (token.text in PASSING[:4] and (only or not aside)):
         return ahead + 1, only
+    if token.text == "by" and (follower.text in _RIDDEN or reader.peek(ahead + 2).text in _RIDDEN):
+        return ahead + 1, only
     if token.text in _PARTICIPLES:
         return ahead + (2 if follower.text in PASSING else 1), only
     if token.kind == "verb" and token.text.endswith("ing") and follower.text in PASSING[:4]:
@@ -65,6 +73,7 @@ def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> Non
     if clause.count:
         reader.refuse("say it in two sentences", token)
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
+    clause.several_ways = len(passed.groups) > 1
     if several and reader.pick(token, 2) == 1:
         clause.route.append(passed)
     else:

@@ -184,6 +184,7 @@ class Clause:
         bound: where it leads, said first: "to reach x, go through y".
         through: the things are on the way to something.
         route: what is reached before the things, one after the other.
+        several_ways: the route took "a and b" at once.
         only_way: nothing but the route leads there.
         origin: it says where it starts.
         enroute: said to be "on the way" to what was asked for before.
@@ -214,6 +215,7 @@ class Clause:
     bound: Things | None = None
     through: bool = False
     route: list[Things] = field(default_factory=list)
+    several_ways: bool = False
     only_way: bool = False
     origin: bool = False
     enroute: bool = False
