@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from edge.config import TranslatorGrammar
 from edge.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.language.lexicon import TABLE
+from edge.mission.language.lexicon import PHRASES, TABLE
 from edge.mission.language.words import MAX_CHARS, MAX_WORDS
-from edge.mission.ltl import Formula, parse, to_text
+from edge.mission.ltl import Formula, ap, eventually, parse, to_text
 from edge.mission.readings import AmbiguousError, distinct
 from edge.mission.translate import make_translator
 
@@ -470,6 +470,19 @@ def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]]
     words, stars = sentence
     at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
     check_counts(words, at, swapped)
+
+
+@pytest.mark.parametrize("filler", PHRASES["filler"].split("|"))
+def test_words_that_mean_nothing_change_nothing(filler: str) -> None:
+    """In front, behind the verb's object, or after the mood: somewhere each is said."""
+    said = (
+        f"{filler} go to the bed",
+        f"go to the bed {filler}",
+        f"you must {filler} go to the bed",
+    )
+    read = [found for text in said if (found := meant(text.split()))]
+    assert read
+    assert set(read) == {(eventually(ap("bed")),)}
 
 
 def test_limits_are_named() -> None:

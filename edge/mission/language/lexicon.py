@@ -43,16 +43,15 @@ PHRASES: dict[str, str] = {
     "are banned|is off limits|are off limits|is out of bounds|are out of bounds|are forbidden|"
     "is banned",
     "neither": "neither",
-    "filler": "me|us|please|at any point in time|at any point|eventually|sometime|some time|just|"
-    "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
-    "in the future|on your travels|hi|hello|hey|"
-    "thanks|thank you|"
-    "thank you very much|when you have a minute|when you have time|would you mind|do you mind|"
-    "if you do not mind|at some time|whenever you can|"
-    "when you have the chance|already|for me|now|robot|as many times as you want|"
-    "at some point in the future|some time in the future|sometime in the future|"
-    "under any circumstances|under any circumstance|in any way|"
-    "at any stage|no matter what|completely|totally|entirely|"
+    # Reviewed: the only words that may be left out of any sentence without changing what it asks.
+    "filler": "me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
+    "okay|alright|all right|um|uh|er|robot|now|just|simply|also|too|as well|already|directly|"
+    "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
+    "when you have the chance|whenever you can|as many times as you want|on your travels|"
+    "eventually|sometime|some time|at some time|at some point|at any time|at any point|"
+    "at any point in time|at any stage|in the future|at some point in the future|"
+    "some time in the future|sometime in the future|ever|at all|at all costs|in any way|"
+    "under any circumstances|under any circumstance|no matter what|completely|totally|entirely|"
     + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
     # Says nothing new of a ban or a condition, and too much of a goal.
     "always": "always|at all times|all the time|each time you do|at every moment",
