@@ -64,6 +64,10 @@ THROUGH = [
     ("go to landmark 1 through the purple room", 'F ("purple room" & F "landmark one")'),
     ("go up to the third floor via the yellow room", 'F ("yellow room" & F "third floor")'),
     ("go to the second floor by the stairs", 'F (stair & F "second floor")'),
+    ("go to the window making sure to pass through the hallway", "F (hallway & F window)"),
+    ("go to the window and make sure to go through the hallway", "F (hallway & F window)"),
+    ("your goal is the window, but you have to go through the hallway", "F (hallway & F window)"),
+    ("pass through the hallway and arrive at the window", "F (hallway & F window)"),
 ]  # fmt: skip
 
 SEQUENCES = [
@@ -130,6 +134,7 @@ SEQUENCES = [
      'F ("bus stop next to bank" & F park)'),
     ("go to the bank and then sometime later the school", "F (bank & F school)"),
     ("go to red room 1st, blue room 2nd", 'F ("red room" & F "blue room")'),
+    ("when you go to the kitchen, check the sink", "F (kitchen & F sink)"),
 ]  # fmt: skip
 
 ORDERS = [
@@ -186,6 +191,10 @@ ORDERS = [
     ("have the drone fly to the kitchen", "F kitchen"),
     ("to the kitchen", "F kitchen"),
     ("go to either landmark one or the red room", 'F ("landmark one" | "red room")'),
+    ("visit landmarks one, two and three",
+     'F "landmark one" & F "landmark two" & F "landmark three"'),
+    ("go to floors 1 and 2", 'F "floor one" & F "floor two"'),
+    ("ok robot, um, go to the kitchen", "F kitchen"),
 ]  # fmt: skip
 
 AVOIDANCE = [
@@ -271,6 +280,8 @@ AVOIDANCE = [
      "F kitchen & G !hallway & G !lobby"),
     ("visit the kitchen and never the hallway", "F kitchen & G !hallway"),
     ("go to the kitchen; the hallway is out of bounds", "F kitchen & G !hallway"),
+    ("do not pass the hallway when you go to the kitchen", "F kitchen & G !hallway"),
+    ("go to the kitchen while making sure to avoid the hallway", "F kitchen & G !hallway"),
 ]  # fmt: skip
 
 RULES = [
@@ -318,6 +329,7 @@ RULES = [
      "F kitchen & (!hallway W garden)"),
     ("avoid the park until you reach the bank, then go to the park", "F park & (!park W bank)"),
     ("go to the kitchen, but if you see a cat go to the door", "F kitchen & G (cat -> F door)"),
+    ("do not go to the kitchen when you see a cat", "G (cat -> G !kitchen)"),
 ]  # fmt: skip
 
 ASKED = [

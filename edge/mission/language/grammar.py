@@ -83,7 +83,9 @@ _MOVES = (
     "climb",
     "follow",
     "traverse",
+    "return",
 )
+_ARRIVES = ("arrive", "reach", "get")
 _ONWARD = (
     "proceed", "continue", "keep ", "go on", "carry on", "end ", "ends ", "ending ", "finish",
     "your ", "the ",
@@ -319,11 +321,17 @@ class _Discourse:
         moves = moves and not (clause.only or clause.count or clause.conditions or clause.enroute)
         goes_on = clause.verb.startswith(_ONWARD) and not clause.negated
         then = then or (goes_on and bool(sequence) and not sequence[-1].loose)
-        then = then or (moves and self.moved and joint is not None and joint.kind == "")
+        ensures = clause.token.kind == "ensure"
+        follows_on = joint is not None and joint.kind == "" and not ensures
+        then = then or (moves and self.moved and follows_on)
         bare_way = clause.verb == "" and not clause.negated
-        then = then or ((moves or bare_way) and self.passed and joint is not None)
+        reaches = moves or bare_way or (clause.verb.startswith(_ARRIVES) and not clause.negated)
+        then = then or (reaches and self.passed and joint is not None)
         through = clause.through and not clause.route
-        if through and moves and not then and self.moved and not self.passed and sequence:
+        beside = through and moves and not then and not self.passed and bool(sequence)
+        if beside and (ensures or (joint is not None and joint.kind == "but")):
+            clause.enroute = True  # "go to a, making sure to go through b"
+        elif beside and self.moved:
             clause.enroute = self.reader.pick(clause.token, 2) == 0
         elif moves and self.moved and not then and joint is not None and joint.kind == "and":
             then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order

@@ -65,7 +65,7 @@ _QUALITIES = """
     old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
     folding rocking sliding electric digital front back rear left right main upper lower top bottom
     middle central inner outer north south east west northern southern eastern western potted
-    parked nearest closest nearby
+    ground parked nearest closest nearby
     taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
 """
 _ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth last"

@@ -82,8 +82,11 @@ def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> Non
 
 def bound_ahead(reader: Reader, clause: Clause) -> bool:
     """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
-    if clause.negated and reader.peek().text in ("when", "while") and reader.sees("verb", ahead=1):
-        return reader.peek(1).text.endswith("ing")
+    if clause.negated and reader.peek().text in ("when", "while"):
+        if reader.sees("verb", ahead=1):
+            return reader.peek(1).text.endswith("ing")
+        if reader.sees("you", ahead=1):  # "do not pass a when you go to b"
+            return reader.peek(2).text in ("go", "move", "head", "travel", "walk", "drive", "fly")
     return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
 
 
@@ -91,6 +94,7 @@ def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
     """`go through x to reach y`: x, then y; `avoid x on the way to y`: y without x."""
     token = reader.peek()
     reader.at += 1
+    reader.skip("you")
     while reader.take("verb"):
         skip_particles(reader, clause)
     if not starts_things(reader):

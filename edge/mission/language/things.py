@@ -83,6 +83,10 @@ def take_things(
     between: list[Token] = []
     commas: set[str] = set()
     while True:
+        if (number := _number_ahead(reader, elements[-1])) is not None:
+            between.append(number)
+            elements.append(_next_numbered(reader, elements[-1]))
+            continue
         ahead = _joint_length(reader)
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
@@ -146,6 +150,29 @@ def _one_of(options: Sequence[_Groups]) -> _Groups:
         tuple(dict.fromkeys(name for group in chosen for name in group))
         for chosen in product(*options)
     )
+
+
+def _number_ahead(reader: Reader, last: _Groups) -> Token | None:
+    """What joins "1" and "2" in "landmarks 1 and 2"; None where no such list goes on."""
+    head, _, number = last[-1][-1].rpartition(" ")
+    ahead = 1 if reader.sees("comma") else 0
+    if reader.sees("and", "or", ahead=ahead):
+        ahead += 1
+    goes_on = head and number in nouns.CARDINALS and len(last) == 1 and ahead
+    return reader.peek(ahead - 1) if goes_on and _is_number(reader, ahead) else None
+
+
+def _next_numbered(reader: Reader, last: _Groups) -> _Groups:
+    """`2`, after "landmark 1": landmark two."""
+    reader.skip("comma", "and", "or")
+    token = reader.tokens[_advance(reader)]
+    head = last[-1][-1].rpartition(" ")[0]
+    number = token.text
+    if number.isdecimal():
+        if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
+            reader.refuse("names are numbered up to ten", token)
+        number = nouns.CARDINALS[int(number)]
+    return ((_canonical(reader, f"{head} {number}", token),),)
 
 
 def _joint_length(reader: Reader) -> int | None:
@@ -301,6 +328,8 @@ def _spelled(reader: Reader, words: list[Token]) -> str:
         if len(texts[-1]) > 2 or int(texts[-1]) >= len(nouns.CARDINALS):
             reader.refuse("names are numbered up to ten", words[0])
         texts[-1] = nouns.CARDINALS[int(texts[-1])]
+    if len(texts) > 1 and texts[-1] in nouns.CARDINALS:
+        texts[-2] = names.singular(texts[-2])  # "landmarks one and two"
     return " ".join(texts)
 
 
