@@ -136,7 +136,7 @@ def test_what_is_no_prefix(text: str) -> None:
 TABLE = """pattern_type,props,utterance,ltl_formula
 visit,['a'],visit a,F a
 visit,['a'],hum a,F a
-past_avoidance,"['a', 'b']",do not go to a until you see b,U ! a b
+past_avoidance,"['a', 'b']",visit c and do not go to a until you see b,& F c U ! a b
 global_avoidance,['a'],visit a,G ! a
 patrolling,['a'],keep visiting a,G F a
 past_avoidance,"['a', 'b']",visit a before b,& F a F b

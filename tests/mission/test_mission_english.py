@@ -27,7 +27,7 @@ SAID = [
     ("(F bed & (!sofa W bed)) | F toilet",
      "Reach the bed, but do not reach the sofa until the bed is reached; or reach the toilet."),
     ("F(bed & F sofa & F desk)", "Reach the bed, then the sofa and the desk in any order."),
-    ("F(bed & X F bed)", "Reach the bed, then the bed."),
+    ("F(bed & X F bed)", "Reach the bed, then the bed again."),
     ("F(bed & F(!bed & F(bed & F sofa)))", "Reach the bed at least twice, then the sofa."),
     ("F bed & !F(bed & F(!bed & F bed))", "Reach the bed exactly once."),
     ("!F(bed & F(!bed & F bed))", "Reach the bed at most once."),

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from edge.config import TranslatorGrammar
 from edge.eval.languages import difference
 from edge.mission.language.grammar import TranslationError, readings
-from edge.mission.language.lexicon import TABLE
+from edge.mission.language.lexicon import PHRASES, TABLE
 from edge.mission.language.words import MAX_CHARS, MAX_WORDS
-from edge.mission.ltl import Formula, parse, to_text
-from edge.mission.readings import distinct
+from edge.mission.ltl import Formula, ap, eventually, parse, to_text
+from edge.mission.readings import AmbiguousError, distinct
 from edge.mission.translate import make_translator
 
 _TRANSLATOR = make_translator(TranslatorGrammar())
@@ -111,18 +111,7 @@ HOUSEHOLD = [
     ("once you have visited the bed, go to the tv", "F(bed & F television)"),
     ("go to the tv only after you have cleaned the sink", "F television & (!television W sink)"),
     ("go to the sink and only then go to the tv", "F(sink & F television) & (!television W sink)"),
-    ("do not go to the tv until you have been to the bed", "!television W bed"),
-    ("do not go to the tv before the bed", "!television W bed"),
-    ("until the bed is reached, stay away from the tv", "!television W bed"),
     ("don't visit the tv without visiting the bed", "!television W bed"),
-    (
-        "do not reach the tv or the sofa until the bed is reached",
-        "(!television W bed) & (!sofa W bed)",
-    ),
-    (
-        "do not reach the tv until either the bed or the sofa is reached",
-        "!television W (bed | sofa)",
-    ),
     ("avoid the stove", "G !stove"),
     ("never go to the stove or the oven", "G !stove & G !oven"),
     ("you must not enter the shower, and visit the bed", "G !shower & F bed"),
@@ -208,7 +197,6 @@ ON_THE_WAY = [
     ("dont take the hallway to get to the bed", "F bed & G !hallway"),
     ("go to the bed but do not use the hallway to get there", "F bed & G !hallway"),
     ("go to the bed but do not enter the hallway first", "F bed & (!hallway W bed)"),
-    ("do not go to the bed until after the sofa", "!bed W sofa"),
     ("go to the bed via the hallway", "F(hallway & F bed)"),
     ("go through the hallway to the bed", "F(hallway & F bed)"),
     ("drive through the hallway and into the bedroom", "F(hallway & F bedroom)"),
@@ -301,7 +289,6 @@ REFUSED = [
     ("go to the blorf chair", "blorf chair"),
     ("go to room 12", "room 12"),
     ("do not go to the bed first", "do not go to the bed first"),
-    ("go to the bed and go through the hall", "go through the hall"),
 ]  # fmt: skip
 
 
@@ -351,6 +338,17 @@ AMBIGUOUS = [  # all readings, and the index of the one that implies the others
     ("visit the bed and check the sofa", ["F bed & F sofa"], None),
     ("go from the door to the bed through the hallway",
      ["F (hallway & F bed)", "F (door & F (hallway & F bed))"], 1),
+    ("do not go to the tv until you have been to the bed",
+     ["!television U bed", "F television & (!television W bed)"], 1),
+    ("until the bed is reached, stay away from the tv", ["!television U bed"], None),
+    ("do not reach the tv or the sofa before the bed",
+     ["F bed & (!television W bed) & (!sofa W bed)",
+      "F television & F sofa & (!television W bed) & (!sofa W bed)"], 1),
+    ("do not reach the tv until either the bed or the sofa is reached",
+     ["!television U (bed | sofa)", "F television & (!television W (bed | sofa))"], 1),
+    ("do not go to the bed until after the sofa; visit the tv", ["F television & (!bed W sofa)"],
+     None),
+    ("go to the bed and go through the hall", ["F (hall & F bed)", "F bed & F hall"], 0),
     ("visit the bed once", ["F bed", "F bed & !F (bed & F (!bed & F bed))"], 1),
     ("visit the bed at least once", ["F bed"], None),
 ]  # fmt: skip
@@ -384,8 +382,8 @@ def test_no_unknown_word_is_passed_over(sentence: str) -> None:
 
 
 MEANINGFUL = (
-    "not", "never", "twice", "without", "unless", "until", "may", "might", "again", "only",
-    "neither",
+    "not", "never", "twice", "unless", "until", "may", "might", "again", "only",
+    "neither", "at no point", "under no circumstances", "without", "always", "instead of",
 )  # fmt: skip
 
 
@@ -408,6 +406,12 @@ CLAUSES = (
     "do *not visit the *A *until you visit the *B", "go through the *A *to the *B",
     "*only go to the *A *if you have been to the *B", "visit the *A via the *B",
     "*once you have seen the *A you *must visit the *B", "find *neither the *A nor the *B",
+    "go *around the *A to reach the *B", "stop at the *A on the way *to the *B",
+    "visit the *A, *passing the *B", "visit the *A but *only *after the *B",
+    "at *no point enter the *A", "go through any room *but the *A to reach the *B",
+    "visit the *A by going *through the *B", "keep going *until you reach the *A",
+    "the *maximum number of visits to the *A is *two", "*from the *A go to the *B",
+    "start at the *A and go to the *B", "visit the *A *in *the *end", "always *avoid the *A",
 )  # fmt: skip
 JOINTS = (", then ", " and finally ", ". ")
 
@@ -422,6 +426,11 @@ def sentences(draw: st.DrawFn) -> tuple[list[str], list[int]]:
         for letter in "AB":
             clause = clause.replace(f"*{letter}", f"*{next(nouns)}" if letter in clause else "")
         said += (draw(st.sampled_from(JOINTS)) if n else "") + clause
+    return starred(said)
+
+
+def starred(said: str) -> tuple[list[str], list[int]]:
+    """The words of a sentence, and where the marked ones are."""
     words = said.split()
     stars = [i for i, word in enumerate(words) if word.startswith("*")]
     return [word.removeprefix("*") for word in words], stars
@@ -434,20 +443,46 @@ def meant(words: list[str]) -> tuple[Formula, ...]:
     return ()
 
 
-@settings(max_examples=150, deadline=None)
-@given(sentences(), st.data())
-def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]], data) -> None:
-    """Dropped, or another thing's name in its place, it changes what is meant, or is missed."""
-    words, stars = sentence
-    read, at = meant(words), data.draw(st.sampled_from(stars))
+def check_counts(words: list[str], at: int, swapped: str) -> None:
+    """Dropped, or with another word in its place, a word changes what is meant, or is missed."""
+    read = meant(words)
     joint = words[at][len(words[at].rstrip(".,")) :]
-    swapped = data.draw(st.sampled_from(["", "fridge"]))
     changed = [*words[:at], *([swapped + joint] if swapped else []), *words[at + 1 :]]
     again = meant(changed)
     if read and again:
         assert len(read) != len(again) or any(
             difference(one, other) is not None for one, other in zip(read, again, strict=True)
         ), f"{' '.join(changed)!r} means as much as {' '.join(words)!r}"
+
+
+@pytest.mark.parametrize("clause", CLAUSES)
+def test_each_meaningful_word_counts(clause: str) -> None:
+    words, stars = starred(clause.replace("*A", "*sofa").replace("*B", "*bed"))
+    assert meant(words)
+    for at in stars:
+        for swapped in ("", "fridge"):
+            check_counts(words, at, swapped)
+
+
+@settings(max_examples=150, deadline=None)
+@given(sentences(), st.data())
+def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]], data) -> None:
+    words, stars = sentence
+    at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
+    check_counts(words, at, swapped)
+
+
+@pytest.mark.parametrize("filler", PHRASES["filler"].split("|"))
+def test_words_that_mean_nothing_change_nothing(filler: str) -> None:
+    """In front, behind the verb's object, or after the mood: somewhere each is said."""
+    said = (
+        f"{filler} go to the bed",
+        f"go to the bed {filler}",
+        f"you must {filler} go to the bed",
+    )
+    read = [found for text in said if (found := meant(text.split()))]
+    assert read
+    assert set(read) == {(eventually(ap("bed")),)}
 
 
 def test_limits_are_named() -> None:
@@ -479,16 +514,35 @@ WORDS = st.sampled_from(
 )
 
 
+BYTES = st.binary(max_size=200).map(lambda raw: raw.decode("utf-8", "surrogateescape"))
+EXTREMES = ("\0", "go to the \x1b[31mbed", "x" * 100_000, "(" * 100_000, "visit the " + "y" * 9_000,
+            'visit the "' + "z" * 9_000 + '"', "\u202ego to the bed", "é" * 9_000)  # fmt: skip
+MAX_REFUSAL = 400
+_ECHO = 110
+
+
 @settings(max_examples=400)
-@given(st.one_of(st.text(max_size=200), st.lists(WORDS, max_size=40).map(" ".join)))
+@given(st.one_of(st.text(max_size=200), BYTES, st.lists(WORDS, max_size=40).map(" ".join)))
 def test_any_text_is_read_or_refused(text: str) -> None:
     """Never anything but a formula that can be written, or a refusal of one line."""
     try:
         formula = parse_english(text)
+    except AmbiguousError as error:
+        assert str(error).isprintable()  # noqa: PT017
     except TranslationError as error:
-        assert len(str(error).splitlines()) == 1  # noqa: PT017
+        assert str(error).isprintable()  # noqa: PT017
+        assert len(str(error)) < MAX_REFUSAL  # noqa: PT017
     else:
         assert parse(to_text(formula)) == formula
+
+
+@pytest.mark.parametrize("text", EXTREMES, ids=range(len(EXTREMES)))
+def test_a_refusal_shows_little_of_what_was_said(text: str) -> None:
+    with pytest.raises(TranslationError) as refusal:
+        parse_english(text)
+    shown = str(refusal.value)
+    assert shown.isprintable()
+    assert max(shown.count(letter) for letter in "xyzé(") < _ECHO
 
 
 @settings(max_examples=20)

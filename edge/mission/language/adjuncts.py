@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from edge.mission.language.routes import bound_ahead, take_bound, take_origin, take_route
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
@@ -28,16 +29,21 @@ def take_condition(reader: Reader, memory: Memory, clause: Clause) -> Condition:
     assert token is not None
     kind = "when" if token.kind == "once" else token.kind
     if token.text.startswith("as soon"):
-        clause.next_step = True
+        clause.soon = True
         if reader.peek().text == "as":
             reader.at += 1
     recurring = token.text in ("whenever", "every time", "each time", "any time", "if", "if ever")
     condition = Condition(kind, token, Things(()), only, denied, recurring)
-    _take_happening(reader, memory, condition)
+    begin = reader.at
+    take_happening(reader, memory, condition)
+    if kind in ("after", "when") and any(
+        t.text == "ever" for t in reader.tokens[begin : reader.at]
+    ):
+        condition.recurring = True  # "after you ever see a cat"
     return condition
 
 
-def _take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
+def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None:
     """`you have visited a`, `a is visited`, `visiting a`, `a`, `that`, `then`."""
     if (
         reader.sees("then")
@@ -48,7 +54,16 @@ def _take_happening(reader: Reader, memory: Memory, condition: Condition) -> Non
         condition.things = _asked(reader, memory, condition.token)
         return
     says = Clause(reader.peek())
-    take_mood(reader, says)
+    said = take_mood(reader, says)
+    if (
+        "be" in said
+        and reader.peek().text in ("in", "inside", "at", "on")
+        and starts_things(reader, 1)
+    ):
+        reader.at += 1  # "once you are in the kitchen"
+        condition.things = take_things(reader, memory.named)
+        condition.denied = condition.denied or says.negated
+        return
     been = reader.sees("to") and reader.tokens[reader.at - 1].text == "been"
     if been or reader.sees("verb"):
         reader.skip("verb")
@@ -74,13 +89,18 @@ def _take_happening(reader: Reader, memory: Memory, condition: Condition) -> Non
             reader.skip("and")
             more = take_things(reader, memory.named, subject=True)
             condition.things = Things(condition.things.groups + more.groups)
-    elif condition.kind in ("before", "after") and memory.asked:
+    elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
     else:
         reader.refuse("expected what must have happened here", condition.token)
     condition.denied = condition.denied or says.negated
     reader.skip("filler", "first")
     condition.count = take_count(reader, negated=False)
+
+
+def _ends(reader: Reader) -> bool:
+    """Whether a phrase is over here."""
+    return reader.sees("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
 def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
@@ -92,7 +112,7 @@ def _asked(reader: Reader, memory: Memory, token: Token) -> Things:
 
 def _take_predicate(reader: Reader, says: Clause) -> bool:
     """`has been visited`, `occurs`; False, and nothing taken, when there is none."""
-    begin = reader.at
+    begin, negated = reader.at, says.negated
     said = take_mood(reader, says, PREDICATE)
     if reader.take("happen"):
         return True
@@ -101,7 +121,7 @@ def _take_predicate(reader: Reader, says: Clause) -> bool:
             reader.refuse("how a thing is cannot be told, only that it is reached")
         reader.take("verb")
         return True
-    reader.at = begin
+    reader.at, says.negated = begin, negated
     return False
 
 
@@ -128,19 +148,31 @@ _APART = ("on", "off", "up", "out", "in", "down")  # "turn the tv on"
 def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     """Takes one more part of the clause; False at its end."""
     token = reader.peek()
-    if token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
+    if token.kind == "always":
+        clause.always = token
         reader.at += 1
-    elif _is_via(token) and clause.things and not clause.negated:
+    elif token.kind == "in the end":
+        clause.ends = True
         reader.at += 1
-        way = take_things(reader, memory.named)
-        clause.things = Things((*clause.things.groups[:-1], *way.groups, clause.things.groups[-1]))
-        clause.order = "in order"
+    elif token.kind in ("filler", "happen") or (token.kind == "forever" and clause.negated):
+        reader.at += 1
+    elif take_route(reader, memory, clause):
+        pass
+    elif token.kind == "on the way":
+        clause.enroute = not (clause.avoiding or clause.route)
+        reader.at += 1
+    elif token.text == "from" and clause.things and starts_things(reader, 1) and _moves(clause):
+        take_origin(reader, memory, clause)
+    elif token.text == "by going around" and clause.things and not clause.negated:
+        reader.at += 1
+        clause.avoiding.append(take_things(reader, memory.named, banned=True))
     elif token.kind == "bound there" and clause.negated:
         reader.at += 1
-    elif clause.things and _bound_ahead(reader, clause):
-        _take_bound(reader, memory, clause)
+    elif clause.things and bound_ahead(reader, clause):
+        take_bound(reader, memory, clause)
     elif token.kind in ORDERS:
-        clause.order = token.kind
+        several = clause.things and len(clause.things.groups) > 1
+        clause.order = token.kind if several or token.text != "in turn" else clause.order
         reader.at += 1
     elif token.kind == "comma" and reader.sees(*ORDERS, ahead=1):
         reader.at += 1
@@ -169,6 +201,8 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
         reader.at += 1
     elif token.kind in ("while", "without") or (token.kind == "avoid" and "ing" in token.text):
         take_avoiding(reader, memory, clause)
+    elif token.kind == "comma" and _avoided_aside(reader, memory, clause):
+        pass
     elif _condition_ahead(reader, clause):
         clause.conditions.append(take_condition(reader, memory, clause))
     elif token.text in _APART and clause.verb and not starts_things(reader, 1):
@@ -178,41 +212,12 @@ def take_adjunct(reader: Reader, memory: Memory, clause: Clause) -> bool:
     return True
 
 
-def _is_via(token: Token) -> bool:
-    return token.kind == "via" or token.text == "through"
+def _moves(clause: Clause) -> bool:
+    """Whether "from" says where the robot starts, not where a thing is."""
+    return not clause.negated and not clause.verb.startswith(_HANDLES)
 
 
-def _bound_ahead(reader: Reader, clause: Clause) -> bool:
-    """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
-    if clause.negated and reader.peek().text in ("when", "while") and reader.sees("verb", ahead=1):
-        return reader.peek(1).text.endswith("ing")
-    return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
-
-
-def _take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
-    """`go through x to reach y`: x, then y; `avoid x on the way to y`: y without x."""
-    token = reader.peek()
-    reader.at += 1
-    while reader.take("verb"):
-        skip_particles(reader, clause)
-    if not starts_things(reader):
-        reader.refuse("expected the name of a thing here")
-    lead(reader, memory, clause, take_things(reader, memory.named), token)
-
-
-def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
-    """What a clause asks for comes on the way to what one is bound for."""
-    if clause.things is None:
-        reader.refuse("expected something to do or to avoid here", token)
-    if not clause.negated:
-        clause.things = Things(clause.things.groups + bound.groups)
-        clause.order = "in order"
-    elif clause.conditions or clause.count or clause.avoiding:
-        reader.refuse("say it in two sentences", token)
-    else:
-        clause.avoiding.append(clause.things)
-        clause.things, clause.negated = bound, False
-    memory.named = memory.asked = clause.things
+_HANDLES = ("bring", "fetch", "get", "take", "grab", "pick", "collect", "feed", "charge", "unload")
 
 
 def _denied(reader: Reader, count: Count, token: Token) -> Count:
@@ -230,6 +235,9 @@ def _count_ahead(reader: Reader, clause: Clause) -> bool:
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
     count = take_count(reader, clause.negated)
+    if count is None and clause.count and reader.peek().text.startswith("no more "):
+        reader.at += 1  # "twice, no more no less"
+        count = Count(clause.count.least, clause.count.least)
     if count is None:
         reader.at = begin
         return False
@@ -282,6 +290,21 @@ def _leads(reader: Reader, clause: Clause) -> bool:
         and reader.sees("verb", "you", "ensure", "must", ahead=2)
         and bool(clause.conditions)
     )
+
+
+def _avoided_aside(reader: Reader, memory: Memory, clause: Clause) -> bool:
+    """Takes ", avoiding x," before ", then y"; at the end it may go with all that was said."""
+    avoid = reader.peek(1)
+    if avoid.kind != "avoid" or not avoid.text.endswith("ing") or not clause.things:
+        return False
+    begin, aside = reader.at, Clause(avoid)
+    reader.at += 1
+    take_avoiding(reader, memory, aside)
+    if clause.negated or not reader.sees("then", ahead=1 if reader.sees("comma") else 0):
+        reader.at = begin
+        return False
+    clause.avoiding += aside.avoiding
+    return True
 
 
 def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:

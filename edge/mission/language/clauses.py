@@ -15,12 +15,13 @@ from typing import Literal
 
 from edge.mission.language import nouns
 from edge.mission.language.adjuncts import (
-    lead,
     narrower,
     take_adjunct,
     take_avoiding,
     take_condition,
+    take_happening,
 )
+from edge.mission.language.routes import PASSING, lead, pass_by, take_exception, take_origin
 from edge.mission.language.spoken import (
     AUXILIARIES,
     CONDITIONS,
@@ -33,6 +34,7 @@ from edge.mission.language.spoken import (
     skip_particles,
     take_count,
     take_mood,
+    take_quota,
 )
 from edge.mission.language.things import (
     Things,
@@ -40,20 +42,36 @@ from edge.mission.language.things import (
     starts_things,
     take_things,
 )
-from edge.mission.language.words import Reader
+from edge.mission.language.words import Reader, Token
 
 Bare = Literal["yes", "known", "no"]
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
 _PERFORM = ("make", "complete", "perform", "have")
+_UP = ("up", "down", "over", "on")
+_OPENINGS = ("quota", "onward", "opener", "origin", "on the way", "bound", "around")
 
 
 def starts_clause(reader: Reader, ahead: int = 0) -> bool:
     """Whether a clause can begin at that token."""
     if reader.sees("to", ahead=ahead):
         ahead += 1
-    return starts_things(reader, ahead) or reader.sees(
-        *MOOD, *CONDITIONS, *ORDERS, "verb", "avoid", "immediately", "banned", ahead=ahead
-    )
+    if starts_things(reader, ahead) or _is_passing(reader, ahead):
+        return True
+    if reader.peek(ahead).text == "from" or reader.sees("while", "without", ahead=ahead):
+        return True
+    return reader.sees(
+        *MOOD, *CONDITIONS, *ORDERS, *_OPENINGS, "verb", "avoid", "immediately", "banned",
+        ahead=ahead,
+    )  # fmt: skip
+
+
+def _is_passing(reader: Reader, ahead: int = 0, any_way: bool = False) -> bool:
+    """Whether a way without a verb comes: ", then past the sofa"; with or without a thing."""
+    token = reader.peek(ahead)
+    if token.text == "back":
+        return reader.sees("to", ahead=ahead + 1) or reader.peek(ahead + 1).text in _UP
+    passes = token.kind == "via" or token.text in PASSING
+    return passes and (any_way or starts_things(reader, ahead + 1))
 
 
 def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
@@ -66,7 +84,12 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         TranslationError: it is none.
     """
     clause = Clause(reader.peek())
+    begin, starts = reader.at, reader.at == 0 or reader.sees("stop", ahead=-1)
     _take_opening(reader, memory, clause)
+    if reader.at > begin and reader.tokens[reader.at - 1].kind in ("opener", "on the way"):
+        bare, starts = "yes", False
+    gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
+    gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
@@ -77,9 +100,19 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         clause.things = take_things(reader, memory.named)
     elif reader.sees("verb", "avoid"):
         _take_action(reader, memory, clause)
+    elif reader.sees("quota"):
+        take_quota(reader, clause, memory.named)
+    elif reader.sees("onward"):
+        _take_until(reader, memory, clause)
     elif starts_things(reader):
         _take_passive(reader, memory, clause, bare)
-    elif reader.sees("to") and starts_things(reader, 1) and (bare == "yes" or clause.negated):
+    elif bare == "yes" and reader.peek().text in ("back", *_UP) and starts_clause(reader):
+        skip_particles(reader, clause)
+        clause.things = take_things(reader, memory.named)
+    elif (bare == "yes" or clause.negated) and _is_passing(reader):
+        reader.at += 1
+        _take_passed(reader, memory, clause)
+    elif reader.sees("to") and starts_things(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
         clause.things = take_things(reader, memory.named, banned=clause.negated)
     else:
@@ -93,6 +126,20 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
         lead(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
+    if clause.always:
+        for condition in clause.conditions:
+            condition.recurring = True
+    if clause.always and clause.route:
+        clause.only_way = True
+    elif clause.always and not (clause.negated or clause.avoiding or clause.conditions):
+        reader.refuse("a mission ends, so nothing can be asked for always", clause.always)
+    if gerund and not any(t.kind in ("banned", "must") for t in reader.tokens[begin : reader.at]):
+        reader.refuse("no order; say for example 'visit the bed'", clause.token)
+    if clause.around:
+        hint = "'around' needs a goal beyond: 'go around the bed to reach the chair'"
+        reader.refuse(hint, clause.token)
+    if clause.origin and (clause.negated or clause.count):
+        reader.refuse("where it starts goes with where to go", clause.token)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
         if asked is None:
             reader.refuse("say before what it is not to be reached", clause.token)
@@ -109,8 +156,19 @@ def _take_opening(reader: Reader, memory: Memory, clause: Clause) -> None:
         if token.kind in ORDERS:
             clause.order = token.kind
             reader.at += 1
-        elif token.kind == "while" and not clause.conditions:
+        elif token.kind in ("while", "without") and not clause.conditions:
             take_avoiding(reader, memory, clause)
+        elif token.kind in ("always", "in the end"):
+            clause.always = token if token.kind == "always" else clause.always
+            clause.ends = clause.ends or token.kind == "in the end"
+            reader.at += 1
+        elif token.kind in ("opener", "on the way"):
+            clause.first = clause.first or token.kind == "opener"
+            clause.enroute = clause.enroute or token.kind == "on the way"
+            reader.at += 1
+        elif token.kind == "origin" or (token.text == "from" and starts_things(reader, 1)):
+            take_origin(reader, memory, clause)
+            reader.skip("comma", "and", "then")
         elif token.kind == "bound" or (
             token.kind == "to" and reader.sees("verb", ahead=1) and not clause.bound
         ):
@@ -152,46 +210,111 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
         clause.negated = True
     elif reader.tokens[reader.at - 1].text in _MOTION and not _plainly_named(reader):
         reader.refuse("no thing that is known; if it is one, say 'to the …'")
-    through = reader.tokens[reader.at - 1].text in _THROUGH
     last = reader.tokens[reader.at - 1]
-    from_first = last.text == "from"
-    if starts_things(reader):
-        clause.through = through or clause.verb.startswith("cross")
-        clause.things = take_things(reader, memory.named, banned=clause.negated, way=clause.through)
+    if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
+        reader.refuse("only reaching things can be asked for", last)
+    passes = last.text in PASSING or clause.verb.startswith(_PASSES)
+    if reader.sees("only") and _is_passing(reader, 1, any_way=True):
+        reader.at += 2  # "go only through a"
+        clause.only = passes = True
+    elif way := reader.take("via", "around"):
+        passes = way.kind == "via"
+        clause.around = way.kind == "around" and not clause.negated
+        clause.negated = clause.negated or clause.around
+    if (other := take_exception(reader, memory)) is not None:
+        if clause.negated:
+            reader.refuse("say what to avoid", last)
+        clause.things, clause.negated, clause.elsewhere = other, True, True
+        clause.through, clause.only = passes, False
+        token = reader.peek()
+        if passes and _take_onward(reader):  # "go through any room but a to b"
+            lead(reader, memory, clause, take_things(reader, memory.named), token)
+    elif starts_things(reader):
+        _take_passed(reader, memory, clause, passes, last)
         _take_more_bans(reader, memory, clause)
-        while (from_first or _onward(reader, clause, through)) and _take_onward(reader):
-            # "travel from a to b to c", "go through a and into b", "go to a or b, to c"
-            further = take_things(reader, memory.named)
-            if clause.negated:  # "do not go through a to b"
-                lead(reader, memory, clause, further, last)
-            elif from_first and reader.pick(last, 2) == 0:  # where the robot is
-                clause.things = further
-            else:
-                clause.things = Things(clause.things.groups + further.groups)
-                clause.order = "in order"
     elif not clause.negated or not clause.verb.startswith("stop"):
         reader.refuse("expected the name of a thing here", reader.peek())
+    if clause.verb.startswith(_ANYWHERE):
+        clause.elsewhere = clause.mood != "can"
 
 
-_THROUGH = ("through", "past", "by", "via", "continue through")
+_INTO = ("into", "onto", "in to")
+_LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
+_PASSES = ("cross", "follow", "traverse", "pass")
+_PATHS = ("path", "route", "way")
+_RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
+_ANYWHERE = ("go anywhere", "visit anywhere")
 
 
-def _onward(reader: Reader, clause: Clause, through: bool) -> bool:
+def _take_passed(
+    reader: Reader,
+    memory: Memory,
+    clause: Clause,
+    passes: bool = True,
+    verb: Token | None = None,
+) -> None:
+    """Things, and what one goes on to: "through a and into b", "from a to b to c", "a or b, to c".
+
+    Args:
+        passes: they lie on the way.
+        verb: the last word before them.
+    """
+    things = take_things(reader, memory.named, banned=clause.negated, way=passes)
+    rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
+    clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
+    if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_PATHS):
+        reader.refuse("only a way can be followed", verb)
+    start = verb if verb and verb.text == "from" else None
+    on = start is not None
+    while on or _onward(reader, clause):
+        token = reader.peek()
+        if not _take_onward(reader):
+            break
+        further = take_things(reader, memory.named)
+        if clause.route and len(clause.things.groups[-1]) > 1:
+            reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
+        if clause.negated:  # "do not go through a to b"
+            lead(reader, memory, clause, further, token)
+        elif start and reader.pick(start, 2) == 0:
+            clause.origin = True  # where the robot is
+        else:
+            pass_by(reader, clause, clause.things, token)
+        clause.things, start = further, None
+    if start:
+        reader.refuse("say where to go from there", start)
+
+
+def _onward(reader: Reader, clause: Clause) -> bool:
     """Whether "to b" may go on from there."""
-    onto = reader.peek(1 if reader.sees("and") else 0).text in ("into", "onto", "in to")
+    ahead = 1 if reader.sees("and") else 0
+    onto = reader.peek(ahead + (reader.peek(ahead).text == "out")).text in _INTO
     moved = clause.verb in _MOTION and reader.sees("to")
-    return through or (not clause.negated and (onto or moved))
+    return clause.through or (not clause.negated and (onto or moved))
 
 
 def _take_onward(reader: Reader) -> bool:
     """Passes "to", "and into" before a thing; False, and nothing taken, when there is none."""
     ahead = 1 if reader.sees("and") else 0
+    ahead += reader.peek(ahead).text in ("out", "on")
     if reader.peek(ahead).text == "through":
         return False
     if not reader.sees("to", ahead=ahead) or not starts_things(reader, ahead + 1):
         return False
     reader.at += ahead + 1
     return True
+
+
+def _take_until(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`keep going until you reach a`: it asks for a, after what came before."""
+    token = reader.take("onward")
+    assert token is not None
+    if clause.negated:
+        reader.refuse("say it without 'not'", token)
+    happening = Condition("until", token, Things(()))
+    take_happening(reader, memory, happening)
+    if happening.denied or happening.count:
+        reader.refuse("say where to go", token)
+    clause.verb, clause.things = "continue", happening.things
 
 
 def _take_more_bans(reader: Reader, memory: Memory, clause: Clause) -> None:
@@ -219,8 +342,13 @@ def _take_passive(reader: Reader, memory: Memory, clause: Clause, bare: Bare) ->
     if reader.sees("do") and reader.sees("not", ahead=1) and reader.sees("happen", ahead=2):
         reader.at += 2
         says.negated = True
+    barred = reader.tokens[reader.at - 1].kind == "banned"
     avoid = reader.take("avoid")
     verb = avoid or reader.take("verb", "happen")
+    if barred and verb is None:  # "the hallway is off limits"
+        clause.negated = clause.negated != says.negated
+        clause.things = _each(things)
+        return
     if verb is not None and (said & AUXILIARIES or verb.kind == "happen"):
         clause.mood = says.mood if says.mood != "do" else clause.mood
         clause.negated = clause.negated != (says.negated != bool(avoid))
@@ -242,19 +370,15 @@ def _well_known(reader: Reader, memory: Memory) -> bool:
     begin = reader.at
     things = take_things(reader, memory.named)
     reader.at = begin
-    return all(len(name) == 1 or nouns.is_noun(_unnumbered(name)) for name in things.names)
-
-
-def _unnumbered(name: str) -> str:
-    """`room three` is as well known as a room is."""
-    kind, _, number = name.rpartition(" ")
-    return kind if number in nouns.CARDINALS else name
+    return all(len(name) == 1 or nouns.unknown_in(name.split()) is None for name in things.names)
 
 
 def _plainly_named(reader: Reader) -> bool:
     """Whether what follows is no unknown word without an article ("upstairs")."""
     token = reader.peek()
-    return token.kind != "word" or len(token.text) == 1 or nouns.is_noun(token.text)
+    if token.kind != "word" or len(token.text) == 1 or token.text in PASSING:
+        return True
+    return nouns.is_noun(token.text) or token.text in nouns.QUALITIES
 
 
 def _each(things: Things) -> Things:

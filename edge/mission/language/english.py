@@ -13,7 +13,7 @@ television is reached.'
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import product
+from itertools import pairwise, product
 
 from edge.mission.language.goals import Visit
 from edge.mission.language.things import Things, take_things
@@ -213,7 +213,11 @@ def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
 
 def _chain(merged: _Merged) -> str:
     shared, last = merged
-    return ", then ".join([*(_stop(s.options, s.times) for s in shared), _any_order(list(last))])
+    stops = [*(_stop(s.options, s.times) for s in shared), _any_order(list(last))]
+    each = [*(s.options for s in shared), last[0].options if len(last) == 1 else ()]
+    for i, (before, after) in enumerate(pairwise(each), 1):
+        stops[i] += " again" if before == after else ""
+    return ", then ".join(stops)
 
 
 def _any_order(stops: list[Visit]) -> str:

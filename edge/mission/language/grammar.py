@@ -17,6 +17,10 @@ files of their own (`clauses`, `adjuncts`, `things`, `spoken`, `lexicon`). How a
 - "x before y" as an order asks for both, and y not before x; or for x only; or merely for x, then
   y. "x only after y" asks for x, and not before y;
 - "x while avoiding y" is: x, and no y before it;
+- what lies on the way ("x via y", "through y to x", "visit y on the way to x") is: y, then x; of
+  "through y and z" the order is asked, and of "from y" whether y is more than where it starts;
+- "do not x until y" with nothing asked for beside it is asked about: y, or both, may be meant;
+- "and stay there" at the end is where a mission ends anyway;
 - goals without "then" between them may come in any order; a list with commas only that "then"
   ends ("a, b, then c") is in order;
 - "in order" is "then" between all; "in exactly this order" also bans each before the one before;
@@ -28,29 +32,21 @@ Whatever fits none of this is refused by name, never skipped or guessed.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
-from edge.mission.language.goals import (
-    Every,
-    Goal,
-    Some,
-    Steps,
-    Visit,
-    at_most,
-    at_most_before,
-    formula_of,
-    held_until,
-    last_letters,
-    letters,
-    never,
-    never_after,
-    steps,
-    visits,
-)
+from edge.mission.language.goals import Every, Goal, Some, formula_of, steps, visits
+from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import Meaning, meaning_of, permission_of
 from edge.mission.language.nouns import is_foreign
+from edge.mission.language.sequences import (
+    anchored,
+    only_then,
+    put_first,
+    sequence_goal,
+    single_visits,
+    split_return,
+)
 from edge.mission.language.spoken import Clause, Condition, Memory
 from edge.mission.language.things import Things
 from edge.mission.language.words import (
@@ -61,148 +57,6 @@ from edge.mission.language.words import (
     tokenise,
 )
 from edge.mission.ltl import TRUE, Formula, postorder
-
-
-def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
-    """The goal of steps one after the other, each with its rules."""
-    parts: list[Goal] = []
-    rules: list[Formula] = []
-    for i, meaning in enumerate(sequence):
-        after = sequence[i + 1 :]
-        parts += _in_order(meaning) if after else meaning.goals and [_together(meaning.goals)]
-        rules += meaning.rules
-        rules += _banned(meaning, sequence[:i], after)
-        rules += _without(meaning, after, reader)
-        rules += _limited(meaning, after)
-    return Every((steps(parts),) if parts else (), tuple(rules))
-
-
-def anchored(
-    meaning: Meaning, sequence: Sequence[Meaning], asked: Container[str], then: bool
-) -> None:
-    """Puts a clause's goals after what it says they come after.
-
-    "Go to a, and go to b after that": the visit to a is the one already asked for.
-
-    Args:
-        asked: names asked for so far.
-        then: the clause comes after all of the sequence anyway.
-    """
-    for anchor in meaning.anchors:
-        said = set(anchor.names)
-        if then and all(name in asked for name in said):
-            continue
-        before: list[Goal] = [visits(anchor)]
-        if sequence and not then:
-            meant = [goal for goal in sequence[-1].goals if letters(goal) & said]
-            if said <= frozenset().union(*map(letters, meant)) and all(
-                last_letters(goal) <= said for goal in meant
-            ):
-                sequence[-1].goals = [g for g in sequence[-1].goals if g not in meant]
-                before = [_together(meant)]
-        meaning.goals = [steps([*before, _together(meaning.goals)])]
-
-
-def put_first(meaning: Meaning, sequence: list[Meaning]) -> None:
-    """Makes a clause the step before the last one, which it may repeat a part of.
-
-    "Visit the sofa and the desk, but the desk first": that is one visit to the desk.
-    """
-    said = frozenset(meaning.things.names)
-    last = sequence[-1]
-    parts = [
-        part
-        for goal in last.goals
-        for part in (goal.goals if isinstance(goal, Every) and not goal.rules else (goal,))
-    ]
-    rest = [part for part in parts if not letters(part) <= said]
-    last.goals = rest or last.goals
-    sequence.insert(-1, meaning)
-
-
-def _split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
-    """`visit a, go to b, and return to a`: a comes before b, which comes before a again."""
-    said = frozenset(meaning.things.names)
-    start = [goal for goal in sequence[0].goals if letters(goal) & said]
-    rest = [goal for goal in sequence[0].goals if not letters(goal) & said]
-    if start and rest:
-        sequence[0].goals = [steps([_together(start), _together(rest)])]
-
-
-def only_then(before: Meaning, after: Meaning) -> list[Formula]:
-    """`x, only then y`: y not before x."""
-    return held_until(after.things.names, before.things)
-
-
-def _together(goals: Sequence[Goal]) -> Goal:
-    return goals[0] if len(goals) == 1 else Every(tuple(goals))
-
-
-def _in_order(meaning: Meaning) -> list[Goal]:
-    """A step's goals; "a, b, then …" with no "and" in it is a sequence already."""
-    if not meaning.listed:
-        return [_together(meaning.goals)] if meaning.goals else []
-    return [
-        part
-        for goal in meaning.goals
-        for part in (goal.goals if isinstance(goal, (Every, Steps)) else (goal,))
-    ]
-
-
-def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning]) -> list[Formula]:
-    """A ban lasts for good; until its step is done if that or another step asks for the same."""
-    asked = {name for step in (meaning, *after) for goal in step.goals for name in letters(goal)}
-    visited = {
-        name: visit.times
-        for step in before
-        for goal in step.goals
-        for visit in _visits(goal)
-        for name in visit.options
-    }
-    rules: list[Formula] = []
-    for names in meaning.bans:
-        for name in names:
-            own = Things(tuple(group for group in meaning.things.groups if name not in group))
-            if name in visited and own.groups:
-                rules += [at_most_before([name], visited[name], end) for end in own.groups]
-            elif name in asked and own.groups:
-                rules += held_until([name], own)
-            elif meaning.follows and not meaning.goals and before:
-                rules += never_after([name], before[-1].things)
-            else:
-                rules += never([name])
-    return rules
-
-
-def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
-    """`go to x without y, then to z`: no y before x, or none at all."""
-    asked = {name for step in after for goal in step.goals for name in letters(goal)}
-    rules: list[Formula] = []
-    for names, things, token in meaning.withouts:
-        ever = not asked & set(names) and reader.pick(token, 2)
-        rules += never(names) if ever else held_until(names, things)
-    return rules
-
-
-def _visits(goal: Goal) -> Iterator[Visit]:
-    if isinstance(goal, Visit):
-        yield goal
-    else:
-        for part in goal.goals:
-            yield from _visits(part)
-
-
-def _limited(meaning: Meaning, after: Sequence[Meaning]) -> list[Formula]:
-    """A limit lasts until the next step if that is a single visit, else for good."""
-    goals = after[0].goals if after else []
-    if len(goals) == 1 and isinstance(goals[0], Visit):
-        end = goals[0].options
-        return [
-            at_most(names, n) if set(end) & set(names) else at_most_before(names, n, end)
-            for names, n in meaning.limits
-        ]
-    return [at_most(names, n) for names, n in meaning.limits]
-
 
 __all__ = ["TranslationError", "readings"]
 
@@ -225,8 +79,17 @@ _MOVES = (
     "pass",
     "navigate",
     "cross",
+    "fly",
+    "climb",
+    "follow",
+    "traverse",
+    "return",
 )
-_ONWARD = ("proceed", "continue", "end up", "ends up", "ending up", "end at", "end in", "finish")
+_ARRIVES = ("arrive", "reach", "get")
+_ONWARD = (
+    "proceed", "continue", "keep ", "go on", "carry on", "end ", "ends ", "ending ", "finish",
+    "your ", "the ",
+)  # fmt: skip
 _THEN = ("then", "only then")
 _JOINTS = ("comma", "and", "but", *_THEN)  # the last one said most about how clauses go together
 
@@ -289,12 +152,19 @@ class _Discourse:
     Attributes:
         goal: what is to be achieved.
         rules: what holds throughout, whichever alternative is taken.
+        ordered: something was asked for without an upper limit.
         times: how often each name was asked for.
+        last: what the last clause asked for.
         first: the last goal was said to come first, so what follows comes after it.
         clauses: how many there were.
         denied: the last clause forbade something, so a bare "then the bed" could mean either.
         moved: the last clause was a plain order to go somewhere: "go to a go to b" is in order.
         passed: the last clause only went through somewhere.
+        elsewhere: where only what is left out was named ("go anywhere but to a").
+        halted: where it was said to stop.
+        waits: what is not to be reached before what.
+        settled: one thing comes last.
+        shuns: something was to be avoided, not only to wait for something else.
         permitted: what the last clause allowed, if it asked for nothing.
     """
 
@@ -302,13 +172,20 @@ class _Discourse:
     memory: Memory = field(default_factory=Memory)
     goal: Goal | None = None
     rules: list[Meaning] = field(default_factory=list)
+    ordered: bool = False
     times: dict[str, int] = field(default_factory=dict)
+    last: Things | None = None
     first: bool = False
     clauses: int = 0
     permitted: Things | None = None
     denied: bool = False
     moved: bool = False
     passed: bool = False
+    elsewhere: Token | None = None
+    halted: Token | None = None
+    settled: bool = False
+    shuns: bool = False
+    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
 
     def formula(self) -> Formula:
         """Sentence after sentence; "then" at the start of one goes on from the one before."""
@@ -317,6 +194,8 @@ class _Discourse:
         while not reader.sees("end"):
             if self.clauses and reader.sees("any order") and reader.sees("stop", "end", ahead=1):
                 reader.take("any order")  # "…; the order does not matter": as it is anyway
+            elif self.clauses and self._halts():
+                pass
             else:
                 joint = reader.take(*_THEN, "and", "but")
                 reader.skip("comma")
@@ -324,6 +203,10 @@ class _Discourse:
             reader.skip("comma", "stop")
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
+        if self.goal is None and self.elsewhere:
+            reader.refuse("say what is to be reached", self.elsewhere)
+        if not self.ordered:
+            parts += self._asked_after_all()
         formula = formula_of(Every(tuple(parts)))
         if _size(formula) > MAX_NODES:
             reader.refuse("its formula would be too large; ask for less at once", reader.tokens[0])
@@ -331,6 +214,34 @@ class _Discourse:
             hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
             reader.refuse(hint, reader.tokens[0])
         return formula
+
+    def _asked_after_all(self) -> list[Goal]:
+        """`do not go to b until a` and only rules beside: a, or both, may be asked for as well."""
+        if not self.waits:
+            return []
+        way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
+        asked = [until for _, until in self.waits] if way else []
+        if way == 2:
+            asked += [Things(tuple((n,) for n in names)) for names, _ in self.waits]
+        return [visits(things) for things in asked]
+
+    def _ends(self, clause: Clause, sequence: list[Meaning]) -> None:
+        """What comes in the end comes after all that was asked for, and nothing after it."""
+        if clause.negated or (self.goal is not None and not sequence):
+            self.reader.refuse("say it in one sentence, with 'then'", clause.token)
+        self.halted = clause.token
+
+    def _halts(self) -> bool:
+        """Takes "and stay there" at the end: a mission ends where its last goal is reached."""
+        reader = self.reader
+        bare = reader.peek().text in ("stop", "halt")
+        if not (bare or reader.sees("halt")) or not reader.sees("stop", "end", ahead=1):
+            return False
+        self.halted = reader.peek()
+        if self.denied or self.permitted or not (bare or self.settled):
+            reader.refuse("say where to stop, and what comes last", self.halted)
+        reader.at += 1
+        return True
 
     def _sentence(self, joint: Token | None) -> None:
         """Sequences with "or" between them."""
@@ -383,6 +294,10 @@ class _Discourse:
                 loose = _both(loose, meaning)
             else:
                 if loose is not None:
+                    forbidden = {name for names in loose.bans for name in names}
+                    if not sequence and kind == "and" and forbidden & set(meaning.things.names):
+                        hint = "the same is forbidden and asked for"
+                        self.reader.refuse(hint, clause.token)
                     (sequence[-1] if sequence else meaning).add(loose)
                     loose = None
                 self._place(clause, meaning, kind, sequence)
@@ -395,24 +310,57 @@ class _Discourse:
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.denied:
             bare = "yes"
+        if self.halted:
+            self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
         if clause.trails:
             self._after_permission(clause, bool(sequence))
         then = clause.trails or (joint is not None and joint.kind in _THEN)
         then = then or (clause.returns and bool(sequence) and not clause.negated)
         moves = clause.verb in _MOVES and not clause.negated and not clause.first
+        moves = moves and not (clause.only or clause.count or clause.conditions or clause.enroute)
         goes_on = clause.verb.startswith(_ONWARD) and not clause.negated
         then = then or (goes_on and bool(sequence) and not sequence[-1].loose)
-        then = then or (moves and self.moved and joint is not None and joint.kind == "")
-        then = then or (moves and self.passed and joint is not None)
-        if moves and self.moved and not then and joint is not None and joint.kind == "and":
+        ensures = clause.token.kind == "ensure"
+        follows_on = joint is not None and joint.kind == "" and not ensures
+        then = then or (moves and self.moved and follows_on)
+        bare_way = clause.verb == "" and not clause.negated
+        reaches = moves or bare_way or (clause.verb.startswith(_ARRIVES) and not clause.negated)
+        then = then or (reaches and self.passed and joint is not None)
+        through = clause.through and not clause.route
+        beside = through and moves and not then and not self.passed and bool(sequence)
+        if beside and (ensures or (joint is not None and joint.kind == "but")):
+            clause.enroute = True  # "go to a, making sure to go through b"
+        elif beside and self.moved:
+            clause.enroute = self.reader.pick(clause.token, 2) == 0
+        elif moves and self.moved and not then and joint is not None and joint.kind == "and":
             then = self.reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
-        if clause.through and moves and not then and self.moved and not self.passed:
-            self.reader.refuse("before or after that? say 'go through … to …'", clause.token)
-        self.moved, self.passed = moves, clause.through and clause.order != "in order"
+        self.moved, self.passed = moves, through and not clause.negated
+        if clause.elsewhere:
+            self.elsewhere = clause.token
+        if clause.ends:
+            self._ends(clause, sequence)
+            then = then or bool(sequence)
+        plain = clause.verb == "" and not (clause.negated or clause.first or clause.conditions)
+        if joint is not None and joint.kind == "but" and plain and not clause.count:
+            self.reader.refuse("all but that, or that too? say 'visit …'", clause.token)
         meaning = meaning_of(clause, self.reader, self.times, then)
         meaning.follows = then
+        if meaning.anchors and not then and self.times.keys() & set(meaning.things.names):
+            hint = "it was asked for before; say in one sentence what comes after what"
+            self.reader.refuse(hint, clause.token)
         anchored(meaning, sequence, self.times, then)
+        if meaning.goals and clause.things:
+            self.settled = len(clause.things.groups) == 1 and (then or not self.times)
+        limited = clause.count is not None and clause.count.most is not None
+        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
+        plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
+        meaning.repeats = then and plain and bool(meaning.goals) and clause.things == self.last
+        if meaning.repeats:  # "a, then b, then b and c": is b meant twice?
+            meaning.repeats = self.reader.pick(clause.token, 2) == 1
+        self.last = clause.things if meaning.goals else self.last
+        self.waits += meaning.waits
+        self.shuns = self.shuns or clause.verb in AVOIDING
         self.permitted = permission_of(clause)
         self.denied = clause.negated
         self.clauses += 1
@@ -422,12 +370,17 @@ class _Discourse:
     def _place(self, clause: Clause, meaning: Meaning, joint: str, sequence: list[Meaning]) -> None:
         """Makes a clause a step of its own, or a part of the last one."""
         if clause.returns and len(sequence) == 1:
-            _split_return(meaning, sequence)
+            split_return(meaning, sequence)
         if joint == "only then" and sequence:
             meaning.rules += only_then(sequence[-1], meaning)
-        if joint == "but" and clause.first and sequence and meaning.goals:
+        if clause.enroute and not sequence:
+            self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
+        first = joint == "but" and clause.first
+        if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence)  # "…, but first go to the sofa"
             clause.first = False
+        elif meaning.repeats and sequence:
+            pass
         elif not sequence or meaning.follows or (self.first and not meaning.loose):
             sequence.append(meaning)
         else:
@@ -458,6 +411,8 @@ class _Discourse:
         if reader.sees("filler") and reader.sees("stop", "end", ahead=1):
             reader.take("filler")  # "…, please."
             return None
+        if self.clauses and self._halts():
+            return None
         if reader.at > begin:
             if not starts_clause(reader):
                 reader.refuse("expected a clause here")
@@ -475,6 +430,5 @@ class _Discourse:
     def _count(self, meaning: Meaning) -> None:
         """Notes how often things were asked for."""
         for goal in meaning.goals:
-            for visit in goal.goals if not isinstance(goal, Visit) else (goal,):
-                if isinstance(visit, Visit):
-                    self.times |= dict.fromkeys(visit.options, visit.times)
+            for visit in single_visits(goal):
+                self.times |= dict.fromkeys(visit.options, visit.times)

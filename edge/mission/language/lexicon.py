@@ -7,35 +7,55 @@ under one kind; the longest phrase that fits wins.
 from __future__ import annotations
 
 import re
+from itertools import product
 
 from edge import names
+from edge.mission.language import nouns
+
+
+def _product(*slots: str) -> str:
+    """All phrases with one of each slot's alternatives: `by`, `going|moving`, `through`."""
+    return "|".join(map(" ".join, product(*(slot.split("|") for slot in slots))))
+
 
 PHRASES: dict[str, str] = {
     # Who is spoken to, how strongly, and words that carry nothing.
-    "you": "you|we|i|the robot|you robot",
-    "ensure": "make sure|make sure that|ensure|ensure that|be sure|remember|your task is|"
-    "your mission is|i want you|i would like you|please make sure|take care",
+    "you": "you|we|i|the robot|you robot|the drone|the agent",
+    "ensure": "make sure|make sure that|making sure|making sure that|ensure|ensure that|ensuring|"
+    "ensuring that|be sure|be sure that|being sure|remember|remembering|"
+    + _product("i want|i need|i would like|we want|we need", "you|the robot|the drone|the agent")
+    + "|please make sure|take care|taking care|be careful|being careful|"
+    "see to it that|seeing to it that|do not forget|never forget|without forgetting|do not fail|"
+    "never fail|go ahead and|"
+    + _product("your|the", "task|mission|goal|job|objective|aim|assignment", "is"),
     "must": "must|should|shall|have|has|had|need|needs|need to|required|are required|is required|"
-    "ought|will",
+    "ought|will|supposed|are supposed|is supposed|obliged|are obliged",
     "can": "can|may|could|would|might|are allowed|is allowed|be allowed|allowed|are permitted|"
-    "permitted|are free",
+    "permitted|are free|are welcome|are good",
     "do": "do|does|did|let|let us",
     "be": "be|is|are|was|were|been|being",
     "not": "not|never|no|don|don t|doesn t|isn t|can t|won t|never ever|"
     "prohibited from|are prohibited from|are forbidden|"
-    "not allowed|are not allowed|not permitted|are not permitted",
+    "not allowed|are not allowed|not permitted|are not permitted|at no point|at no time|"
+    "at no stage|under no circumstances|under no circumstance|on no account|in no case|"
+    "by no means",
     "banned": "is prohibited|is forbidden|is not allowed|is not permitted|are prohibited|"
-    "are banned",
+    "are banned|is off limits|are off limits|is out of bounds|are out of bounds|are forbidden|"
+    "is banned",
     "neither": "neither",
-    "filler": "me|us|please|at any point in time|at any point|eventually|sometime|some time|just|"
-    "simply|also|too|as well|kindly|directly|ever|at any time|at all costs|at all|at some point|"
-    "in the future|along the way|on your travels|on the way|on your way|on its way|hi|hello|hey|"
-    "thanks|thank you|"
-    "thank you very much|when you have a minute|when you have time|mind|if you do not mind|"
-    "at some time|always|in turn|in the end|whenever you can|"
-    "when you have the chance|already|for me|now|robot|as many times as you want|"
-    "at some point in the future|some time in the future|sometime in the future|no more no less|"
-    "no more and no less",
+    # Reviewed: the only words that may be left out of any sentence without changing what it asks.
+    "filler": "me|us|for me|please|kindly|thanks|thank you|thank you very much|hi|hello|hey|ok|"
+    "okay|alright|all right|um|uh|er|robot|now|just|simply|also|too|as well|already|directly|"
+    "would you mind|do you mind|if you do not mind|when you have a minute|when you have time|"
+    "when you have the chance|whenever you can|as many times as you want|on your travels|"
+    "eventually|sometime|some time|at some time|at some point|at any time|at any point|"
+    "at any point in time|at any stage|in the future|at some point in the future|"
+    "some time in the future|sometime in the future|ever|at all|at all costs|in any way|"
+    "under any circumstances|under any circumstance|no matter what|completely|totally|entirely|"
+    + _product("there can be other", "locations|landmarks|waypoints|places|stops", "in between"),
+    # Says nothing new of a ban or a condition, and too much of a goal.
+    "always": "always|at all times|all the time|each time you do|at every moment",
+    "in the end": "in the end|at the end|at the very end|last",
     # How clauses hang together.
     "and": "and|plus|as well as|&",
     "or": "or|or else|or alternatively|alternatively|nor",
@@ -45,7 +65,11 @@ PHRASES: dict[str, str] = {
     "sometime afterwards|and sometime afterward|and sometime afterwards|after this|and after this|"
     "followed by|thereafter|later|later on|some time later|and later|subsequently|move on|"
     "and then finally|second|third|fourth|fifth|then next|and lastly|after which|then after that|"
-    "move on to|then followed by|and then after that|and then later|next up|last of all|at last",
+    "move on to|from there|and from there|from there on|from here|then from there|"
+    "and then from there|then followed by|and then after that|"
+    "and then later|next up|last of all|at last|"
+    "sometime later|and sometime later|then sometime later|and then sometime later|then later|"
+    "and then some time later",
     "only then": "only then|and only then|only after that|and only after that|only afterwards",
     "first": "first|first of all|to begin with|firstly|initially",
     # Conditions.
@@ -55,34 +79,77 @@ PHRASES: dict[str, str] = {
     "unless": "unless|if not|except after",
     "when": "when|as soon|as soon as|whenever|every time|each time|any time|if|if ever",
     "while": "while|whilst|during which|as long as",
-    "without": "without|not through|but not through|without ever|not via",
-    "via": "via|by way of|by going through|by passing through|by going via|by first going through|"
-    "while passing|while passing through|while going through|by entering|by first entering|"
-    "by visiting|by first visiting|by first going to|by going to|by first passing through|"
-    "by crossing|by moving through|by walking through|by traveling through|by travelling through|"
-    "by using|by first using",
-    "bound": "on the way to|on your way to|on its way to|en route to|to get to|to get into|"
-    "in order to reach|in order to get to|in order to go to|in order to enter|while moving to|"
-    "while going to|while heading to|while traveling to|while travelling to|while on the way to|"
-    "on the way into|on your way into|on its way into",
-    "bound there": "to get there|on the way there|on your way there|to reach it|to get to it",
-    "immediately": "immediately|right|straight|straight away|right away|at the next step|"
-    "in the next step",
+    "without": "without|not through|but not through|without ever|not via|but not via|not past",
+    "via": "via|by way of|"
+    + _product(
+        "by|by first|while|while first",
+        "going|moving|passing|walking|driving|flying|traveling|travelling|heading",
+        "through|via|past|along|by|across",
+    )
+    + "|"
+    + _product(
+        "by|by first",
+        "entering|visiting|crossing|using|going to|taking|following|"
+        "traversing|stopping at|stopping by|passing",
+    )
+    + "|"
+    + _product("while", "passing|crossing|traversing")
+    + "|"
+    + _product("that|which", "goes|leads|passes|runs|takes you", "through|via|past")
+    + "|that crosses|which crosses",
+    "bound": "en route to|on way to|on route to|while moving to|while going to|"
+    "while heading to|while traveling to|"
+    "while travelling to|when on the way to|while on the way to|when on your way to|"
+    "while on your way to|"
+    + _product("on the way|on your way|on its way|along the way", "to|into|towards|toward")
+    + "|"
+    + _product("in order to|so as to", "reach|get to|go to|enter|get into"),
+    "bound there": "to get there|to reach it|to get to it|to go there",
+    "on the way": "on the way|on your way|on its way|along the way|en route|on the way there|"
+    "on your way there|on its way there|along your way|as you go",
+    "around": "around|by going around|going around|by driving around|by walking around",
+    "origin": "starting on|start on|beginning on|begin on|starting off at|start off at|"
+    "starting from|starting at|starting in|starting out from|start from|start at|"
+    "start in|start out from|beginning at|beginning in|beginning from|begin at|begin in",
+    "opener": "start by|begin by|start off by|starting by|beginning by|start with|begin with|"
+    "starting with|beginning with",
+    "halt": _product("stay|stop|wait|remain|rest|be", "there")
+    + "|stay put|you are done|you can stop|you can stop there",
+    "onward": _product(
+        "keep going|keep moving|keep walking|keep driving|keep flying|continue|"
+        "proceed|go on|carry on|go|move|drive|walk|fly|continue on|move on|do not stop|never stop",
+        "until|till",
+    ),
+    "immediately": "immediately|right|straight|straight away|right away|"
+    + _product("at|in", "the next|the very next", "step|instant|time step|time instant|instance")
+    + "|immediately in the next time step",
     # Counting.
     "once": "once",
     "times n": "twice|thrice",
     "number": "zero|one|two|three|four|five|six|seven|eight|nine|ten|single|a single",
-    "times": "time|times|separate times|occasion|occasions|separate occasions|different times|"
-    "different occasions|times in total|separate visits|visits|visits to|visit to|"
-    "separate visits to|in total|distinct visits|distinct visits to",
-    "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least",
-    "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum",
-    "exactly": "exactly|precisely|on exactly|just exactly",
+    "times": "time|times|instances|separate instances|distinct times|separate times|occasion|"
+    "occasions|separate occasions|different times|different occasions|times in total|"
+    "distinct visit|separate visit|separate instance|different instances|times overall|"
+    "separate visits|visits|visits to|visit to|separate visits to|in total|distinct visits|"
+    "distinct visits to",
+    "at least": "at least|a minimum of|no less than|no fewer than|not less than|on at least|"
+    "equal or more than|equal to or more than|greater than or equal to|more than or equal to",
+    "at most": "at most|a maximum of|no more than|not more than|up to|on at most|maximum|"
+    "equal or less than|equal to or less than|less than or equal to",
+    "quota": _product(
+        "the maximum|the minimum|the required|maximum|minimum",
+        "number of|allowable|allowed|allowable number of|allowed number of|permitted",
+        "visits to|separate visits to|distinct visits to|passes through|separate passes through|"
+        "times you can visit|times you can reach|times you may visit|times you must visit|"
+        "times you must reach|times you visit|times you should visit|times to visit",
+    ),
+    "exactly": "exactly|precisely|on exactly|just exactly|no more no less|no more and no less",
     "more than": "more than|greater than|any more than|more often than",
     "less than": "less than|fewer than|any less than|any fewer than",
     "more or less": "more or less than|any more or less than|any more or fewer than|"
+    "no fewer or greater than|any greater or fewer than|greater or fewer than|"
     "any more or any fewer than|any more or any less than",
-    "or more": "or more|or more often|and more",
+    "or more": "or more|or more than|or more often|and more",
     "or less": "or less|or fewer|or less often|or fewer times",
     "only": "only|solely",
     "again": "again|anymore|any more|any longer|a second time|another time|once again|once more",
@@ -91,9 +158,12 @@ PHRASES: dict[str, str] = {
     "in arbitrary order|in an arbitrary order|in whatever order|any order|"
     "the order is not important|the order does not matter|order does not matter|"
     "it can be done in any order|regardless of order|in whichever order|in a random order|"
+    "in whichever order you like|in any order you want|in whatever order you like|in either order|"
+    "in any order required|"
     "the order is up to you|the order is arbitrary",
     "in order": "in order|in that order|in this order|in the order given|in the given order|"
-    "in sequence|sequentially|consecutively|one after another|one after the other|in this sequence|"
+    "in turn|in sequence|sequentially|"
+    "consecutively|one after another|one after the other|in this sequence|"
     "in that sequence|one by one",
     "strict order": "in strict order|in strictly this order|in this strict order|"
     "in that strict order|in this exact order|in that exact order|in exact order|"
@@ -101,16 +171,18 @@ PHRASES: dict[str, str] = {
     "strictly in order|strictly in this order|in the exact order|in the strict order|"
     "in that exact sequence|in this exact sequence",
     # Naming.
-    "article": "the|an|some|any|my|our|your|his|her|their|another",
+    "article": "the|an|some|any|my|our|your|his|her|their|any visit to|any visits to|"
+    "a visit to|every visit to",
     "pronoun": "it|that|there|them|this|those|these|that one|this one|the same",
     "either": "either|one of|either one of|either of|any of|any one of|at least one of",
     "all of": "both|both of|all of|each of|all|all the following|the following|"
     "every one of|each|every",
     "group": "locations|location|places|landmarks|landmark|waypoints|objects|targets|rooms|things",
     "place": "near|next to|beside|in|inside|on|under|below|above|behind|in front of|close to|"
-    "opposite|against|between|of",
-    "to": "to|towards|toward|over to|back to|up to the|through|into|onto|in to",
-    "happen": "happen|happens|happened|happening|occur|occurs|occurred|occurred|occurring",
+    "opposite|against|of",
+    "to": "to|towards|toward|over to|through|into|onto|in to|inside of",
+    "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
+    "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
     "endless": "keep visiting|keep going|keep on|keep moving|continue|continuously|repeatedly|"
     "infinitely|endlessly|perpetually|again and again|over and over again|over and over|patrol|"
@@ -130,6 +202,7 @@ _REGULAR_VERBS = """
     feed iron attend cross navigate travel walk move head proceed drive return arrive pass step roll
     look
     turn switch stop pick plug sanitize disinfect activate start repair service contact access
+    fly follow climb traverse progress
     """
 
 _IRREGULAR_VERBS = """
@@ -140,12 +213,37 @@ _IRREGULAR_VERBS = """
     revisit revisits revisiting revisited
     """
 
+_IRREGULAR_VERBS += """
+    fly flies flying flew flown ride rides riding rode
+    """
 VERB_PHRASES = "make your way|making your way|made your way|go near|going near|come near|get near|"
 VERB_PHRASES += "continue to|continue on to|continue into|continue through|continue on into|"
-VERB_PHRASES += "end up|ends up|ending up|end at|end in|finish at|finish in"
+VERB_PHRASES += "keep going to|keep moving to|keep walking to|go on to|carry on to|"
+VERB_PHRASES += "find your way|get yourself|bring yourself|take yourself|pay a visit|drop by|"
+VERB_PHRASES += (
+    "drop in at|swing by|stop by|stopping by|stop off|set foot|setting foot|gain access|"
+)
+VERB_PHRASES += _product(
+    "your|the", "final destination|destination|last stop", "is|will be|should be"
+)
+VERB_PHRASES += "|" + _product(
+    "move|drive|send|steer|guide|fly|navigate|take|bring|get|direct|moving|driving|taking",
+    "the robot|the drone|the agent|yourself|itself",
+)
+VERB_PHRASES += "|" + _product("make|making", "a|any|any single", "stop|visit") + "|"
+VERB_PHRASES += (
+    _product("take|find|follow|choose|use", "a|any|the|some|the shortest", "path|route|way") + "|"
+)
+VERB_PHRASES += (
+    _product(
+        "end|ends|ending|finish|finishes|finishing|stop", "up at|up in|up on|at|in|on|up by|by"
+    )
+    + "|end up|ends up|ending up"
+)
 
 _PARTICLES = """
-    to on off at by up in over for out through from into inside with back down toward towards
+    to on off at by up in over for out through from into inside with back down toward towards past
+    along across
     """
 AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the verb before them: "turn on", "look for", "stop at"."""
@@ -155,8 +253,20 @@ AVOID_PHRASES = (
     "keep away from|keeping away from|keep avoiding|stay clear of|staying clear of|"
     "steer clear of|steering clear of|keep off|stay off|keep out of|stay out of|skip|skipping|"
     "keep clear of|go anywhere but|visit anywhere but|go anywhere except|go anywhere other than|"
-    "by avoiding|by bypassing|refrain from|ignore|leave out|leaving out"
+    "by avoiding|by bypassing|by a path that avoids|by a route that avoids|refrain from|ignore|"
+    "leave out|leaving out|staying out of|"
+    "keeping out of|keeping off|keep well away from|stay well away from|keeping clear of|"
+    "getting around|"
 )
+AVOID_PHRASES += _product("that|which", "avoids|bypasses|skips")
+AVOID_PHRASES += "|" + _product(
+    "that|which",
+    "does not|never",
+    "go through|pass through|goes through|passes through|enter|"
+    "enters|cross|crosses|pass|touch|use|uses|lead through|take you through",
+)
+
+AVOIDING = frozenset(AVOID_PHRASES.split("|"))
 
 
 def _forms(verb: str) -> list[str]:
@@ -181,11 +291,12 @@ def _table() -> dict[tuple[str, ...], str]:
     for phrase in AVOID_PHRASES.split("|"):
         phrases[tuple(phrase.split())] = "avoid"
     known = {word for phrase in phrases for word in phrase}
-    for name, others in names.ALIASES.items():  # "trash can" has nothing to do with "can"
-        for phrase in map(str.split, (name, *others)):
-            if len(phrase) > 1 and known & set(phrase):
-                phrases[tuple(phrase)] = "word"
-                phrases[(*phrase[:-1], f"{phrase[-1]}s")] = "word"
+    listed = [name for entry in names.ALIASES.items() for name in (entry[0], *entry[1])]
+    for name in (*listed, *nouns.NOUNS):  # "trash can" has nothing to do with "can"
+        phrase = name.split()
+        if len(phrase) > 1 and known & set(phrase):
+            phrases[tuple(phrase)] = "word"
+            phrases[(*phrase[:-1], f"{phrase[-1]}s")] = "word"
     return phrases
 
 
@@ -196,10 +307,23 @@ LONGEST = max(map(len, TABLE))
 
 CONTRACTIONS = {
     "can't": "can not",
-    "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
+    "isnt": "is not", "thru": "through", "dont": "do not", "cant": "can not", "wont": "will not",
     "cannot": "can not", "won't": "will not", "shan't": "shall not",
     "let's": "let us", "it's": "it is", "that's": "that is", "i'd": "i would",
 }  # fmt: skip
+_NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
+_ORDINALS = [
+    "first",
+    "second",
+    "third",
+    "fourth",
+    "fifth",
+    "sixth",
+    "seventh",
+    "eighth",
+    "ninth",
+    "tenth",
+]
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
 
@@ -207,6 +331,8 @@ def expanded(word: str) -> list[str]:
     """A word without its contraction: `don't` gives do, not."""
     if word in CONTRACTIONS:
         return CONTRACTIONS[word].split()
+    if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
+        return [nouns.NUMERALS[int(numeral[1]) - 1]]
     for ending, full in ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending):
             return (word[: -len(ending)] + full).split()

@@ -36,10 +36,13 @@ class Meaning:
         bans: names not to be reached; for how long is seen when the sequence is complete.
         withouts: (names, things, token): "things without names", and something comes after; whether
             for good is asked, unless the sequence asks for the names later.
-        limits: (names, n): at most n separate visits, in a sequence until its next step.
+        waits: (names, things): none of the names before the things, which `rules` says too.
+        limits: (names, n, token): at most n separate visits, in a sequence until its next step;
+            the token is where "not again" was said, which may mean the way to `things` only.
         loose: has no goal of its own.
         listed: its goals stand side by side with no "and" between them.
         follows: said to come after the step before it.
+        repeats: the same visit as the last one.
         anchors: what the goals are said to come after.
     """
 
@@ -48,9 +51,11 @@ class Meaning:
     rules: list[Formula] = field(default_factory=list)
     bans: list[tuple[str, ...]] = field(default_factory=list)
     withouts: list[tuple[tuple[str, ...], Things, Token]] = field(default_factory=list)
-    limits: list[tuple[tuple[str, ...], int]] = field(default_factory=list)
+    limits: list[tuple[tuple[str, ...], int, Token | None]] = field(default_factory=list)
+    waits: list[tuple[tuple[str, ...], Things]] = field(default_factory=list)
     listed: bool = True
     follows: bool = False
+    repeats: bool = False
     anchors: list[Things] = field(default_factory=list)
 
     @property
@@ -86,11 +91,13 @@ def meaning_of(clause: Clause, reader: Reader, times: Mapping[str, int], then: b
         clause.count = Count(clause.count.least, clause.count.least)
     elif clause.only and clause.conditions:
         clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
+    elif clause.only and clause.route and not clause.negated:
+        clause.only_way = True
     elif clause.only and not clause.count and not clause.negated:
         reader.refuse("'only' needs a number or a condition; say what to avoid", clause.token)
     if clause.things is None:
         return _until_done(clause, reader)
-    alone = len(clause.things.groups) < 2 and not clause.negated
+    alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.negated:
@@ -121,21 +128,23 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
     if clause.order:
         reader.refuse("an order makes no sense of what is not to be reached", clause.token)
     for again in clause.not_again:
-        meaning.limits += [((name,), times.get(name, 1)) for name in again.names]
+        meaning.limits += [((name,), times.get(name, 1), clause.token) for name in again.names]
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
     if clause.count:
-        _counted(clause, things, clause.count, meaning)
+        _counted(clause, things, clause.count, meaning, times)
         _no_conditions(clause, reader)
     elif clause.again and all(c.things.names == things.names for c in clause.conditions):
         for name in things.names:
             most = times.get(name, 1)
             for condition in clause.conditions:
                 most = condition.count.least if condition.count else most
-            meaning.limits.append(((name,), most))
+            meaning.limits.append(((name,), most, None if clause.conditions else clause.token))
     elif clause.conditions:
         for condition in clause.conditions:
             meaning.rules += _forbidden_when(clause, things, condition, reader)
+            if condition.kind in ("before", "until"):
+                meaning.waits.append((things.names, condition.things))
     elif not clause.avoiding:
         meaning.bans.append(things.names)
     return meaning
@@ -144,6 +153,10 @@ def _forbidden(clause: Clause, things: Things, reader: Reader, times: Mapping[st
 def _forbidden_when(
     clause: Clause, things: Things, condition: Condition, reader: Reader
 ) -> list[Formula]:
+    if condition.things.names != things.names:
+        _one_time(condition, reader)
+    elif condition.only:
+        reader.refuse("nothing comes before or after itself", condition.token)
     if condition.kind in ("before", "until", "unless") or condition.denied:
         rules = held_until(things.names, condition.things)
         if not rules:
@@ -151,8 +164,7 @@ def _forbidden_when(
         return rules
     if condition.count and condition.things.names == things.names:
         return [at_most([name], condition.count.least) for name in things.names]
-    _one_time(condition, reader)
-    if clause.next_step:
+    if clause.next_step or clause.soon:
         return [
             always(implies(any_of(group), weak_next(neg(ap(name)))))
             for name in things.names
@@ -171,37 +183,42 @@ def _no_conditions(clause: Clause, reader: Reader) -> None:
         reader.refuse("a count and a condition do not go together", condition.token)
 
 
-def _counted(clause: Clause, things: Things, count: Count, meaning: Meaning) -> None:
-    if count.least and (clause.negated or clause.mood != "can"):
+def _counted(
+    clause: Clause, things: Things, count: Count, meaning: Meaning, times: Mapping[str, int]
+) -> None:
+    """Goals and limits of a count; "…; visit a only once" asks for no more than was asked for."""
+    asked = all(times.get(n, 0) >= count.least for n in things.names) and count.most is not None
+    if count.least and not asked and (clause.negated or clause.mood != "can"):
         meaning.goals.append(visits(things, count.least))
         meaning.things = things
     if count.most is not None:
-        meaning.limits += [(group, count.most) for group in things.groups]
+        meaning.limits += [(group, count.most, None) for group in things.groups]
 
 
 def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, int]) -> Meaning:
     """`visit x …`, `you must visit x …`, `you can visit x …`."""
     meaning = Meaning()
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
-        return _counted_until(clause, things, clause.count, reader)
+        return _counted_until(clause, things, clause.count, reader, times)
     if clause.count and len(things.groups) > 1 and clause.order:
-        meaning.limits += [
-            (group, clause.count.most) for group in things.groups if clause.count.most is not None
-        ]
+        most = clause.count.most
+        meaning.limits += [(group, most, None) for group in things.groups if most is not None]
         meaning.goals.append(
             steps([visits(Things((g,)), clause.count.least) for g in things.groups])
         )
         meaning.things = things
     elif clause.count:
-        _counted(clause, things, clause.count, meaning)
+        _counted(clause, things, clause.count, meaning, times)
     elif clause.mood != "can" or any(c.only and c.denied for c in clause.conditions):
-        meaning.goals.append(visits(things))
+        meaning.goals.append(steps([visits(step) for step in _steps_of(clause, things)]))
         meaning.things = things
-    if clause.order in ("in order", "strict order") and meaning.goals and not clause.count:
-        meaning.goals = [steps([visits(Things((group,))) for group in things.groups])]
+    if clause.count and clause.route:
+        reader.refuse("say it in two sentences", clause.token)
     if clause.order == "strict order":
-        for before, after in itertools.pairwise(things.groups):
-            meaning.rules += held_until(after, Things((before,)))
+        for before, after in itertools.pairwise(_steps_of(clause, things)):
+            meaning.rules += held_until(after.names, before)
+    if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
+        meaning.rules += held_until(things.names, Things(clause.route[-1].groups))
     alone = not times and (reader.sees("end") or reader.sees("end", ahead=1))
     for avoided in clause.avoiding:
         others = [n for n in avoided.names if n not in times]
@@ -225,13 +242,24 @@ def _asked(clause: Clause, things: Things, reader: Reader, times: Mapping[str, i
     return meaning
 
 
-def _counted_until(clause: Clause, things: Things, count: Count, reader: Reader) -> Meaning:
+def _steps_of(clause: Clause, things: Things) -> list[Things]:
+    """What a clause asks for, one after the other."""
+    steps_of = [*clause.route, things]
+    if clause.order in ("in order", "strict order"):
+        return [Things((group,)) for step in steps_of for group in step.groups]
+    return steps_of
+
+
+def _counted_until(
+    clause: Clause, things: Things, count: Count, reader: Reader, times: Mapping[str, int]
+) -> Meaning:
     """`reach x at most twice until y is reached`"""
     meaning = Meaning()
     most = count.most
     if len(clause.conditions) != 1 or most is None:
         reader.refuse("only an upper limit can last until something", clause.token)
-    _counted(clause, things, Count(count.least), meaning)
+    if not all(times.get(name, 0) >= count.least for name in things.names):
+        _counted(clause, things, Count(count.least), meaning, times)
     meaning.rules += [
         at_most_before(group, most, end)
         for group in things.groups
@@ -251,10 +279,18 @@ def _conditioned(
     kind, when = condition.kind, condition.things
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     _one_time(condition, reader)
+    if clause.next_step and kind in ("before", "until"):
+        reader.refuse("what comes right before cannot be told", condition.token)
+    if clause.next_step and not answers:
+        reader.refuse("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied and not condition.only:
         reader.refuse("what never happens is known at the end only", condition.token)
     if set(when.names) & set(things.names) and not answers:
         reader.refuse("nothing comes before or after itself", condition.token)
+    if kind == "until" and clause.through and not condition.denied and not condition.only:
+        meaning.goals = [steps([*meaning.goals, visits(when)])]
+        meaning.things = when  # "go through the hallway until you reach the bed"
+        return
     if kind == "until" and not condition.denied:
         reader.refuse("reaching is done in one step, so it has no 'until'", condition.token)
     if condition.denied and kind != "after":  # "visit x, but not before y"
@@ -262,7 +298,7 @@ def _conditioned(
     elif kind == "unless":
         reader.refuse("'unless' goes with something forbidden", condition.token)
     elif kind == "before" and (clause.mood != "can" or condition.only):
-        way = _BEFORE[reader.pick(condition.token, len(_BEFORE)) if clause.mood == "do" else 1]
+        way = _BEFORE[reader.pick(condition.token, len(_BEFORE)) if clause.mood != "can" else 1]
         if way != "in order":
             meaning.rules += held_until(when.names, things)
         if way != "first only":
@@ -270,6 +306,7 @@ def _conditioned(
             meaning.things = when
     elif condition.only:
         meaning.rules += held_until(things.names, when)
+        meaning.waits.append((things.names, when))
     elif condition.denied:
         reader.refuse("say it as 'do not …, once …'", condition.token)
     elif answers:
@@ -285,7 +322,7 @@ def _reaction(
     if len(condition.things.groups) != 1:
         reader.refuse("a duty can follow on one thing, or on one of several", condition.token)
     when = any_of(condition.things.groups[0])
-    if clause.next_step:
+    if clause.next_step or clause.soon:
         if len(things.groups) != 1:
             reader.refuse("only one thing can come next", clause.token)
         answer = next_(any_of(things.groups[0]))

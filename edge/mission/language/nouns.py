@@ -24,7 +24,7 @@ _PLACES = """
     hospital hotel inn junction lake mall market memorial monument museum park parking|lot
     parking|space pharmacy pier platform playground plaza post|office pub restaurant river school
     square stadium store supermarket temple theater theatre tower town|hall train|station tunnel
-    university warehouse zoo
+    university warehouse zoo passage passageway doorway archway
 """
 _OBJECTS = """
     apple aquarium ashtray bag baggage banana banner barbecue barrel basket bat battery beam bedside
@@ -65,7 +65,7 @@ _QUALITIES = """
     old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
     folding rocking sliding electric digital front back rear left right main upper lower top bottom
     middle central inner outer north south east west northern southern eastern western potted
-    parked nearest closest nearby
+    ground parked nearest closest nearby
     taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
 """
 _ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth last"
@@ -147,14 +147,25 @@ def _listed(text: str) -> frozenset[str]:
 
 NOUNS = _listed(_PLACES) | _listed(_OBJECTS) | _listed(_PEOPLE)
 QUALITIES = _listed(_QUALITIES) | _listed(_MATERIALS)
-ORDINALS = frozenset(_ORDINALS.split())
+NUMBERED = _listed("floor level storey story landmark room door waypoint gate street")
+"""Kinds whose members are told apart by number: "second floor" is no second step."""
+NUMERALS = tuple(_ORDINALS.split())  # the last one is "last"
+ORDINALS = frozenset(NUMERALS)
 CARDINALS = tuple(_CARDINALS.split())
+_KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
+"""Places that are told apart by what is kept there: "coffee shop", "printer room"."""
+_WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
 
 def is_noun(phrase: str) -> bool:
     """Whether a phrase names a kind of thing, in the singular or plural."""
     return names.is_known(phrase) or phrase in NOUNS or names.singular(phrase) in NOUNS
+
+
+def is_place(name: str) -> bool:
+    """Whether a name is a place's or of something that leads somewhere."""
+    return name.split()[-1] in _LEADING or name in _LEADING or name.split()[-1] in _WAYS
 
 
 def unknown_in(words: list[str]) -> int | None:
@@ -169,6 +180,13 @@ def unknown_in(words: list[str]) -> int | None:
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
         return _not_known(words, end)
+    twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
+    if twice is not None:
+        return twice
+    if words[start] in ("path", "way") and start and is_noun(words[start - 1]):
+        return start  # "the red room path": the room, or a path?
+    if start and words[start] in _KEPT and _compound(*words[start - 1 : start + 1]):
+        start -= 1  # "coffee shop"
     while begin < start:
         word = words[begin]
         place = next(
@@ -181,6 +199,11 @@ def unknown_in(words: list[str]) -> int | None:
         else:
             return start if is_noun(word) else begin
     return None
+
+
+def _compound(first: str, second: str) -> bool:
+    """`coffee shop`; not `bed room`, which is a slip of one word."""
+    return is_noun(first) and not is_noun(first + second)
 
 
 def _not_known(words: list[str], end: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from edge.mission.language.lexicon import AFTER_VERB, NUMBERS
-from edge.mission.language.things import Things
+from edge.mission.language.things import Things, starts_things, take_things
 from edge.mission.language.words import Reader, Token
 
 MAX_VISITS = 20
@@ -70,6 +70,28 @@ def take_count(reader: Reader, negated: bool) -> Count | None:
     return _range(reader, markers, numbers, negated, begin)
 
 
+def take_quota(reader: Reader, clause: Clause, mentioned: Things | None) -> None:
+    """`the maximum number of visits to a is three`"""
+    token = reader.take("quota")
+    assert token is not None
+    clause.things = take_things(reader, mentioned)
+    reader.skip("be", "must", "can")
+    if reader.sees("exactly") and reader.sees("number", ahead=1):
+        reader.at += 1
+    marked = take_count(reader, negated=False)
+    number = reader.take("number") if marked is None else None
+    if marked is None and number is None:
+        reader.refuse("expected a number here")
+    if marked is not None and marked.most not in (None, marked.least):
+        reader.refuse("say how often in one number", token)
+    n = marked.least if marked else NUMBERS.get(number.text if number else "", MAX_VISITS + 1)
+    if n > MAX_VISITS:
+        reader.refuse(f"at most {MAX_VISITS} visits can be counted", token)
+    kind = token.text.removeprefix("the ")
+    most = None if kind.startswith("min") else n
+    clause.count = Count(0 if kind.startswith("max") else n, most)
+
+
 def _joins(reader: Reader) -> bool:
     """Whether "once" here means "as soon as"."""
     return reader.sees("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
@@ -95,7 +117,8 @@ def _range(
         count = Count(n + 1)
     else:
         count = Count(min(numbers))
-        once = next((t for t in reader.tokens[begin : reader.at] if t.kind == "once"), None)
+        said = reader.tokens[begin : reader.at]
+        once = next((t for t in said if t.kind == "once" or (n == 1 and t.kind == "times")), None)
         if once and not (markers or negated) and reader.pick(once, 2) == 1:
             count = Count(1, 1)  # "visit a once" may mean: no second time
     if not negated:
@@ -108,7 +131,10 @@ def _range(
 
 CONDITIONS = ("before", "after", "until", "unless", "when", "once")
 ORDERS = ("any order", "in order", "strict order")
-MOOD = ("you", "ensure", "must", "can", "do", "not", "filler", "only", "first", "be")
+MOOD = (
+    "you", "ensure", "must", "can", "do", "not", "filler", "only", "first", "be", "always",
+    "in the end",
+)  # fmt: skip
 AUXILIARIES = frozenset({"be", "must", "can"})
 _NEEDS = ("have", "need", "needs", "need to", "required", "has")
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
@@ -150,12 +176,22 @@ class Clause:
         during: that is said with "while", so that it lasts no longer.
         not_again: things not to be visited once more on the way ("without returning to x").
         next_step: "right after", "immediately".
+        soon: "as soon as", which says so of a duty only.
         again: "again", "any more", "revisit".
         first: said to come first.
         trails: said to come after the clause before it ("… after that").
         returns: "return to", "go back to": after all before it.
         bound: where it leads, said first: "to reach x, go through y".
         through: the things are on the way to something.
+        route: what is reached before the things, one after the other.
+        several_ways: the route took "a and b" at once.
+        only_way: nothing but the route leads there.
+        origin: it says where it starts.
+        enroute: said to be "on the way" to what was asked for before.
+        around: "around" the things, which goes only with something beyond them.
+        always: where that was said.
+        ends: said to come in the end.
+        elsewhere: it names what is left out ("any room but a"), so something else is to be reached.
         verb: the word that named the action, "" in a bare clause.
     """
 
@@ -171,12 +207,22 @@ class Clause:
     order: str = ""
     count: Count | None = None
     next_step: bool = False
+    soon: bool = False
     again: bool = False
     first: bool = False
     trails: bool = False
     returns: bool = False
     bound: Things | None = None
     through: bool = False
+    route: list[Things] = field(default_factory=list)
+    several_ways: bool = False
+    only_way: bool = False
+    origin: bool = False
+    enroute: bool = False
+    around: bool = False
+    elsewhere: bool = False
+    always: Token | None = None
+    ends: bool = False
     verb: str = ""
 
 
@@ -213,6 +259,10 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
         ):  # "are both visited"
             reader.at += 1
             continue
+        if token.text in ("then", "afterwards", "later") and seen & AUXILIARIES:
+            clause.trails = True  # "you must then visit it"
+            reader.at += 1
+            continue
         if token.kind == "only" and reader.sees(*CONDITIONS, ahead=1):
             return seen
         if token.kind == "banned":
@@ -231,6 +281,10 @@ def take_mood(reader: Reader, clause: Clause, kinds: tuple[str, ...] = MOOD) -> 
             clause.only = True
         elif token.kind == "first":
             clause.first = True
+        elif token.kind == "always":
+            clause.always = token
+        elif token.kind == "in the end":
+            clause.ends = True
         elif token.kind in ("must", "can"):
             clause.mood = token.kind
             if token.kind == "can" and reader.take("you"):  # "can you go to …": a request
@@ -241,7 +295,14 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
     """Passes what stands between a verb and its object: "go first directly to"."""
     while True:
         token = reader.peek()
-        if token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
+        if token.text == "back":
+            clause.again = clause.returns = True
+            reader.at += 1
+        elif token.text in AFTER_VERB and token.kind in ("word", "place", "to"):
+            reader.at += 1
+        elif token.text == "up to" and starts_things(reader, 1):
+            reader.at += 1  # "go up to the roof" counts nothing
+        elif token.text == "straight" and not starts_things(reader, 1):
             reader.at += 1
         elif token.kind == "first":
             clause.first = True
@@ -252,9 +313,8 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
             token.kind == "and" and reader.sees("verb", ahead=1) and clause.verb == "go"
         ):
             reader.at += 1
-        elif token.kind == "again" or token.text == "back":
+        elif token.kind == "again":
             clause.again = True
-            clause.returns = clause.returns or token.text == "back"
             reader.at += 1
         else:
             return

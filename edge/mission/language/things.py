@@ -83,6 +83,10 @@ def take_things(
     between: list[Token] = []
     commas: set[str] = set()
     while True:
+        if (number := _number_ahead(reader, elements[-1])) is not None:
+            between.append(number)
+            elements.append(_next_numbered(reader, elements[-1]))
+            continue
         ahead = _joint_length(reader)
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
@@ -148,6 +152,29 @@ def _one_of(options: Sequence[_Groups]) -> _Groups:
     )
 
 
+def _number_ahead(reader: Reader, last: _Groups) -> Token | None:
+    """What joins "1" and "2" in "landmarks 1 and 2"; None where no such list goes on."""
+    head, _, number = last[-1][-1].rpartition(" ")
+    ahead = 1 if reader.sees("comma") else 0
+    if reader.sees("and", "or", ahead=ahead):
+        ahead += 1
+    goes_on = head and number in nouns.CARDINALS and len(last) == 1 and ahead
+    return reader.peek(ahead - 1) if goes_on and _is_number(reader, ahead) else None
+
+
+def _next_numbered(reader: Reader, last: _Groups) -> _Groups:
+    """`2`, after "landmark 1": landmark two."""
+    reader.skip("comma", "and", "or")
+    token = reader.tokens[_advance(reader)]
+    head = last[-1][-1].rpartition(" ")[0]
+    number = token.text
+    if number.isdecimal():
+        if len(number) > 2 or int(number) >= len(nouns.CARDINALS):
+            reader.refuse("names are numbered up to ten", token)
+        number = nouns.CARDINALS[int(number)]
+    return ((_canonical(reader, f"{head} {number}", token),),)
+
+
 def _joint_length(reader: Reader) -> int | None:
     """Tokens between this element and the next of the same list; None when the list is over."""
     if _is_letter(reader.peek(-1)) and _is_letter(reader.peek()):
@@ -203,7 +230,8 @@ def _choice(reader: Reader, every: bool) -> tuple[str, ...]:
     """`either x, y or z` ends after "or z"; `one of x, y and z` takes the whole list."""
     if reader.take("all of"):
         reader.skip("group")
-    reader.skip("group")
+    if not _is_singled(reader):
+        reader.skip("group")
     options = [_name(reader)]
     decided = False
     while (ahead := _joint_length(reader)) is not None:
@@ -228,6 +256,8 @@ def _name(reader: Reader) -> str:
     if _is_letter(reader.peek()):
         return reader.tokens[_advance(reader)].text
     words = _words(reader, article)
+    if words and (head := _head_ahead(reader, words)):
+        return _canonical(reader, " ".join(token.text for token in (*words, *head)), words[0])
     if start.kind == "number":
         reader.refuse("how many of a kind cannot be told; say 'the …'", start)
     if not words:
@@ -243,6 +273,8 @@ def _name(reader: Reader) -> str:
         if reader.peek().text in ("a", "an"):
             reader.take("word")
         where = _words(reader, article=True)
+        if not where:
+            reader.refuse("expected the name of a thing here")
         _check(reader, where)
         text = f"{text} {place.text} {' '.join(token.text for token in where)}"
     return _canonical(reader, text, words[0])
@@ -251,7 +283,7 @@ def _name(reader: Reader) -> str:
 def _words(reader: Reader, article: bool) -> list[Token]:
     """The run of words that a name consists of; after an article a verb may begin it."""
     words: list[Token] = []
-    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", ahead=1):
+    if reader.peek().text in nouns.ORDINALS and reader.sees("word", "group", "and", "or", ahead=1):
         words.append(reader.tokens[_advance(reader)])
     if reader.sees("verb") and article:
         words.append(reader.tokens[_advance(reader)])
@@ -264,6 +296,31 @@ def _words(reader: Reader, article: bool) -> list[Token]:
     return words
 
 
+def _head_ahead(reader: Reader, words: list[Token]) -> list[Token]:
+    """The noun that a quality shares with the next element: "the red or the blue room"."""
+    adjectives = nouns.QUALITIES | nouns.ORDINALS
+    if not all(token.text in adjectives for token in words):
+        return []
+    if nouns.is_noun(" ".join(token.text for token in words)):
+        return []
+    ahead, said = 0, {"comma"}
+    while reader.sees("comma", "and", "or", "to", "article", ahead=ahead) or (
+        ahead and reader.peek(ahead).text in adjectives
+    ):
+        said.add(reader.peek(ahead).kind)
+        ahead += 1
+    head: list[Token] = []
+    while ahead and reader.sees("word", "group", ahead=ahead):
+        head.append(reader.peek(ahead))
+        ahead += 1
+    texts = [token.text for token in head]
+    if not texts or nouns.unknown_in(texts) is not None:
+        return []
+    several = "article" in said or texts[-1] != names.singular(texts[-1])
+    # "a tall, white chair" and "the red and blue chair" are one chair
+    return head if "or" in said or ("and" in said and several) else []
+
+
 def _spelled(reader: Reader, words: list[Token]) -> str:
     """The words of a name; its number spelled out, for `edge.names` takes digits for a model's."""
     texts = [token.text for token in words]
@@ -271,6 +328,8 @@ def _spelled(reader: Reader, words: list[Token]) -> str:
         if len(texts[-1]) > 2 or int(texts[-1]) >= len(nouns.CARDINALS):
             reader.refuse("names are numbered up to ten", words[0])
         texts[-1] = nouns.CARDINALS[int(texts[-1])]
+    if len(texts) > 1 and texts[-1] in nouns.CARDINALS:
+        texts[-2] = names.singular(texts[-2])  # "landmarks one and two"
     return " ".join(texts)
 
 
@@ -320,10 +379,10 @@ def _check(reader: Reader, words: list[Token]) -> None:
         return
     close = nouns.meant(texts[odd])
     if close and not nouns.is_noun(texts[odd]):
-        reader.refuse(f"{one_line(texts[odd], 60)}: {close}?", words[odd])
-    whole = one_line(" ".join(texts), 60)
+        reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    whole = one_line(" ".join(texts), 40)
     if odd:
-        last = one_line(texts[odd - 1], 60)
+        last = one_line(texts[odd - 1], 20)
         hint = f'unknown after {last!r}; if it is one thing, write "{whole}"'
         reader.refuse(f"{hint} in double quotes", words[odd])
     reader.refuse(f'no known thing; if it is one, write "{whole}" in double quotes', words[0])
@@ -333,4 +392,4 @@ def _canonical(reader: Reader, text: str, token: Token) -> str:
     try:
         return names.canonical(text)
     except names.NotANameError as error:
-        reader.refuse(str(error), token)
+        reader.refuse(f"no name: {str(error).rpartition(' is no name: ')[2]}", token)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from edge.errors import UserError
+from edge.mission.language import nouns
 from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
 from edge.text import one_line
 
@@ -88,7 +89,8 @@ def tokenise(text: str) -> list[Token]:
         if length:
             phrase = tuple(w.text for w in words[i : i + length])
             end = words[i + length - 1].end
-            tokens.append(Token(TABLE[phrase], " ".join(phrase), word.start, end))
+            kind = "word" if length == 1 and _numbers(words, i) else TABLE[phrase]
+            tokens.append(Token(kind, " ".join(phrase), word.start, end))
         elif word.text.isdecimal():
             tokens.append(Token("number", word.text, word.start, word.end))
         else:
@@ -111,6 +113,15 @@ def _words(text: str) -> list[Token]:
         else:
             words.append(Token(_PUNCTUATION.get(found, "mark"), found, start, end))
     return words
+
+
+def _numbers(words: Sequence[Token], i: int) -> bool:
+    """Whether a word numbers what follows it ("second floor") and no step."""
+    if words[i].text not in nouns.ORDINALS or len(words) < i + 2:
+        return False
+    numbered = words[i + 1].text in nouns.NUMBERED
+    beyond = words[i + 2].text if len(words) > i + 2 else ""
+    return numbered and not (beyond.isdecimal() or beyond in nouns.CARDINALS)
 
 
 def _phrase_at(words: Sequence[Token], i: int) -> int:

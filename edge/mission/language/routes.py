@@ -1,0 +1,164 @@
+"""What lies on the way: `go to b through a`, `to reach b, go through a`, `start at a, go to b`."""
+
+from __future__ import annotations
+
+from edge.mission.language.spoken import Clause, Memory, skip_particles
+from edge.mission.language.things import Things, starts_things, take_things
+from edge.mission.language.words import Reader, Token
+
+PASSING = ("through", "past", "along", "across", "via", "by")
+"""Particles that make a verb of motion one of passing: "walk past", "drive through"."""
+
+_PARTICIPLES = ("passing", "crossing", "traversing")
+_RIDDEN = ("stairs", "staircase", "elevator", "lift", "escalator", "ladder", "ramp", "bridge")
+_ANYWHERE = (
+    "room", "area", "place", "space", "square", "door", "way", "path", "route", "zone", "region",
+)  # fmt: skip
+_ANY = ("any", "only", "a", "the", "some")
+
+
+def take_route(reader: Reader, memory: Memory, clause: Clause) -> bool:
+    """Takes `via a`, `, passing a` or `only through a` behind a goal; False when there is none."""
+    length, only = _way_length(reader)
+    if not length or clause.things is None:
+        return False
+    token = reader.peek()
+    if clause.negated:
+        hint = "which way not to take is said so: 'go to … without going through …'"
+        reader.refuse(hint, token)
+    if clause.several_ways:
+        reader.refuse("say it in two sentences", token)
+    reader.at += length
+    reader.skip("first", "filler")
+    only = only or bool(reader.take("only"))
+    if (other := take_exception(reader, memory)) is not None:
+        clause.avoiding.append(other)
+        return True
+    if not starts_things(reader):
+        reader.refuse("expected the name of a thing here")
+    if len(clause.things.groups) > 1:
+        reader.refuse("on the way to which of them? say it in two sentences", token)
+    pass_by(reader, clause, take_things(reader, memory.named), token)
+    ahead = 1 if reader.sees("comma") else 0
+    then = reader.peek(ahead)
+    if then.kind == "then" and starts_things(reader, ahead + 1) and reader.pick(then, 2) == 1:
+        reader.at += ahead + 1  # "via the sofa and then the bed": both on the way
+        pass_by(reader, clause, take_things(reader, memory.named), then)
+    clause.only_way = clause.only_way or only or bool(reader.take("only"))
+    return True
+
+
+def _way_length(reader: Reader) -> tuple[int, bool]:
+    """Tokens that introduce what is passed, 0 when none do; whether "only" is among them."""
+    ahead = 1 if reader.sees("comma") else 0
+    aside = ahead > 0
+    if reader.sees("but", ahead=ahead) and reader.sees("only", ahead=ahead + 1):
+        ahead += 1
+    only = reader.sees("only", ahead=ahead)
+    ahead += only
+    token, follower = reader.peek(ahead), reader.peek(ahead + 1)
+    if token.kind == "via" or (token.text in PASSING[:4] and (only or not aside)):
+        return ahead + 1, only
+    if token.text == "by" and (follower.text in _RIDDEN or reader.peek(ahead + 2).text in _RIDDEN):
+        return ahead + 1, only
+    if token.text in _PARTICIPLES:
+        return ahead + (2 if follower.text in PASSING else 1), only
+    if token.kind == "verb" and token.text.endswith("ing") and follower.text in PASSING[:4]:
+        return ahead + 2, only
+    return 0, False
+
+
+def pass_by(reader: Reader, clause: Clause, passed: Things, token: Token) -> None:
+    """Puts what is passed before the clause's goal; of several "and" leaves the order open."""
+    if clause.count:
+        reader.refuse("say it in two sentences", token)
+    several = len(passed.groups) > 1 and not passed.listed and not clause.order
+    clause.several_ways = len(passed.groups) > 1
+    if several and reader.pick(token, 2) == 1:
+        clause.route.append(passed)
+    else:
+        clause.route += [Things((group,)) for group in passed.groups]
+
+
+def bound_ahead(reader: Reader, clause: Clause) -> bool:
+    """Whether where one is bound for comes here: "on the way to x", "to reach x"."""
+    if clause.negated and reader.peek().text in ("when", "while"):
+        if reader.sees("verb", ahead=1):
+            return reader.peek(1).text.endswith("ing")
+        if reader.sees("you", ahead=1):  # "do not pass a when you go to b"
+            return reader.peek(2).text in ("go", "move", "head", "travel", "walk", "drive", "fly")
+    return reader.sees("bound") or (reader.sees("to") and reader.sees("verb", ahead=1))
+
+
+def take_bound(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`go through x to reach y`: x, then y; `avoid x on the way to y`: y without x."""
+    token = reader.peek()
+    reader.at += 1
+    reader.skip("you")
+    while reader.take("verb"):
+        skip_particles(reader, clause)
+    if not starts_things(reader):
+        reader.refuse("expected the name of a thing here")
+    lead(reader, memory, clause, take_things(reader, memory.named), token)
+
+
+def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: Token) -> None:
+    """What a clause asks for comes on the way to what one is bound for."""
+    if clause.things is None:
+        reader.refuse("expected something to do or to avoid here", token)
+    if not clause.negated:
+        pass_by(reader, clause, clause.things, token)
+        clause.things = bound
+    elif clause.conditions or clause.count or clause.avoiding:
+        reader.refuse("say it in two sentences", token)
+    else:
+        clause.avoiding.append(clause.things)
+        clause.things, clause.negated, clause.elsewhere = bound, False, False
+        clause.around = False
+    memory.named = memory.asked = clause.things
+
+
+def take_origin(reader: Reader, memory: Memory, clause: Clause) -> None:
+    """`from a`: where the robot is now, or a first stop."""
+    token = reader.peek()
+    reader.at += 1
+    start = take_things(reader, memory.named)
+    clause.origin = True
+    if reader.pick(token, 2) == 1:
+        clause.route[:0] = [start]
+
+
+def take_exception(reader: Reader, memory: Memory) -> Things | None:
+    """`any room but a`, `the room that is not a`: what is left out; None when it is no such."""
+    ahead = 0
+    while reader.peek(ahead).text in _ANY:
+        ahead += 1
+    several = reader.peek(ahead - 1).text in ("any", "only") if ahead else False
+    if reader.peek(ahead).text == "non":
+        ahead += 1
+    else:
+        kind = reader.peek(ahead).text
+        if kind.removesuffix("s") not in _ANYWHERE:
+            return None
+        several = several or kind.endswith("s")
+        ahead += 1
+        token, follower = reader.peek(ahead), reader.peek(ahead + 1)
+        if token.text in ("that", "which") and follower.kind == "be":
+            if not reader.sees("not", ahead=ahead + 2):
+                return None
+            ahead += 3
+        elif (token.text in ("that", "which") and follower.kind == "not") or (
+            token.text,
+            follower.text,
+        ) == ("other", "than"):  # "that isn t"
+            ahead += 2
+        elif token.text == "except":
+            ahead += 2 if follower.text == "for" else 1
+        elif token.kind == "but" and several:
+            ahead += 1
+        else:
+            return None
+    if not starts_things(reader, ahead):
+        return None
+    reader.at += ahead
+    return take_things(reader, memory.named, banned=True)

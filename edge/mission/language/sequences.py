@@ -1,0 +1,173 @@
+"""Clauses one after the other: what each step asks for, and how long its rules last."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+
+from edge.mission.language.goals import (
+    Every,
+    Goal,
+    Steps,
+    Visit,
+    at_most,
+    at_most_before,
+    held_until,
+    last_letters,
+    letters,
+    never,
+    never_after,
+    steps,
+    visits,
+)
+from edge.mission.language.meaning import Meaning
+from edge.mission.language.things import Things
+from edge.mission.language.words import Reader
+from edge.mission.ltl import Formula
+
+
+def sequence_goal(sequence: Sequence[Meaning], reader: Reader) -> Goal:
+    """The goal of steps one after the other, each with its rules."""
+    parts: list[Goal] = []
+    rules: list[Formula] = []
+    for i, meaning in enumerate(sequence):
+        after = sequence[i + 1 :]
+        parts += _in_order(meaning) if after else meaning.goals and [_together(meaning.goals)]
+        rules += meaning.rules
+        rules += _banned(meaning, sequence[:i], after)
+        rules += _without(meaning, after, reader)
+        rules += _limited(meaning, after, reader)
+    return Every((steps(parts),) if parts else (), tuple(rules))
+
+
+def anchored(
+    meaning: Meaning, sequence: Sequence[Meaning], asked: Container[str], then: bool
+) -> None:
+    """Puts a clause's goals after what it says they come after.
+
+    "Go to a, and go to b after that": the visit to a is the one already asked for.
+
+    Args:
+        asked: names asked for so far.
+        then: the clause comes after all of the sequence anyway.
+    """
+    for anchor in meaning.anchors:
+        said = set(anchor.names)
+        if then and all(name in asked for name in said):
+            continue
+        before: list[Goal] = [visits(anchor)]
+        if sequence and not then:
+            meant = [goal for goal in sequence[-1].goals if letters(goal) & said]
+            if said <= frozenset().union(*map(letters, meant)) and all(
+                last_letters(goal) <= said for goal in meant
+            ):
+                sequence[-1].goals = [g for g in sequence[-1].goals if g not in meant]
+                before = [_together(meant)]
+        meaning.goals = [steps([*before, _together(meaning.goals)])]
+
+
+def put_first(meaning: Meaning, sequence: list[Meaning]) -> None:
+    """Makes a clause the step before the last one, which it may repeat a part of.
+
+    "Visit the sofa and the desk, but the desk first": that is one visit to the desk.
+    """
+    said = frozenset(meaning.things.names)
+    last = sequence[-1]
+    parts = [
+        part
+        for goal in last.goals
+        for part in (goal.goals if isinstance(goal, Every) and not goal.rules else (goal,))
+    ]
+    rest = [part for part in parts if not letters(part) <= said]
+    last.goals = rest or last.goals
+    sequence.insert(-1, meaning)
+
+
+def split_return(meaning: Meaning, sequence: list[Meaning]) -> None:
+    """`visit a, go to b, and return to a`: a comes before b, which comes before a again."""
+    said = frozenset(meaning.things.names)
+    start = [goal for goal in sequence[0].goals if letters(goal) & said]
+    rest = [goal for goal in sequence[0].goals if not letters(goal) & said]
+    if start and rest:
+        sequence[0].goals = [steps([_together(start), _together(rest)])]
+
+
+def only_then(before: Meaning, after: Meaning) -> list[Formula]:
+    """`x, only then y`: y not before x."""
+    return held_until(after.things.names, before.things)
+
+
+def _together(goals: Sequence[Goal]) -> Goal:
+    return goals[0] if len(goals) == 1 else Every(tuple(goals))
+
+
+def _in_order(meaning: Meaning) -> list[Goal]:
+    """A step's goals; "a, b, then …" with no "and" in it is a sequence already."""
+    if not meaning.listed:
+        return [_together(meaning.goals)] if meaning.goals else []
+    return [
+        part
+        for goal in meaning.goals
+        for part in (goal.goals if isinstance(goal, (Every, Steps)) else (goal,))
+    ]
+
+
+def _banned(meaning: Meaning, before: Sequence[Meaning], after: Sequence[Meaning]) -> list[Formula]:
+    """A ban lasts for good; until its step is done if that or another step asks for the same."""
+    asked = {name for step in (meaning, *after) for goal in step.goals for name in letters(goal)}
+    visited = {
+        name: visit.times
+        for step in before
+        for goal in step.goals
+        for visit in single_visits(goal)
+        for name in visit.options
+    }
+    rules: list[Formula] = []
+    for names in meaning.bans:
+        for name in names:
+            own = Things(tuple(group for group in meaning.things.groups if name not in group))
+            if name in visited and own.groups:
+                rules += [at_most_before([name], visited[name], end) for end in own.groups]
+            elif name in asked and own.groups:
+                rules += held_until([name], own)
+            elif meaning.follows and not meaning.goals and before:
+                rules += never_after([name], before[-1].things)
+            else:
+                rules += never([name])
+    return rules
+
+
+def _without(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
+    """`go to x without y, then to z`: no y before x, or none at all."""
+    asked = {name for step in after for goal in step.goals for name in letters(goal)}
+    rules: list[Formula] = []
+    for names, things, token in meaning.withouts:
+        ever = not asked & set(names) and reader.pick(token, 2)
+        rules += never(names) if ever else held_until(names, things)
+    return rules
+
+
+def single_visits(goal: Goal) -> Iterator[Visit]:
+    if isinstance(goal, Visit):
+        yield goal
+    else:
+        for part in goal.goals:
+            yield from single_visits(part)
+
+
+def _limited(meaning: Meaning, after: Sequence[Meaning], reader: Reader) -> list[Formula]:
+    """A limit lasts until the next step if that is a single visit, else for good.
+
+    "Go to b but do not go to a again" may forbid it on the way to b only.
+    """
+    goals = after[0].goals if after else []
+    ends = goals[0].options if len(goals) == 1 and isinstance(goals[0], Visit) else ()
+    rules: list[Formula] = []
+    for names, n, again in meaning.limits:
+        own = [group for group in meaning.things.groups if not set(group) & set(names)]
+        if again and own and reader.pick(again, 2) == 0:
+            rules += [at_most_before(names, n, group) for group in own]
+        elif ends and not set(ends) & set(names):
+            rules.append(at_most_before(names, n, ends))
+        else:
+            rules.append(at_most(names, n))
+    return rules
