@@ -344,7 +344,7 @@ def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int
                 for name, told in not_seen.get(title, {}).items()
                 if name in by
             ]
-    return aligned(rows, left=2)
+    return aligned(rows)
 
 
 def _shares(title: str, name: str, told: dict[str, Any], note: str) -> list[str]:
