@@ -69,6 +69,8 @@ def some_lines(text: str, limit: int) -> str:
 
 
 def _printable(text: str) -> str:
+    if text.isprintable():  # nearly always, and a hundred times quicker
+        return text
     return "".join(c if c.isprintable() else " " for c in text)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import faulthandler
+import fcntl
+import gc
 import logging
 import os
 import subprocess
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -69,6 +72,9 @@ likeness(a_m, a_m[::2] + 0.1, Grid(np.zeros((9, 9), np.int8), (0.0, 0.0), 0.5))
 """
 PERCEPTION = "from edge.perception.warmup import warmup; warmup()"
 _compiling: list[subprocess.Popen] = []
+# In a new checkout the asserts of all tests have to be rewritten as well, which takes twice as long
+# as all else of collecting. The first worker does it; the others wait for this, and find it done.
+_rewriting: list[TextIO] = []
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -78,12 +84,41 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     if all_are_run and not any((HERE.parent / "edge" / "mapping").rglob(compiled)):
         for code in (EPISODE, PERCEPTION):
             _compiling.append(subprocess.Popen([sys.executable, "-c", code], cwd=HERE))
+        _rewriting.append(open(__file__))  # noqa: SIM115
+        fcntl.flock(_rewriting[0], fcntl.LOCK_EX)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    worker = getattr(session.config, "workerinput", {}).get("workerid", "gw0")
+    if worker != "gw0":
+        with open(__file__) as file:
+            fcntl.flock(file, fcntl.LOCK_SH)
+    # Modules and tests stay until the end. To look for garbage among them again and again takes a
+    # third of the time of collecting, and would slow every test that makes many objects.
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_node_collection_finished() -> None:
+    _let_others_collect()
     for process in _compiling:
         process.wait()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown() -> None:
+    _let_others_collect()
+
+
+def _let_others_collect() -> None:
+    for file in _rewriting:
+        file.close()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

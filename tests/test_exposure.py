@@ -26,13 +26,13 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 @cache
-def trees() -> dict[Path, ast.Module]:
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+def every_node() -> list[tuple[Path, ast.AST]]:
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+    return [(path, node) for path, tree in trees.items() for node in ast.walk(tree)]
 
 
 def nodes(kind: type[ast.AST]) -> Iterator[tuple[Path, ast.AST]]:
-    for path, tree in trees().items():
-        yield from ((path, node) for node in ast.walk(tree) if isinstance(node, kind))
+    return ((path, node) for path, node in every_node() if isinstance(node, kind))
 
 
 def named(node: ast.AST) -> str:

@@ -240,8 +240,10 @@ class ObjectMap:
 
     def doubt(self, thing: MapObject, points_m: np.ndarray) -> None:
         """One picture says that points (n, 3) which it shows beside a thing are not the thing's."""
-        held = {tuple(voxel) for voxel in _voxels(thing.points_m).tolist()}
-        for voxel in {tuple(voxel) for voxel in _voxels(points_m).tolist()} & held:
+        held, shown = _voxels(thing.points_m), _voxels(points_m)
+        # A picture shows thousands of points, and few of them where the thing is.
+        shown = shown[((shown >= held.min(0)) & (shown <= held.max(0))).all(axis=1)]
+        for voxel in {*map(tuple, shown.tolist())} & {*map(tuple, held.tolist())}:
             if (thing.label, *voxel) in self._votes:
                 self._votes[(thing.label, *voxel)] -= 1
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from edge.geometry import SE2, Grid
 from edge.tasks.scene import SceneObject
@@ -36,6 +35,9 @@ class Outline:
 
     def gaps_m(self, points_m: np.ndarray) -> np.ndarray:
         """(n,) how far points (n, 2) are from the nearest of its cells; 0 on one."""
+        # Not above: every process that knows of a service would wait for half of SciPy.
+        from scipy.spatial import cKDTree
+
         away_m, _ = cKDTree(self.cells_m).query(points_m)
         return np.maximum(away_m - self.rim_m, 0.0)
 

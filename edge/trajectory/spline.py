@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 _FINER = 8
 """Length along the curve is measured by chords so many times shorter than its points' distance,"""
@@ -31,15 +30,26 @@ def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.nd
     if n < 2:
         return control_m.copy(), np.zeros(n, np.int64)
     padded = control_m[np.clip(np.arange(-2, n + 2), 0, n - 1)]
-    curve = BSpline(np.arange(n + 8.0), padded, 3)  # its pieces are [3, 4] to [n + 3, n + 4]
     # A hull of four is no longer than its three legs, and the curve takes at most the longest.
     longest = np.sqrt((np.diff(control_m, axis=0) ** 2).sum(axis=1).max())
     pieces = max(1, math.ceil(longest / spacing_m)) * _FINER
-    fine = np.linspace(3.0, n + 4.0, (n + 1) * pieces + 1)
-    chords = np.sqrt((np.diff(curve(fine), axis=0) ** 2).sum(axis=1))
+    fine = np.linspace(0.0, n + 1.0, (n + 1) * pieces + 1)
+    chords = np.sqrt((np.diff(_curve(padded, fine), axis=0) ** 2).sum(axis=1))
     along_m = np.append(0.0, np.cumsum(chords))
     even_m = np.linspace(0.0, along_m[-1], max(1, math.ceil(_SHORT * along_m[-1] / spacing_m)) + 1)
     u = np.interp(even_m, along_m, fine)
-    points = curve(u)
+    points = _curve(padded, u)
     points[[0, -1]] = control_m[[0, -1]]  # not but for rounding
-    return points, np.clip(np.floor(u).astype(np.int64) - 4, 0, n - 1)
+    return points, np.clip(np.floor(u).astype(np.int64) - 1, 0, n - 1)
+
+
+def _curve(control_m: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(k, d) where control points (n, d) have the curve at u (k,), from 0 to n - 3.
+
+    The blending functions of a uniform cubic B-spline. SciPy's would be imported by each process
+    that has to do with a service, for longer than all else that it imports of ours.
+    """
+    piece = np.clip(np.floor(u).astype(np.int64), 0, len(control_m) - 4)
+    t = u - piece
+    weights = (1.0 - t) ** 3, 3.0 * t**3 - 6.0 * t**2 + 4.0, 3.0 * (t + t**2 - t**3) + 1.0, t**3
+    return sum(w[:, None] * control_m[piece + k] for k, w in enumerate(weights)) / 6.0

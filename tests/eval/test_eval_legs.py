@@ -69,7 +69,7 @@ def test_looks_count_each_place_once(cells, x, y, yaw):
 def driven(instruction: str, seed: int, start=None, **more) -> tuple[ClosedLoop, list[Leg]]:
     """A mission in a generated house, and its legs."""
     world = {"kind": "generated", "seed": seed}
-    sim = {"world": world, "start": start, "lockstep": True}
+    sim = {"world": world, "start": start, "lockstep": True, "step_s": 0.2}
     mission = {"instruction": instruction, **more}
     loop_section, policy = {"lockstep": True}, {"kind": "search"}
     config = simulated({"mission": mission, "sim": sim, "loop": loop_section, "policy": policy})

@@ -30,7 +30,9 @@ def exact(outcome: Outcome) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory):
-    return small_house(tmp_path_factory.mktemp("house"), mission={"time_limit_s": 60.0})
+    """With a camera of 5 Hz, which sees enough."""
+    folder = tmp_path_factory.mktemp("house")
+    return small_house(folder, mission={"time_limit_s": 60.0}, sim={"step_s": 0.2})
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +141,7 @@ def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
     outcome = run_episode(column, episode, in_process)
     assert outcome.reason == "no end after 66 s"
     assert (outcome.success, outcome.failure) == (False, "stuck")
-    assert outcome.elapsed_s == pytest.approx(66.0, abs=0.2)
+    assert outcome.elapsed_s == pytest.approx(66.0, abs=0.21)  # a step
 
 
 def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path):

@@ -41,7 +41,7 @@ def restart(loop: ClosedLoop, path: Path) -> Keeper:
 
 def television_given_up(path: Path) -> ClosedLoop:
     """A checkpoint of a mission whose television was seen and given up; its bed was not seen."""
-    loop = ClosedLoop(config("F (television | bed)"))
+    loop = ClosedLoop(config("F (television | bed)"), colour=False)
     keeper = restart(loop, path)
     while "television" not in loop.service.mission.detected:
         loop.step()
@@ -70,7 +70,8 @@ def test_which_reading_was_taken_is_kept(path):
                 "sim": {"lockstep": True},
                 "mission": {"instruction": "visit the sofa before the bed"},
             }
-        )
+        ),
+        colour=False,
     )
     first = restart(loop, path)
     loop.step()
@@ -86,7 +87,7 @@ def test_which_reading_was_taken_is_kept(path):
 
 
 def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
-    loop = ClosedLoop(config("F (sofa & F television)"))
+    loop = ClosedLoop(config("F (sofa & F television)"), colour=False)
     first = restart(loop, path)
     loop.service.mission.id = "1f.2"
     while not loop.service.mission.reached:
@@ -109,7 +110,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
 def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
     """A checkpoint is a file: whoever may write it must not write the log."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
-    loop = ClosedLoop(config("F bed"))
+    loop = ClosedLoop(config("F bed"), colour=False)
     first = restart(loop, path)
     loop.step()
     first.close()
@@ -154,7 +155,7 @@ def test_a_restart_that_saw_nothing_loses_no_place(path):
 
 
 def test_places_come_back_under_an_order_that_came_before_the_first_image(path):
-    loop = ClosedLoop(config("F television & F bed"))
+    loop = ClosedLoop(config("F television & F bed"), colour=False)
     first = restart(loop, path)
     while "television" not in loop.service.mission.detected:
         loop.step()
@@ -183,7 +184,7 @@ def test_what_had_failed_is_not_taken_up_again_for_the_same_instance(path):
 
 
 def test_an_ended_mission_is_not_taken_up_again(path):
-    loop = ClosedLoop(config("F bed"))
+    loop = ClosedLoop(config("F bed"), colour=False)
     first = restart(loop, path)
     loop.step()
     loop.service.mission.fail("cancelled", loop.drive.motion.stamp_ns)

@@ -35,7 +35,9 @@ class Watched:
         self.vitals = Vitals(ServiceManager({}))
         self.metrics = Metrics(self.vitals, lambda: board)
         lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
-        self.closed = ClosedLoop(simulated({**lockstep, "mission": {"target": "bed"}, **sections}))
+        self.closed = ClosedLoop(
+            simulated({**lockstep, "mission": {"target": "bed"}, **sections}), colour=False
+        )
         self.running: Running = running_of(self.closed, [])
 
     def watch(self, *sinks: object) -> Watched:

@@ -61,12 +61,18 @@ def test_what_names_nothing_is_driven_at_once():
     assert facts.coarse_m is not None
 
 
-def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
+@pytest.fixture(scope="module")
+def at_the_oven() -> ClosedLoop:
+    """Driven to its end."""
+    return closed(TO_THE_OVEN).run(200)
+
+
+def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     loop = closed(TO_THE_OVEN)
     loop.step()
     facts = loop.service.result().task()
     assert (facts.phase, facts.missing, facts.refined) == ("looking", ("oven",), None)
-    loop.run(200)
+    loop = at_the_oven
     mission = loop.service.mission
     assert loop.service.status.phase == "reached", loop.notes.events
     assert mission.reached == ()
@@ -163,10 +169,10 @@ def test_what_is_nowhere_fails_with_what_was_missed():
     assert states(loop) == ["driven", "not driven"]
 
 
-def test_the_same_observations_give_the_same_task():
-    runs = [closed(TO_THE_OVEN).run(100) for _ in range(2)]
-    assert runs[0].service.mission.steps == runs[1].service.mission.steps
-    assert runs[0].notes.goals == runs[1].notes.goals
+def test_the_same_observations_give_the_same_task(at_the_oven):
+    again = closed(TO_THE_OVEN).run(200)
+    assert again.service.mission.steps == at_the_oven.service.mission.steps
+    assert again.notes.goals == at_the_oven.notes.goals
 
 
 def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():

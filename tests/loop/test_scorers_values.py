@@ -267,8 +267,8 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
     """And what was said of a target is kept by the next mission, not by a jump of the pose."""
     config = simulated(
         {
-            "loop": {"lockstep": True}, "sim": {"lockstep": True}, "policy": policy,
-            "perception": perception, "mission": {"target": "television"},
+            "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},
+            "policy": policy, "perception": perception, "mission": {"target": "television"},
         }
     )  # fmt: skip
     loop = ClosedLoop(config).run(240)

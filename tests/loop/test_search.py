@@ -55,7 +55,7 @@ def begin(loop: ClosedLoop, formula: str) -> ClosedLoop:
 
 
 def test_what_is_not_there_is_given_up_after_looking_again_at_what_was_seen_from_afar(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F (surfboard | piano)")).run(200)
+    loop = ClosedLoop(room(tmp_path, "F (surfboard | piano)"), colour=False).run(200)
     status, views = loop.service.status, loop.service.goals.views
     assert status.phase == "failed"
     assert views >= 2
@@ -67,7 +67,7 @@ def test_what_is_not_there_is_given_up_after_looking_again_at_what_was_seen_from
 
 
 def test_a_later_mission_finds_in_an_explored_house_what_was_never_looked_for(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F armchair")).run(100)
+    loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(100)
     assert loop.service.status.phase == "reached"
     begin(loop, "F toilet")
     assert loop.service.status.phase == "reached", loop.service.status
@@ -83,7 +83,7 @@ def test_a_later_mission_finds_in_an_explored_house_what_was_never_looked_for(tm
 
 
 def test_what_was_refuted_in_one_mission_is_found_in_the_next(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F armchair")).run(2)
+    loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(2)
     while not (found := loop.service.map.tracker.of("armchair")):
         loop.step()
     for instance in found:
@@ -93,7 +93,7 @@ def test_what_was_refuted_in_one_mission_is_found_in_the_next(tmp_path):
 
 
 def test_a_thing_refuted_by_mistake_is_found_before_it_is_given_up(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F armchair")).run(2)
+    loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(2)
     while not (found := loop.service.map.tracker.of("armchair")):
         loop.step()
     for instance in found:
@@ -103,7 +103,7 @@ def test_a_thing_refuted_by_mistake_is_found_before_it_is_given_up(tmp_path):
 
 
 def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
-    loop = ClosedLoop(room(tmp_path, "F surfboard"))
+    loop = ClosedLoop(room(tmp_path, "F surfboard"), colour=False)
     while loop.service.goals.views == 0:
         loop.step()
     brief = prepare(loop.config.mission, formula="F piano")
@@ -131,7 +131,9 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
         "sim": {"lockstep": True, "step_s": 0.2},
         "mission": mission,
     }
-    loop = ClosedLoop(simulated({**config, "policy": {"kind": "hvl", "instances": False}}))
+    loop = ClosedLoop(
+        simulated({**config, "policy": {"kind": "hvl", "instances": False}}), colour=False
+    )
     tracker = loop.service.map.tracker
     while not loop.service.status.done:
         loop.step()
@@ -147,6 +149,8 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
 @pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])
 def test_a_camera_that_looks_aside_finds_its_target_all_the_same(mount):
     sensors = {"camera": mount}
-    loop = ClosedLoop(simulated({"mission": {"target": "television"}, "sensors": sensors})).run(60)
+    loop = ClosedLoop(
+        simulated({"mission": {"target": "television"}, "sensors": sensors}), colour=False
+    ).run(60)
     assert loop.service.status.phase == "reached"
     assert loop.distance_m("television") < 1.0

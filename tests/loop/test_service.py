@@ -33,7 +33,7 @@ def config(**sections: dict) -> Config:
 
 
 def test_a_first_frame_with_nothing_in_it_is_no_trouble():
-    loop = ClosedLoop(config())
+    loop = ClosedLoop(config(), colour=False)
     goal = loop.service.tick(blank_observation(0, START_NS, SE2(0, 0, 0), loop), START_NS)
     assert goal is None
     assert loop.service.status.phase == "searching"
@@ -41,7 +41,7 @@ def test_a_first_frame_with_nothing_in_it_is_no_trouble():
 
 @pytest.mark.parametrize("target", ["television", "bed"])
 def test_it_reaches_what_it_was_told_to_find(target):
-    loop = ClosedLoop(config(mission={"target": target})).run(240)
+    loop = ClosedLoop(config(mission={"target": target}), colour=False).run(240)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m(target) <= 1.0
     assert loop.drive.motion.collisions == 0
@@ -66,14 +66,14 @@ def test_no_luck_with_the_noise_is_needed(seed, rate_hz):
     settings = config(
         mission={"target": "bed"}, perception=perception, sim=sim, policy={"kind": "search"}
     )
-    loop = ClosedLoop(settings).run(200)
+    loop = ClosedLoop(settings, colour=False).run(200)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
     assert loop.service.status.path_m < 30.0
 
 
 def test_every_goal_is_a_free_reachable_cell():
-    loop = ClosedLoop(config(mission={"target": "television"}))
+    loop = ClosedLoop(config(mission={"target": "television"}), colour=False)
     for _ in range(80):
         before = len(loop.notes.goals)
         loop.step()
@@ -85,13 +85,15 @@ def test_every_goal_is_a_free_reachable_cell():
 
 
 def test_the_same_observations_give_the_same_goals():
-    runs = [ClosedLoop(config(mission={"target": "television"})).run(15) for _ in range(2)]
+    runs = [
+        ClosedLoop(config(mission={"target": "television"}), colour=False).run(15) for _ in range(2)
+    ]
     assert runs[0].notes.goals == runs[1].notes.goals
     assert len(runs[0].notes.goals) > 0
 
 
 def test_a_result_says_the_same_later():
-    loop = ClosedLoop(config(mission={"target": "bed"}))
+    loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     while not (result := loop.service.result()).instances():
         loop.step()
 
@@ -107,13 +109,15 @@ def test_a_result_says_the_same_later():
 
 
 def test_something_that_is_not_there_ends_with_the_reason():
-    loop = ClosedLoop(config(mission={"target": "surfboard", "path_limit_m": 4.0})).run(120)
+    loop = ClosedLoop(
+        config(mission={"target": "surfboard", "path_limit_m": 4.0}), colour=False
+    ).run(120)
     assert loop.service.status.phase == "failed"
     assert "limit" in loop.service.status.reason
 
 
 def test_a_goal_that_failed_is_not_chosen_again_at_once():
-    loop = ClosedLoop(config(mission={"target": "surfboard"}))
+    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
     while not any(g.kind == "frontier" for g in loop.notes.goals):
         loop.step()
     bad = loop.service.goal
@@ -140,7 +144,7 @@ def test_a_frontier_that_the_robot_came_near_is_done_with(away_m, done):
 
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
 def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
-    loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}))
+    loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}), colour=False)
     assert status_of(loop.service.result())["controller"] == "silent"
     for i in range(60):
         goal = loop.service.tick(loop.observe(), START_NS + i * TICK_NS)
@@ -154,7 +158,7 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
 
 def driving(**mission) -> ClosedLoop:
     """A robot on its way to a frontier."""
-    loop = ClosedLoop(config(mission={"target": "surfboard", **mission}))
+    loop = ClosedLoop(config(mission={"target": "surfboard", **mission}), colour=False)
     while not (
         loop.service.goal and loop.service.goal.kind == "frontier" and loop.drive.motion.v_mps > 0.2
     ):
@@ -191,7 +195,7 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
 def test_rare_frames_are_waited_for():
     loop = driving()
     slow = config(sensors={"camera": {"rate_hz": 1.0}}, mission={"target": "surfboard"})
-    loop.service.blind_s = ClosedLoop(slow).service.blind_s
+    loop.service.blind_s = ClosedLoop(slow, colour=False).service.blind_s
     seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(loop.notes.goals)
     loop.service.idle(seen_ns + 29 * TICK_NS, loop.service.pose)
     assert len(loop.notes.goals) == before
@@ -201,7 +205,7 @@ def test_rare_frames_are_waited_for():
 
 @pytest.mark.parametrize("pose", [None, SE2(1.0, 0.0, 0.0)])
 def test_a_mission_ends_in_time_though_nothing_was_ever_to_be_seen(pose):
-    loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}))
+    loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
     for i in range(60):
         loop.service.idle(START_NS + i * TICK_NS, pose)
     assert loop.service.status.reason == "time limit of 5 s"
@@ -240,7 +244,7 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
 
 
 def test_answers_to_old_goals_are_void():
-    loop = ClosedLoop(config(mission={"target": "surfboard"})).run(3)
+    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3)
     now = loop.service.goal
     loop.service.goal_answered(GoalStatus(1, "failed", "old"))
     assert loop.service.goal is now
@@ -249,7 +253,7 @@ def test_answers_to_old_goals_are_void():
 
 
 def test_a_pose_jump_forgets_the_map():
-    loop = ClosedLoop(config()).run(2)
+    loop = ClosedLoop(config(), colour=False).run(2)
     assert loop.service.map.grid.known_m2 > 1.0
     loop.service.forget_places(loop.drive.motion.stamp_ns)
     assert loop.service.map.grid.known_m2 == 0.0
@@ -259,7 +263,7 @@ def test_a_pose_jump_forgets_the_map():
 
 def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
     """It is large: were it garbage until the collector comes, memory would grow by many of them."""
-    loop = ClosedLoop(config()).run(2)
+    loop = ClosedLoop(config(), colour=False).run(2)
     old = weakref.ref(loop.service.map.grid)
     gc.disable()
     try:
@@ -281,7 +285,9 @@ class Late(DetectorWorker):
 
 
 def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
-    loop = ClosedLoop(config(mission={"target": "television"}, perception={"min_hits": 1}))
+    loop = ClosedLoop(
+        config(mission={"target": "television"}, perception={"min_hits": 1}), colour=False
+    )
     loop.service._worker = Late(loop.service._worker.detector, inline=True)
     while not loop.service.map.tracker.of("television"):
         loop.step()
@@ -357,7 +363,7 @@ def test_the_steady_tick_allocates_no_large_arrays(watched):
 
 
 def test_a_result_tells_of_candidates_the_way():
-    loop = ClosedLoop(config(mission={"target": "bed"}))
+    loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     nothing = loop.service.result()
     assert (len(nothing.candidates().score), len(nothing.way())) == (0, 0)
     for _ in range(10):
@@ -382,7 +388,7 @@ def test_a_result_tells_of_candidates_the_way():
     ],
 )
 def test_where_a_target_may_be_is_a_layer_where_a_prior_tells(prior, idle, layers):
-    loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}))
+    loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}), colour=False)
     if idle:
         loop.service.mission.wait()
     for _ in range(10):

@@ -37,7 +37,7 @@ def taken(loop: ClosedLoop, kind: str) -> list[str]:
 def test_a_choice_a_sequence_and_a_prohibition(planner, seed):
     perception = {"detector": {"kind": "sim", "seed": seed}}
     mission = {"planner": {"kind": planner}}
-    loop = ClosedLoop(config(CHOICE, mission=mission, perception=perception)).run(300)
+    loop = ClosedLoop(config(CHOICE, mission=mission, perception=perception), colour=False).run(300)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     reached = taken(loop, "reached")
     assert reached[-1] == "television"
@@ -48,20 +48,22 @@ def test_a_choice_a_sequence_and_a_prohibition(planner, seed):
 
 
 def test_the_same_observations_give_the_same_mission():
-    runs = [ClosedLoop(config(CHOICE)).run(20) for _ in range(2)]
+    runs = [ClosedLoop(config(CHOICE), colour=False).run(20) for _ in range(2)]
     assert runs[0].service.mission.steps == runs[1].service.mission.steps
     assert runs[0].notes.goals == runs[1].notes.goals
 
 
 def test_what_is_not_there_gives_way_to_what_is():
-    loop = ClosedLoop(config("F (surfboard | bed)", mission={"search_limit_s": 45.0})).run(250)
+    loop = ClosedLoop(
+        config("F (surfboard | bed)", mission={"search_limit_s": 45.0}), colour=False
+    ).run(250)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert taken(loop, "reached") == ["bed"]
 
 
 def test_driving_distances_can_be_the_weights():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
-    loop = ClosedLoop(config(CHOICE, mission=mission)).run(300)
+    loop = ClosedLoop(config(CHOICE, mission=mission), colour=False).run(300)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.service.mission.knowledge.distance_m is not None
     loop.service.close()
@@ -79,7 +81,7 @@ def refusal(loop: ClosedLoop, do: str, brief=None, **fields: object) -> str:
 
 
 def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
-    loop = ClosedLoop(config("F bed"))
+    loop = ClosedLoop(config("F bed"), colour=False)
     service = loop.service
     service.mission.wait()
     service.goals.client.driving = True  # to something that a service before this one sent
@@ -95,7 +97,7 @@ def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
 
 
 def test_a_mission_with_a_name_is_known_by_it_now_and_later():
-    loop = ClosedLoop(config("F television")).run(3)
+    loop = ClosedLoop(config("F television"), colour=False).run(3)
     bed, sofa = (prepare(loop.config.mission, formula=f"F {x}") for x in ("bed", "sofa"))
     assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last one ")
     assert ask(loop, "new", bed, id="1")["id"] == "1"
@@ -115,13 +117,13 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
 
 
 def test_what_the_robot_knows_is_told_with_how_far_it_is():
-    loop = ClosedLoop(config("F television")).run(40)
+    loop = ClosedLoop(config("F television"), colour=False).run(40)
     known = ask(loop, "status")["robot"]["known"]
     assert known["television"] == pytest.approx(loop.distance_m("television"), abs=1.0)
 
 
 def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
-    loop = ClosedLoop(config("F television")).run(10)
+    loop = ClosedLoop(config("F television"), colour=False).run(10)
     generation = loop.service.map.grid.reach.generation
     brief = prepare(loop.config.mission, formula="F bed")
     answer = ask(loop, "new", brief)
@@ -134,7 +136,7 @@ def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
 
 
 def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes_on(monkeypatch):
-    loop = ClosedLoop(config("F bed")).run(3)
+    loop = ClosedLoop(config("F bed"), colour=False).run(3)
 
     def refuse(prompts):
         raise PromptError("prompt 'qwerty': not in the vocabulary")
@@ -149,7 +151,9 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
 
 
 def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_on():
-    loop = ClosedLoop(config("F bed", mission={"planner": {"kind": "expected"}})).run(3)
+    loop = ClosedLoop(config("F bed", mission={"planner": {"kind": "expected"}}), colour=False).run(
+        3
+    )
     before, prompts = loop.service.mission, loop.service._worker.detector.prompts
     large = " & ".join(f"F object{i}" for i in range(12))
     brief = prepare(config("F bed").mission, formula=large)
@@ -160,7 +164,7 @@ def test_a_mission_that_the_planner_cannot_take_on_is_refused_and_the_old_goes_o
 
 
 def test_no_target_is_given_up_before_anything_was_seen():
-    loop = ClosedLoop(config("F bed", mission={"search_limit_s": 5.0}))
+    loop = ClosedLoop(config("F bed", mission={"search_limit_s": 5.0}), colour=False)
     for second in range(20):
         loop.service.idle(START_NS + second * 10**9, None)
     assert not loop.service.mission.done
@@ -171,7 +175,7 @@ def test_no_target_is_given_up_before_anything_was_seen():
 
 def test_a_pose_jump_ends_what_was_known_of_distances():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
-    loop = ClosedLoop(config(CHOICE, mission=mission))
+    loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.knowledge.distance_m is None:
         loop.step()
     loop.service.forget_places(loop.drive.motion.stamp_ns)
@@ -181,7 +185,7 @@ def test_a_pose_jump_ends_what_was_known_of_distances():
 
 
 def test_pause_has_the_robot_stand_and_resume_go_on():
-    loop = ClosedLoop(config("F bed")).run(6)
+    loop = ClosedLoop(config("F bed"), colour=False).run(6)
     assert ask(loop, "pause")["phase"] == "paused"
     for _ in range(15):
         loop.step()
@@ -197,7 +201,7 @@ def test_pause_has_the_robot_stand_and_resume_go_on():
 
 def test_what_failed_before_a_pose_jump_may_be_seen_anew_after_it():
     """Ids go on: an instance of the new frame is newer than all of the old one."""
-    loop = ClosedLoop(config("F (television | bed)")).run(3)
+    loop = ClosedLoop(config("F (television | bed)"), colour=False).run(3)
     service, now_ns = loop.service, loop.drive.motion.stamp_ns
     service.map.tracker.adopt(_thing_at(99, "television", 20.0, 20.0))
     loop.step()
@@ -211,7 +215,7 @@ def test_what_failed_before_a_pose_jump_may_be_seen_anew_after_it():
 
 
 def test_a_flood_of_equal_requests_is_told_of_once():
-    loop = ClosedLoop(config("F television")).run(2)
+    loop = ClosedLoop(config("F television"), colour=False).run(2)
     for do in ("resume", *["pause"] * 5, *["resume"] * 5):
         ask(loop, do)
     loop.step()
@@ -222,7 +226,7 @@ def test_a_flood_of_equal_requests_is_told_of_once():
 
 def test_a_goal_from_before_a_pause_is_not_sent_again():
     """The one to stand is newer, so a controller would take the old one for replaced."""
-    loop = ClosedLoop(config("F bed")).run(1)
+    loop = ClosedLoop(config("F bed"), colour=False).run(1)
     for _ in range(8):
         ask(loop, "pause")
         for _ in range(3):
@@ -236,7 +240,7 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
 
 
 def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
-    loop = ClosedLoop(config("F bed")).run(3)
+    loop = ClosedLoop(config("F bed"), colour=False).run(3)
     answer = ask(loop, "cancel")
     assert (answer["phase"], "overtaken" in answer) == ("failed", False)
     loop.step()
@@ -247,7 +251,7 @@ def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
 def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
-    loop = ClosedLoop(config("F bed"))
+    loop = ClosedLoop(config("F bed"), colour=False)
     ask(loop, "cancel")
     assert "no mission is under way" in refusal(loop, do)
     answer = ask(loop, do, overtaken=2)
@@ -257,7 +261,7 @@ def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
 
 def test_a_stop_beside_what_must_not_be_reached_is_reported_before():
     """The demo house has no such place, so the forbidden thing is put beside the goal."""
-    loop = ClosedLoop(config("F television & (!lamp W television)"))
+    loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.steps):
         loop.step()
     while loop.service.goal is None:
@@ -283,7 +287,7 @@ def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
 
 
 def test_status_tells_formula_state_plan_sets_and_why():
-    loop = ClosedLoop(config(CHOICE)).run(3)
+    loop = ClosedLoop(config(CHOICE), colour=False).run(3)
     told = status_of(loop.service.result())["mission"]
     assert told["formula"] == CHOICE
     assert told["states"] >= 4

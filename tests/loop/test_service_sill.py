@@ -55,7 +55,8 @@ def closed_loop(
                 "mapping": {"reach_cells_per_tick": reach_cells_per_tick},
                 "mission": {"target": "bed"},
             }
-        )
+        ),
+        colour=False,
     )
 
 

@@ -30,7 +30,7 @@ class Watched:
         environ = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
         self.vitals = Vitals(ServiceManager(environ), lambda: self.now_s)
         self._listening = listening
-        self.closed = ClosedLoop(simulated({"mission": {"target": "bed"}}))
+        self.closed = ClosedLoop(simulated({"mission": {"target": "bed"}}), colour=False)
         self.running: Running = running_of(self.closed, [])
 
     def beat(self, after_s: float = 0.0) -> list[str]:

@@ -18,7 +18,7 @@ from edge.policies import make_policy
 from edge.policies.base import INSTANCE
 
 PAGE = (Path(__file__).parents[2] / "docs" / "policies.md").read_text(encoding="utf-8")
-LOCKSTEP = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
+LOCKSTEP = {"loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2}}
 
 
 def block(language: str) -> str:

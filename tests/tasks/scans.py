@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,9 +40,12 @@ def cast(boxes, origin, directions):
             R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
             half = 0.5 * np.array(box.size_m)
             o = R @ (origin - (box.x_m, box.y_m, half[2]))
-            d = directions @ R.T
-            t = np.sort(np.stack([(-half - o) / d, (half - o) / d]), axis=0)
-            enter, leave = t[0].max(axis=1), t[1].min(axis=1)
+            enter, leave = -np.inf, np.inf
+            for k in range(3):
+                d = directions @ R[k]
+                sides = (-half[k] - o[k]) / d, (half[k] - o[k]) / d
+                enter = np.maximum(enter, np.minimum(*sides))
+                leave = np.minimum(leave, np.maximum(*sides))
             nearer = (enter < leave) & (enter > 0) & (enter < far)
             far, hit = np.where(nearer, enter, far), np.where(nearer, i, hit)
     return far, hit
@@ -68,11 +72,16 @@ def street(boxes, T_map_base=None, seq=1, range_m=50.0, rings=64, columns=720):
 
 def picture(boxes, T_map_base):
     """The camera's image, and which box each pixel shows."""
+    return _picture(tuple(boxes), T_map_base.tobytes())
+
+
+@lru_cache(maxsize=4)  # it is asked for with the cloud, and again for what is found
+def _picture(boxes, T_map_base):
     v, u = np.mgrid[: MODEL.height_px, : MODEL.width_px]
     rays = np.stack(
         ((u - MODEL.cx_px) / MODEL.fx_px, (v - MODEL.cy_px) / MODEL.fy_px, np.ones_like(u)), axis=-1
     ).reshape(-1, 3)
-    T = T_map_base @ CAMERA
+    T = np.frombuffer(T_map_base).reshape(4, 4) @ CAMERA
     _, hit = cast(boxes, T[:3, 3], rays @ T[:3, :3].T)
     colours = np.array([box.colour for box in boxes] + [(150, 190, 240), GRAY], np.uint8)
     shape = MODEL.height_px, MODEL.width_px

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
 from edge.trajectory.spline import b_spline
 
@@ -31,6 +32,18 @@ def test_a_corner_is_rounded_by_a_sixth():
     control = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0]])
     curve, at = b_spline(control, 0.001)
     np.testing.assert_allclose(curve[np.argmax(at == 2)], [(1 + 8 + 2) / 6, 1 / 6], atol=0.001)
+
+
+@given(CONTROLS, st.floats(0.05, 5.0))
+@settings(max_examples=30)
+def test_its_points_are_on_the_curve_of_scipy(control, spacing_m):
+    n = len(control)
+    points, _ = b_spline(control, spacing_m)
+    padded = control[np.clip(np.arange(-2, n + 2), 0, n - 1)]
+    theirs = BSpline(np.arange(n + 8.0), padded, 3)(np.linspace(3.0, n + 4.0, 2000 * n))
+    longest_m = np.hypot(*np.diff(control, axis=0).T).max()
+    for point in points:
+        assert np.hypot(*(theirs - point).T).min() <= 1e-3 * longest_m
 
 
 def test_points_are_equally_far_apart_however_the_control_points_lie():

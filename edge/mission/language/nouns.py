@@ -155,6 +155,8 @@ CARDINALS = tuple(_CARDINALS.split())
 _KEPT = ("shop", "store", "station", "stop", "room", "market", "museum", "lot", "stand", "park")
 """Places that are told apart by what is kept there: "coffee shop", "printer room"."""
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
+_LONGEST = 6
+"""Words that a known noun has at most."""
 _LEADING = _listed(_PLACES)  # "kitchen sink", "office door": what a thing belongs to
 
 
@@ -209,7 +211,8 @@ def _compound(first: str, second: str) -> bool:
 def _not_known(words: list[str], end: int) -> int:
     """Where a name without a known noun goes wrong: behind the noun that it has, or at its end."""
     for last in range(end - 1, 0, -1):
-        if any(is_noun(" ".join(words[i:last])) for i in range(last)):
+        # Of all of them, thousands of words that mean nothing would take seconds.
+        if any(is_noun(" ".join(words[i:last])) for i in range(max(0, last - _LONGEST), last)):
             return last
     odd = (i for i in range(end) if words[i] not in QUALITIES and words[i] not in ORDINALS)
     return next(odd, 0)
