@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 
 from edge.errors import UserError
-from edge.geometry import CameraModel, invert
+from edge.geometry import FARTHEST_M, CameraModel, invert
 from edge.host.files import read_regular
 from edge.tasks.chain import Chain
 from edge.tasks.objects import clusters, share_near, thin
 from edge.tasks.projection import in_picture
 from edge.tasks.scene import Scene
-from edge.tasks.survey import OUTDOORS, Survey
+from edge.tasks.survey import OUTDOORS, Survey, usable
 from edge.types import MASK_SIDE, Detections, Observation
 
 LIDAR_HEIGHT_M = 1.73
@@ -46,6 +46,8 @@ REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
 REACH_ELSE_M = 0.6
 LEAST_POINTS = 12
 LEAST_PX = 6
+_SKEW = 0.01
+"""So far may written numbers of a rotation be off."""
 _DOTS_PX = 5, 9
 """Width and height of gaps between returns of one surface in the picture, scan lines included."""
 
@@ -124,19 +126,26 @@ def read_frame(folder: Path, number: int) -> Frame:
     label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
         raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
+    fine = usable(scan[:, :3])
+    scan, label = scan[fine], label[fine]
     P2 = calibration["P2"]
     height, width = bgr.shape[:2]
-    camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
-    T_cam0_velo = _rigid(calibration["Tr"])
+    try:
+        camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
+        beside_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    except ValueError as error:  # a matrix without an inverse is one too
+        raise KittiError(f"{path}: P2 of calib.txt: {error}") from None
+    T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
-    T_cam2_cam0[:3, 3] = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    T_cam2_cam0[:3, 3] = beside_m
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
     to_base = T_base_velo @ invert(T_cam0_velo)
+    T_cam0 = _rigid(poses[number].reshape(3, 4), f"{folder / 'poses.txt'}: line {number + 1}")
     observation = Observation(
         seq=number,
         stamp_ns=round(1e9 * float(times[number, 0])),
-        T_map_base=to_base @ _rigid(poses[number].reshape(3, 4)) @ invert(to_base),
+        T_map_base=to_base @ T_cam0 @ invert(to_base),
         rgb=cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB),
         camera=camera,
         T_base_camera=to_base @ invert(T_cam2_cam0),
@@ -272,10 +281,19 @@ def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
     return (small if width * height > MASK_SIDE**2 else enlarged) >= 96
 
 
-def _rigid(rows: np.ndarray) -> np.ndarray:
-    """(4, 4) of the first three rows."""
+def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
+    """(4, 4) of the first three rows.
+
+    Raises:
+        KittiError: it does not turn and move, or moves farther than the frame `map` can tell.
+    """
     T = np.eye(4)
     T[:3] = rows
+    R = T[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        turns = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
+    if not (turns and np.abs(T[:3, 3]).max() <= FARTHEST_M):
+        raise KittiError(f"{where}: not a rotation and a place within {FARTHEST_M / 1000:g} km")
     return T
 
 

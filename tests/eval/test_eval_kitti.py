@@ -20,6 +20,7 @@ from edge.tasks.projection import points_of_masks
 from edge.tasks.survey import OFF_GROUND_M
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+P2 = "100 0 50 20 0 100 30 10 0 0 1 0"
 # Axes of a camera seen from the LiDAR's: x right, y down, z forward.
 TR = "0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3"
 
@@ -83,6 +84,26 @@ def test_one_call_makes_a_scene(tmp_path):
     assert {region.label for region in scene.regions.values()} == {"road"}
 
 
+@pytest.mark.parametrize("rubbish", [np.nan, np.inf, -np.inf, 3e38, 1e8])
+def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
+    """Of the road and of the car every fifth return."""
+    folder = write(tmp_path, points=20_000)
+    path = folder / "velodyne/000000.bin"
+    scan = np.fromfile(path, np.float32).reshape(-1, 4)
+    scan[::5, :3] = rubbish
+    scan.tofile(path)
+    frame = read_frame(folder, 0)
+    assert len(frame.observation.cloud_m) == len(frame.semantic) == 0.8 * len(scan)
+    (car,) = kitti_scene(folder, [0]).objects.values()
+    np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
+
+
+def test_a_scan_of_nothing_but_rubbish_shows_nothing(tmp_path):
+    folder = write(tmp_path)
+    np.full((230, 4), np.nan, np.float32).tofile(folder / "velodyne/000000.bin")
+    assert not kitti_scene(folder, [0]).objects
+
+
 def cut(path, n):
     path.write_bytes(path.read_bytes()[:n])
 
@@ -106,6 +127,22 @@ BROKEN = {
     ),
     "labels of another": (
         lambda f: cut(f / "labels/000000.label", 40), "230 points, but 10 labels",
+    ),
+    "a picture of one pixel": (
+        lambda f: cv2.imwrite(str(f / "image_2/000000.png"), np.zeros((1, 1, 3), np.uint8)),
+        r"000000\.png: P2 of calib\.txt: not a camera: principal point",
+    ),
+    "a camera without depth": (
+        lambda f: (f / "calib.txt").write_text(f"P2: {P2.replace('1 0', '0 0')}\nTr: {TR}\n"),
+        "P2 of calib.txt: Singular matrix",
+    ),
+    "a scale for a rotation": (
+        lambda f: (f / "calib.txt").write_text(f"P2: {P2}\nTr: {TR.replace('1', '2')}\n"),
+        r"calib\.txt: Tr: not a rotation",
+    ),
+    "a pose out of this world": (
+        lambda f: (f / "poses.txt").write_text(f"{IDENTITY}\n".replace("0 0 1 0", "0 0 1 1e30")),
+        r"poses\.txt: line 1: not a rotation and a place within 1000 km",
     ),
     "binary calibration": (lambda f: (f / "calib.txt").write_bytes(b"\xff"), "not a text file"),
 }  # fmt: skip

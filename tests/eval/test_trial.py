@@ -116,6 +116,8 @@ def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, cap
 
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
+    "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
+                              "street:-1: no street; give it a number, as street:3"),
     "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
                            "street:3: it has no frames"),
     "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,

@@ -53,6 +53,25 @@ def test_no_frame_no_scene():
         Survey(perfect(()), MAP).scene()
 
 
+@pytest.mark.parametrize("rubbish", [np.nan, np.inf, 3e38, 1e9])
+def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
+    """A third of the returns, with their kinds of ground; the rest is seen as if they were not."""
+    seen, hit = street(STREET, np.eye(4), seq=1)
+    kind, cloud_m = (hit == GROUND).astype(np.uint8), seen.cloud_m.copy()
+    cloud_m[::3] = rubbish
+    left = np.arange(len(cloud_m)) % 3 > 0
+    scenes = []
+    for points_m, of in ((cloud_m, kind), (seen.cloud_m[left], kind[left])):
+        survey = Survey(perfect(STREET), MAP, ground_labels=("road",))
+        survey.add(replace(seen, cloud_m=points_m), of)
+        scenes.append(survey.scene())
+    told, clean = scenes
+    assert {k: v.caption for k, v in told.objects.items()} == {
+        k: v.caption for k, v in clean.objects.items()
+    }
+    np.testing.assert_array_equal(told.regions_grid.cells, clean.regions_grid.cells)
+
+
 def test_an_empty_plane_is_one_region():
     scene = survey_of((), np.eye(4)).scene()
     assert scene.objects == scene.contours == {}
