@@ -78,6 +78,26 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look():
     assert json.dumps(status_of(loop.service.result()))
 
 
+def test_what_it_stops_at_is_made_sure_of_or_left_for_another(monkeypatch):
+    loop = until(closed(TO_THE_OVEN), "verifying")
+    tracker = loop.service.map.tracker
+    (oven,) = tracker.of("oven")
+    monkeypatch.setattr(tracker, "confirmed", lambda one: False)
+    until(loop, "looking").step()
+    assert oven.state == "refuted"
+    assert (loop.service.status.done, states(loop)) == (False, ["looked for"])
+    assert any(
+        f"oven {oven.id} is none, as seen from near by: looking further" in event
+        for event in loop.notes.events
+    )
+
+
+def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
+    loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
+    assert not loop.service.map.tracker.of("oven", sure=True)
+    assert loop.service.status.phase == "reached", loop.notes.events
+
+
 def states(loop: ClosedLoop) -> list[str]:
     return [step.state for step in loop.service.result().task().steps]
 
