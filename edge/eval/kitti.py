@@ -62,7 +62,7 @@ class Frame:
 
     Attributes:
         observation: image, cloud and pose; `seq` is the frame's number.
-        semantic: (n,) uint16, the label of each point of the cloud.
+        semantic: (n,) uint16, the label of each point of the cloud; 0: not labelled.
         instance: (n,) uint16, which thing of its label; 0: not told apart.
     """
 
@@ -79,27 +79,32 @@ class Frame:
         return table[self.semantic]
 
 
-def frames_in(folder: Path) -> list[int]:
-    """The numbers of the frames whose image, scan and labels are there, ascending.
+def frames_in(folder: Path, labelled: bool = True) -> list[int]:
+    """The numbers of the frames whose image, scan and (unless not `labelled`) labels are there,
+    ascending.
 
     Raises:
         KittiError: there are none.
     """
+    kinds = (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))[: 2 + labelled]
     found = [
         {int(path.stem) for path in (folder / kind).glob(f"*.{ext}") if path.stem.isdigit()}
-        for kind, ext in (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))
+        for kind, ext in kinds
     ]
     numbers = sorted(set.intersection(*found))
     if not numbers:
+        wanted = "image_2/, velodyne/ and labels/" if labelled else "image_2/ and velodyne/"
         raise KittiError(
-            f"{folder}: no frame with image_2/, velodyne/ and labels/: give the folder of a "
-            "SemanticKITTI sequence"
+            f"{folder}: no frame with {wanted}: give the folder of a SemanticKITTI sequence"
         )
     return numbers
 
 
-def read_frame(folder: Path, number: int) -> Frame:
+def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
     """A frame with its camera, scan, labels and pose.
+
+    Args:
+        labelled: False: its labels are not read, and need not be there.
 
     Raises:
         KittiError: a file is missing or is not what it should be.
@@ -123,7 +128,9 @@ def read_frame(folder: Path, number: int) -> Frame:
     if bgr is None:
         raise KittiError(f"{path}: not an image")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)
-    label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
+    label = np.zeros(len(scan), np.uint32)
+    if labelled:
+        label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
         raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
     fine = usable(scan[:, :3])
@@ -243,15 +250,16 @@ def kitti_scene(
     return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
 
 
-def read_frames(folder: Path, numbers: Sequence[int]) -> list[Frame]:
-    """Some frames of a sequence.
+def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[Frame]:
+    """Some frames of a sequence; see `read_frame`.
 
     Raises:
         KittiError: see `read_frame`; `numbers` is empty.
     """
     if not numbers:
-        raise KittiError(f"{folder}: no frame chosen (there are {frames_in(folder)})")
-    return [read_frame(folder, number) for number in numbers]
+        there = frames_in(folder, labelled)
+        raise KittiError(f"{folder}: no frame chosen (there are {there})")
+    return [read_frame(folder, number, labelled) for number in numbers]
 
 
 def scene_of(

@@ -3,6 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from made_sequence import IDENTITY, P2, TR, write
 
 from edge.eval import kitti
 from edge.eval.kitti import (
@@ -19,34 +20,22 @@ from edge.tasks import terrain
 from edge.tasks.projection import points_of_masks
 from edge.tasks.survey import OFF_GROUND_M
 
-IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
-P2 = "100 0 50 20 0 100 30 10 0 0 1 0"
-# Axes of a camera seen from the LiDAR's: x right, y down, z forward.
-TR = "0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3"
-
-
-def write(folder, *, label=40, points=200, poses=2, tr=True):
-    """A sequence of one frame: a flat road and a car of 30 points."""
-    for name in ("image_2", "velodyne", "labels"):
-        (folder / name).mkdir(parents=True)
-    calibration = "P2: 100 0 50 20 0 100 30 10 0 0 1 0\n" + (f"Tr: {TR}\n" if tr else "")
-    (folder / "calib.txt").write_text(calibration)
-    (folder / "poses.txt").write_text(f"{IDENTITY}\n" * poses)
-    (folder / "times.txt").write_text("0.0\n0.1\n")
-    cv2.imwrite(str(folder / "image_2/000000.png"), np.full((60, 100, 3), (10, 20, 200), np.uint8))
-    random = np.random.default_rng(0)
-    road = np.column_stack((random.uniform((3, -5), (30, 5), (points, 2)), np.full(points, -1.73)))
-    car = random.uniform((10, -1, -1.5), (10.2, 1, -0.3), (30, 3))
-    scan = np.column_stack((np.vstack((road, car)), np.zeros(points + 30))).astype(np.float32)
-    labels = np.array([label] * points + [10 | 3 << 16] * 30, np.uint32)
-    scan.tofile(folder / "velodyne/000000.bin")
-    labels.tofile(folder / "labels/000000.label")
-    return folder
-
 
 def test_an_empty_folder_has_no_frames(tmp_path):
     with pytest.raises(KittiError, match="no frame with image_2/"):
         frames_in(tmp_path)
+
+
+def test_without_labels_there_are_the_camera_and_the_scan(tmp_path):
+    folder = write(tmp_path)
+    (folder / "labels/000000.label").unlink()
+    with pytest.raises(KittiError, match="no frame with image_2/, velodyne/ and labels/"):
+        frames_in(folder)
+    assert frames_in(folder, labelled=False) == [0]
+    frame = read_frame(folder, 0, labelled=False)
+    assert len(frame.observation.cloud_m) == 230
+    assert not frame.semantic.any()
+    assert things_in(frame) == []
 
 
 def test_no_frame_chosen(tmp_path):

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from chat_server import saying, send, serving
+from made_sequence import write
 
 from edge.cli.main import main
 from edge.config import load
@@ -112,6 +113,21 @@ def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, cap
     code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
     assert code == os.EX_OK
     assert "by the simulated detector" in capsys.readouterr().out
+
+
+def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
+    """The shipped detector sees nothing there; the ground is what is flat."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    (folder / "labels/000000.label").unlink()
+    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "background": ["chair"]}
+    monkeypatch.setenv("EDGE__PERCEPTION__DETECTOR", json.dumps(detector))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go straight for 8 metres", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "0 things by mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
+    poses = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"]
+    np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
 
 WRONG = {

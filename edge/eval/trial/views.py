@@ -56,25 +56,28 @@ def kitti_view(
 
     Args:
         config: whose robot is to drive there, and whose detector looks.
-        words: what the detector looks for besides what is configured; None: the labels of the
-            points tell what is there.
+        words: what the detector looks for besides what is configured; the ground is then what is
+            flat and hangs together. None: the labels of the points tell what is there, and which
+            kind of ground.
 
     Raises:
         UserError: a frame cannot be read, or nothing can look.
     """
-    there = kitti.frames_in(folder)
+    labelled = words is None
+    there = kitti.frames_in(folder, labelled)
     numbers = list(dict.fromkeys(numbers)) or there[:1]
     for number in numbers:
         if number not in there:
             listed = ", ".join(map(str, there))
-            raise ViewError(f"{folder}: no frame {number} with image, scan and labels ({listed})")
-    frames = kitti.read_frames(folder, numbers)
+            what = "image, scan and labels" if labelled else "image and scan"
+            raise ViewError(f"{folder}: no frame {number} with {what} ({listed})")
+    frames = kitti.read_frames(folder, numbers, labelled)
     clearance_m = config.tasks.trajectory.clearance_m
     if words is None:
         scene, by = kitti.scene_of(frames, kitti.oracle(frames), clearance_m), "the labels"
     else:
-        with _detector(config, words) as (chain, by):
-            scene = kitti.scene_of(frames, chain, clearance_m)
+        with detector_chain(config, words) as (chain, by):
+            scene = kitti.scene_of(frames, chain, clearance_m, by_labels=False)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
@@ -119,23 +122,35 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
     if words is None:
         scene, by = look(_oracle(truth)), "the simulator"
     else:
-        with _detector(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (chain, by):
+        with detector_chain(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
+            chain,
+            by,
+        ):
             scene = look(chain)
     return View(drawn.name, by, scene, cloud_m, 0.0)
 
 
 @contextmanager
-def _detector(
+def detector_chain(
     config: Config, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[tuple[Chain, str]]:
-    """The chain of the configured detector and segmenter, and what it is called."""
+    """The chain of the configured detector and segmenter, and what it is called.
+
+    Args:
+        words: to look for, besides the detector's `background`.
+        truth: what a simulated detector sees by; None: the pictures are real.
+
+    Raises:
+        UserError: nothing can look, or there is nothing to look for.
+    """
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise ViewError(
             f"{config.path}: perception.detector.kind: sim sees nothing in a real picture: name a "
             "model (onnx), or take --objects labels"
         )
-    words = tuple(dict.fromkeys((*words, *(detector.background or ()))))
+    # The detector sees its background anyhow; but it has to be asked for something.
+    words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise ViewError(
             f"{config.path}: perception.detector.background: name what is to be looked for"
