@@ -130,6 +130,44 @@ def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, mo
     np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
 
+def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, monkeypatch):
+    """It calls the car a mailbox, and says that it is yellow."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "1 things by own_chain:make" in said.out
+    assert "a yellow box, " in said.out
+    end = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"][-1]
+    assert np.hypot(end[0] - 10.0, end[1]) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("chain", "line"),
+    [
+        ({"kind": "mine"}, "tasks.chain.kind: expected module:Class"),
+        ({"kind": "own_chain:nothing"}, "tasks.chain.kind: 'own_chain:nothing': AttributeError"),
+        ({"kind": "own_chain:make"}, "tasks.chain.options: missing a required argument: 'box'"),
+        ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no chain"),
+        (
+            {"kind": "own_chain:make", "options": {"box": [0, 0, 9, 9], "fails": "no\nmemory"}},
+            "tasks.chain: own_chain:make: boxes: RuntimeError: no memory",
+        ),
+    ],
+)
+def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
+    folder = write(tmp_path / "sequence")
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    assert trajectory(tmp_path, str(folder), "go to the mailbox", *options)[0] != os.EX_OK
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+
+
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
     "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from edge.config import Config, WorldStreet
+from edge.config import ChainOwn, Config, WorldStreet
+from edge.config.named import find_named
 from edge.errors import UserError
 from edge.eval import kitti
 from edge.perception.sim_detector import Segmentation, TruthAt
@@ -20,6 +22,7 @@ from edge.sim.worlds import load_world
 from edge.tasks.chain import Chain, boxes_alone, open_chain
 from edge.tasks.scene import Scene
 from edge.tasks.survey import Survey
+from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
 LEAST_PX, LEAST_SIDE_PX = 60, 4
@@ -134,7 +137,7 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
 def detector_chain(
     config: Config, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[tuple[Chain, str]]:
-    """The chain of the configured detector and segmenter, and what it is called.
+    """The chain of the configured detector and segmenter, or one's own, and what it is called.
 
     Args:
         words: to look for, besides the detector's `background`.
@@ -143,6 +146,9 @@ def detector_chain(
     Raises:
         UserError: nothing can look, or there is nothing to look for.
     """
+    if config.tasks.chain is not None:
+        yield _own_chain(config, config.tasks.chain, tuple(words)), config.tasks.chain.kind
+        return
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise ViewError(
@@ -157,6 +163,31 @@ def detector_chain(
         )
     with open_chain(config.perception, words, truth) as chain:
         yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
+
+
+def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
+    """The chain that `tasks.chain` names; what its parts raise is told as theirs."""
+    where = f"{config.path}: tasks.chain"
+    given: dict[str, Any] = {"perception": config.perception, "words": words}
+    needs = ("tags", "boxes", "masks", "captions", "embeddings")
+    make = find_named("chain", own.kind, own.options, {}, where, needs, tuple(given))
+    made = make(**given)
+
+    def guarded(name: str) -> Callable[..., Any] | None:
+        part = getattr(made, name)
+
+        def called(*args: Any) -> Any:
+            try:
+                return part(*args)
+            except UserError:
+                raise
+            except Exception as error:  # whatever one's own part does
+                said = one_line(f"{type(error).__name__}: {error}")
+                raise ViewError(f"{where}: {own.kind}: {name}: {said}") from None
+
+        return None if part is None else called
+
+    return Chain(*map(guarded, needs))
 
 
 def _oracle(truth: Segmentation) -> Chain:
