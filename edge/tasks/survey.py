@@ -76,6 +76,7 @@ class Survey:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
         self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
         self._range_m = mapping.range_m
+        self._own_m = mapping.min_range_m  # what is nearer is the robot's own body
         self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
@@ -106,7 +107,8 @@ class Survey:
         ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)
         if ground_kind is not None:
-            self._add_ground(points_m[:, :2], ground_kind)
+            far = np.linalg.norm(cloud_m, axis=1) >= self._own_m
+            self._add_ground(points_m[far, :2], ground_kind[far])
         seen = see(self._chain, observation)
         shown = _in_boxes(seen.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
         self._newest, self._contours = observation, {}
