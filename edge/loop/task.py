@@ -27,12 +27,13 @@ from edge.loop.semantic_map import SemanticMap
 from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
 from edge.motion.pursuit import index_ahead
+from edge.perception.instances import InstanceTracker
 from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import Refined
 from edge.text import one_line
-from edge.types import Detections, Observation
+from edge.types import Detections, Instance, Observation
 
 AHEAD_M = 1.5
 """How far the goal moves ahead of the robot, and `APART_M` from where it was before it is sent."""
@@ -80,6 +81,7 @@ class TaskRun:
         self._order: Order | None = None  # that the worker is at
         self._why = ""  # a trajectory before this one could not be driven on
         self._refused = ""  # why none can be written from what was seen so far
+        self._unsure: tuple[int, ...] = ()  # instances of which it may be any
         self._all_seen = False
         self._held_up_at: SE2 | None = None
         self._looked_ns = 0
@@ -143,7 +145,7 @@ class TaskRun:
             self._see(detections)
             self._images += 1
         if (draft := self._worker.poll()) is not None and self._order is not None:
-            self._take(draft, self._order, goals, now_ns)
+            self._take(draft, self._order, map.tracker, goals, now_ns)
         if self.phase == "looking" and not self.missed and not self._mission.done:
             if self._refused:
                 self._look_on(map, goals, observation, now_ns)
@@ -217,6 +219,11 @@ class TaskRun:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
             yield StepFacts(step.said, state)
 
+    def unsure(self, tracker: InstanceTracker) -> list[Instance]:
+        """Things of which one was named, and that were not seen well enough to be believed in."""
+        found = [tracker.get(number) for number in self._unsure]
+        return [one for one in found if one is not None and one.state == "seen"]
+
     # -- inside -----------------------------------------------------------------------------
 
     def _look_round(self, goals: GoalTracker, pose: SE2, stuck: bool) -> None:
@@ -239,7 +246,9 @@ class TaskRun:
             return
         if self._all_seen:
             self._mission.fail(_line(self._refused), now_ns)
-        elif goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
+            return
+        settled = self._unsure and not self.unsure(map.tracker)
+        if settled or goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
             self._looked_ns, self._all_seen = now_ns, goals.exhausted
             self._ask(map, observation, None)
 
@@ -292,9 +301,18 @@ class TaskRun:
         )
         self._worker.submit(self._order)
 
-    def _take(self, draft: Draft, order: Order, goals: GoalTracker, now_ns: int) -> None:
+    def _take(
+        self,
+        draft: Draft,
+        order: Order,
+        tracker: InstanceTracker,
+        goals: GoalTracker,
+        now_ns: int,
+    ) -> None:
         """Drive what was found; where nothing was, have another written, or give up."""
         mission, self._order = self._mission, None
+        self._unsure = draft.mistakable
+        unsure = self.unsure(tracker)
         for n, said in enumerate(draft.rounds, start=1):
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
@@ -309,7 +327,7 @@ class TaskRun:
             self._stop(goals, now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
-        elif not (draft.hopeless or self._why or self._by_model):
+        elif unsure or not (draft.hopeless or self._why or self._by_model):
             if not self._refused:
                 mission.tell(_line(f"{draft.error}: looking further"), now_ns)
             self.phase, self._refused, self._looked_ns = "looking", draft.error, now_ns
