@@ -167,6 +167,11 @@ def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         help="ours; ours, not refined; vlt_code; a_star; with --url llm_tg too (default: all)",
     )  # fmt: skip
     option("--limit", type=count, metavar="N", help="the first N episodes of each place only")
+    option(
+        "--detector", metavar="CONFIG",
+        help="of kitti:FOLDER the scenes are made of image and scan alone, with the detector and "
+        "segmenter of a configuration, such as kitti (default: the labels tell what is there)",
+    )  # fmt: skip
     option("--url", help="of an OpenAI-compatible server, whose model writes instead of the rules")
     option("--model", help="its model")
     option(

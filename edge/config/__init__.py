@@ -50,11 +50,19 @@ from edge.config.root import Config, load, parse
 from edge.config.ros2 import Ros2
 from edge.config.section import Section
 from edge.config.sim import Sim, WorldGenerated, WorldHouse, WorldMesh, WorldProcthor, WorldStreet
-from edge.config.tasks import ScriptLimits, Tasks, TrajectoryLimits, WriterModel, WriterRules
+from edge.config.tasks import (
+    ChainOwn,
+    ScriptLimits,
+    Tasks,
+    TrajectoryLimits,
+    WriterModel,
+    WriterRules,
+)
 from edge.errors import ConfigError
 
 __all__ = [
     "Camera",
+    "ChainOwn",
     "ChoiceCooccurrence",
     "ChoiceNone",
     "ChoiceOnnx",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Union
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field
 
-from edge.config.section import NonNegative, Positive, Section
+from edge.config.section import NonNegative, OwnKind, Positive, Section
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -59,7 +59,20 @@ class WriterModel(Section):
     max_answer_kb: Positive = 256.0
 
 
+class ChainOwn(Section):
+    """What makes an `edge.tasks.chain.Chain`, a function or class of one's own on Python's path:
+    called with `options`, and with `perception` (that section) and `words` (what is looked for), if
+    it has parameters for them."""
+
+    kind: OwnKind
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
 class Tasks(Section):
+    """`chain` is what `edge trajectory --objects detector` and `edge eval trajectories --detector`
+    see by; null: `perception.detector` and `perception.segmenter`, by which a service sees."""
+
+    chain: ChainOwn | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
     script: ScriptLimits = ScriptLimits()
     trajectory: TrajectoryLimits = TrajectoryLimits()

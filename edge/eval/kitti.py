@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 
 from edge.errors import UserError
-from edge.geometry import CameraModel, invert
+from edge.geometry import FARTHEST_M, CameraModel, invert
 from edge.host.files import read_regular
 from edge.tasks.chain import Chain
 from edge.tasks.objects import clusters, share_near, thin
 from edge.tasks.projection import in_picture
 from edge.tasks.scene import Scene
-from edge.tasks.survey import OUTDOORS, Survey
+from edge.tasks.survey import OUTDOORS, Survey, usable
 from edge.types import MASK_SIDE, Detections, Observation
 
 LIDAR_HEIGHT_M = 1.73
@@ -46,6 +46,8 @@ REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
 REACH_ELSE_M = 0.6
 LEAST_POINTS = 12
 LEAST_PX = 6
+_SKEW = 0.01
+"""So far may written numbers of a rotation be off."""
 _DOTS_PX = 5, 9
 """Width and height of gaps between returns of one surface in the picture, scan lines included."""
 
@@ -60,7 +62,7 @@ class Frame:
 
     Attributes:
         observation: image, cloud and pose; `seq` is the frame's number.
-        semantic: (n,) uint16, the label of each point of the cloud.
+        semantic: (n,) uint16, the label of each point of the cloud; 0: not labelled.
         instance: (n,) uint16, which thing of its label; 0: not told apart.
     """
 
@@ -77,27 +79,32 @@ class Frame:
         return table[self.semantic]
 
 
-def frames_in(folder: Path) -> list[int]:
-    """The numbers of the frames whose image, scan and labels are there, ascending.
+def frames_in(folder: Path, labelled: bool = True) -> list[int]:
+    """The numbers of the frames whose image, scan and (unless not `labelled`) labels are there,
+    ascending.
 
     Raises:
         KittiError: there are none.
     """
+    kinds = (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))[: 2 + labelled]
     found = [
         {int(path.stem) for path in (folder / kind).glob(f"*.{ext}") if path.stem.isdigit()}
-        for kind, ext in (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))
+        for kind, ext in kinds
     ]
     numbers = sorted(set.intersection(*found))
     if not numbers:
+        wanted = "image_2/, velodyne/ and labels/" if labelled else "image_2/ and velodyne/"
         raise KittiError(
-            f"{folder}: no frame with image_2/, velodyne/ and labels/: give the folder of a "
-            "SemanticKITTI sequence"
+            f"{folder}: no frame with {wanted}: give the folder of a SemanticKITTI sequence"
         )
     return numbers
 
 
-def read_frame(folder: Path, number: int) -> Frame:
+def read_frame(folder: Path, number: int, labelled: bool = True) -> Frame:
     """A frame with its camera, scan, labels and pose.
+
+    Args:
+        labelled: False: its labels are not read, and need not be there.
 
     Raises:
         KittiError: a file is missing or is not what it should be.
@@ -121,22 +128,31 @@ def read_frame(folder: Path, number: int) -> Frame:
     if bgr is None:
         raise KittiError(f"{path}: not an image")
     scan = _array(folder / "velodyne" / f"{number:06d}.bin", np.float32, 4).reshape(-1, 4)
-    label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
+    label = np.zeros(len(scan), np.uint32)
+    if labelled:
+        label = _array(folder / "labels" / f"{number:06d}.label", np.uint32, 1)
     if len(scan) != len(label):
         raise KittiError(f"{folder}: frame {number}: {len(scan)} points, but {len(label)} labels")
+    fine = usable(scan[:, :3])
+    scan, label = scan[fine], label[fine]
     P2 = calibration["P2"]
     height, width = bgr.shape[:2]
-    camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
-    T_cam0_velo = _rigid(calibration["Tr"])
+    try:
+        camera = CameraModel(width, height, P2[0, 0], P2[1, 1], P2[0, 2], P2[1, 2])
+        beside_m = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    except ValueError as error:  # a matrix without an inverse is one too
+        raise KittiError(f"{path}: P2 of calib.txt: {error}") from None
+    T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
-    T_cam2_cam0[:3, 3] = np.linalg.solve(P2[:, :3], P2[:, 3])  # P2 = K [I | t]
+    T_cam2_cam0[:3, 3] = beside_m
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
     to_base = T_base_velo @ invert(T_cam0_velo)
+    T_cam0 = _rigid(poses[number].reshape(3, 4), f"{folder / 'poses.txt'}: line {number + 1}")
     observation = Observation(
         seq=number,
         stamp_ns=round(1e9 * float(times[number, 0])),
-        T_map_base=to_base @ _rigid(poses[number].reshape(3, 4)) @ invert(to_base),
+        T_map_base=to_base @ T_cam0 @ invert(to_base),
         rgb=cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB),
         camera=camera,
         T_base_camera=to_base @ invert(T_cam2_cam0),
@@ -234,15 +250,16 @@ def kitti_scene(
     return scene_of(frames, chain or oracle(frames), CAR_RADIUS_M, by_labels)
 
 
-def read_frames(folder: Path, numbers: Sequence[int]) -> list[Frame]:
-    """Some frames of a sequence.
+def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[Frame]:
+    """Some frames of a sequence; see `read_frame`.
 
     Raises:
         KittiError: see `read_frame`; `numbers` is empty.
     """
     if not numbers:
-        raise KittiError(f"{folder}: no frame chosen (there are {frames_in(folder)})")
-    return [read_frame(folder, number) for number in numbers]
+        there = frames_in(folder, labelled)
+        raise KittiError(f"{folder}: no frame chosen (there are {there})")
+    return [read_frame(folder, number, labelled) for number in numbers]
 
 
 def scene_of(
@@ -272,10 +289,19 @@ def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
     return (small if width * height > MASK_SIDE**2 else enlarged) >= 96
 
 
-def _rigid(rows: np.ndarray) -> np.ndarray:
-    """(4, 4) of the first three rows."""
+def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
+    """(4, 4) of the first three rows.
+
+    Raises:
+        KittiError: it does not turn and move, or moves farther than the frame `map` can tell.
+    """
     T = np.eye(4)
     T[:3] = rows
+    R = T[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        turns = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
+    if not (turns and np.abs(T[:3, 3]).max() <= FARTHEST_M):
+        raise KittiError(f"{where}: not a rotation and a place within {FARTHEST_M / 1000:g} km")
     return T
 
 

@@ -16,6 +16,7 @@ from edge.mission.language.words import TranslationError
 from edge.motion.pursuit import MotionLimits
 from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import prompt, words
+from edge.tasks.reading import AmbiguousError
 from edge.tasks.refine import Refined, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.survey import add_found, scene_of_map
@@ -38,6 +39,7 @@ class Draft:
     Attributes:
         refined: the trajectory; None: there is none, and `error` says why in one line.
         hopeless: whatever else comes to be known, there will be none.
+        mistakable: ids of the things of which one was named, and it may be any.
         coarse_m: (n, 2) float64 in `map`, as it was written; None: it was not.
         speed_mps: that was asked for; None: none was.
         stops_at: number and label of the thing that it ends at; see `edge.tasks.write.Written`.
@@ -48,6 +50,7 @@ class Draft:
     refined: Refined | None = None
     error: str = ""
     hopeless: bool = False
+    mistakable: tuple[int, ...] = ()
     coarse_m: np.ndarray | None = None
     speed_mps: float | None = None
     stops_at: tuple[int, str] | None = None
@@ -167,8 +170,11 @@ def _written_up_to(upto: int, order: Order, scene: Scene) -> Draft:
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
     except UserError as error:
-        hopeless = isinstance(error, TranslationError)
-        return replace(draft, error=str(error), hopeless=hopeless, rounds=tuple(order.rounds))
+        mistakable = error.things if isinstance(error, AmbiguousError) else ()
+        return replace(
+            draft, error=str(error), hopeless=isinstance(error, TranslationError),
+            mistakable=mistakable, rounds=tuple(order.rounds),
+        )  # fmt: skip
     return replace(draft, refined=refined, rounds=tuple(order.rounds))
 
 

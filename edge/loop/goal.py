@@ -345,6 +345,9 @@ class GoalTracker:
     def _act_on(
         self, verdict: Verdict, instance: Instance, mission: MissionRun, now_ns: int
     ) -> None:
+        if verdict == "reached" and mission.brief.steps is not None:
+            self.drop()  # of a task, it is made sure of: nothing more was wanted here
+            return
         if verdict == "reached":
             self._tracker.mark_reached(instance.id)
             label = mission.target

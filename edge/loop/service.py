@@ -246,9 +246,11 @@ class Service:
         self._publisher.saw(self._detections)
 
     def _gather(self, observation: Observation, now_ns: int) -> None:
-        """Stage 5: frontiers, and instances of the active target."""
+        """Stage 5: frontiers, and instances of the active target, or those that a task may mean."""
         instances: list[Instance] = []
-        if not self.mission.done and self.task is None:  # a task drives to none
+        if self.task is not None:
+            instances = self.task.unsure(self.map.tracker)
+        elif not self.mission.done:
             target, sure = self.mission.target, not self.config.policy.instances
             instances = self.map.tracker.of(target, sure, doubted=self.goals.searched)
         self.map.gather(instances, observation, now_ns)

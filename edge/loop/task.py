@@ -5,6 +5,9 @@ and searched for once nothing more can be driven. Writing and refining take from
 to minutes, so they are done beside the loop (`edge.loop.draft`); the robot stands meanwhile. A
 trajectory means something in the frame in which it was written, and from where the robot stood
 then: where the pose jumps, and after a restart, a new one is written for the steps that are left.
+It is written about things that may have been seen from far off only, so what it stops at is made
+sure of from there, as a mission's target is; what is none after all is left, and another is looked
+for.
 """
 
 from __future__ import annotations
@@ -17,19 +20,20 @@ from typing import Any
 from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
-from edge.loop.draft import Draft, Look, Order, carried_out, let_go, told
-from edge.loop.goal import GoalTracker
+from edge.loop.draft import AGAIN_M, Draft, Look, Order, carried_out, let_go, told
+from edge.loop.goal import MIN_IMAGES, GoalTracker
 from edge.loop.journal import TASK, Journal
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.brief import TaskStep
 from edge.mission.run import MissionRun
 from edge.motion.pursuit import index_ahead
+from edge.perception.instances import InstanceTracker
 from edge.tasks.facts import StepFacts, TaskFacts, TaskPhase
 from edge.tasks.follow import blocked_ahead_m, goal_ahead
 from edge.tasks.objects import ObjectMap
 from edge.tasks.refine import Refined
 from edge.text import one_line
-from edge.types import Detections, Observation
+from edge.types import Detections, Instance, Observation
 
 AHEAD_M = 1.5
 """How far the goal moves ahead of the robot, and `APART_M` from where it was before it is sent."""
@@ -77,9 +81,13 @@ class TaskRun:
         self._order: Order | None = None  # that the worker is at
         self._why = ""  # a trajectory before this one could not be driven on
         self._refused = ""  # why none can be written from what was seen so far
+        self._unsure: tuple[int, ...] = ()  # instances of which it may be any
         self._all_seen = False
         self._held_up_at: SE2 | None = None
         self._looked_ns = 0
+        self._stopped_at: tuple[int, str] | None = None  # see `Draft.stops_at`
+        self._images = 0  # since it stopped there, at `_stopped_ns`
+        self._stopped_ns = 0
 
     @property
     def _by_model(self) -> bool:
@@ -135,8 +143,9 @@ class TaskRun:
         pose = observation.pose
         if detections is not None:
             self._see(detections)
+            self._images += 1
         if (draft := self._worker.poll()) is not None and self._order is not None:
-            self._take(draft, self._order, goals, now_ns)
+            self._take(draft, self._order, map.tracker, goals, now_ns)
         if self.phase == "looking" and not self.missed and not self._mission.done:
             if self._refused:
                 self._look_on(map, goals, observation, now_ns)
@@ -149,6 +158,8 @@ class TaskRun:
                 self._ask(map, detections.observation, detections)
         elif self.phase == "driving":
             self._drive(map, goals, observation, stuck, now_ns)
+        elif self.phase == "verifying" and not self._mission.done:
+            self._verify(map, goals, pose, now_ns)
 
     def lead(self, goals: GoalTracker, pose: SE2, now_ns: int) -> None:
         """Where the robot goes now, in place of a candidate: on the trajectory, or to stand."""
@@ -208,6 +219,11 @@ class TaskRun:
                 state = "to come" if missing.isdisjoint(step.names) else "looked for"
             yield StepFacts(step.said, state)
 
+    def unsure(self, tracker: InstanceTracker) -> list[Instance]:
+        """Things of which one was named, and that were not seen well enough to be believed in."""
+        found = [tracker.get(number) for number in self._unsure]
+        return [one for one in found if one is not None and one.state == "seen"]
+
     # -- inside -----------------------------------------------------------------------------
 
     def _look_round(self, goals: GoalTracker, pose: SE2, stuck: bool) -> None:
@@ -230,7 +246,9 @@ class TaskRun:
             return
         if self._all_seen:
             self._mission.fail(_line(self._refused), now_ns)
-        elif goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
+            return
+        settled = self._unsure and not self.unsure(map.tracker)
+        if settled or goals.exhausted or now_ns - self._looked_ns >= AGAIN_NS:
             self._looked_ns, self._all_seen = now_ns, goals.exhausted
             self._ask(map, observation, None)
 
@@ -283,9 +301,18 @@ class TaskRun:
         )
         self._worker.submit(self._order)
 
-    def _take(self, draft: Draft, order: Order, goals: GoalTracker, now_ns: int) -> None:
+    def _take(
+        self,
+        draft: Draft,
+        order: Order,
+        tracker: InstanceTracker,
+        goals: GoalTracker,
+        now_ns: int,
+    ) -> None:
         """Drive what was found; where nothing was, have another written, or give up."""
         mission, self._order = self._mission, None
+        self._unsure = draft.mistakable
+        unsure = self.unsure(tracker)
         for n, said in enumerate(draft.rounds, start=1):
             if said.error and order.before is None:
                 mission.tell(_line(f"answer {n} of the model: {said.error}"), now_ns)
@@ -297,10 +324,10 @@ class TaskRun:
             self.phase, self._refused = "driving", ""
             mission.tell(_line(told(draft, order)), now_ns)
         elif order.nearer_to is not None:
-            self._go_on(goals, now_ns)
+            self._stop(goals, now_ns)
         elif order.before is not None:
             self._write_again(draft.error, now_ns)
-        elif not (draft.hopeless or self._why or self._by_model):
+        elif unsure or not (draft.hopeless or self._why or self._by_model):
             if not self._refused:
                 mission.tell(_line(f"{draft.error}: looking further"), now_ns)
             self.phase, self._refused, self._looked_ns = "looking", draft.error, now_ns
@@ -325,8 +352,9 @@ class TaskRun:
             self._mission.drove(driven, now_ns)
         if state == "reached" and goal is not None and _is_end(goal.pose, refined):
             if (thing := self._draft.stops_at) is None:
-                self._go_on(goals, now_ns)
+                self._stop(goals, now_ns)
             else:
+                self._stopped_at = thing
                 self._ask(map, observation, None, nearer_to=thing)
         elif state == "reached":
             # Where the path doubles back, the robot is as near to a part of it that lies behind.
@@ -354,6 +382,39 @@ class TaskRun:
         while self._steps[driven].joined:
             driven -= 1
         return driven
+
+    def _stop(self, goals: GoalTracker, now_ns: int) -> None:
+        """At the end of a trajectory, as near to a thing that it ends at as one gets."""
+        if self._stopped_at is None:
+            self._go_on(goals, now_ns)
+        else:
+            self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
+
+    def _verify(self, map: SemanticMap, goals: GoalTracker, pose: SE2, now_ns: int) -> None:
+        """Whether what the robot stopped at is what the task names; from afar there is no telling,
+        and it is taken for it."""
+        assert self._stopped_at is not None
+        (number, label), perception = self._stopped_at, self.config.perception
+        here = [
+            one
+            for one in map.tracker.of(label)
+            if one.distance_m(pose.x_m, pose.y_m) <= min(AGAIN_M, perception.confirm_range_m)
+        ]
+        thing = map.tracker.get(number)
+        away = thing is not None and thing.state != "refuted" and not here
+        if away or any(map.tracker.confirmed(one) for one in here):
+            self._go_on(goals, now_ns)
+        elif (
+            self._images >= MIN_IMAGES
+            and (now_ns - self._stopped_ns) * 1e-9 > self.config.mission.verify_s
+        ):
+            if here and number not in {one.id for one in here}:  # it got another number
+                number = min(here, key=lambda one: one.distance_m(pose.x_m, pose.y_m)).id
+            map.tracker.refute(number)
+            said = f"{label} {number} is none, as seen from near by: looking further"
+            self._mission.tell(_line(said), now_ns)
+            self._begin()
+            goals.set_out(self._mission)
 
     def _go_on(self, goals: GoalTracker, now_ns: int) -> None:
         """At the end of a trajectory: with the steps that come after it, if any do."""

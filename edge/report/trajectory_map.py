@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from edge.tasks.value_map import DRIVABLE, HIGH, TUBE
 from edge.trajectory.costmap import CostMap
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 COARSE, REFINED = "#e67700", palette.TARGET
@@ -25,6 +27,10 @@ MARGIN_M, LEAST_M = 5.0, 24.0
 WIDTH_IN, MOST_HIGH_IN, DPI = 8.4, 6.0, 120
 _KEY_IN = 0.27
 """How far the key lies below a panel."""
+_KEY_COLUMNS = {1: 7, 2: 2}
+"""Of the key, by how many panels stand side by side: a key that is wider than its panel takes the
+room from it."""
+_KEY_ROW_IN = 0.17
 _VALUES = {
     TUBE: ("around what was written", "#8ce99a"),
     DRIVABLE: ("ground that was chosen", "#d3f9d8"),
@@ -50,7 +56,10 @@ def png(
     rows, columns = (panels, 1) if wide >= high else (1, panels)
     width_in = WIDTH_IN / columns
     high_in = min(MOST_HIGH_IN, width_in * high / wide)
-    figure, axes = canvas.plots((WIDTH_IN, rows * (high_in + 0.75)), DPI, columns, rows)
+    keys = _keys(scene, coarse_m, refined, box)
+    key_rows = math.ceil(max(map(len, keys[:panels])) / _KEY_COLUMNS[columns])
+    high_in += 0.41 + _KEY_ROW_IN * max(key_rows, 2)
+    figure, axes = canvas.plots((WIDTH_IN, rows * high_in), DPI, columns, rows)
     for one in axes:
         one.set_xlim(box[:2])
         one.set_ylim(box[2:])
@@ -65,7 +74,8 @@ def png(
         _lines(one, scene, coarse_m, refined)
     for thing in scene.objects.values():
         _thing(axes[0], thing, box)
-    _key(axes, scene, coarse_m, refined, box)
+    for one, handles in zip(axes, keys, strict=False):
+        _key(one, handles, _KEY_COLUMNS[columns])
     return canvas.content(figure, "png")
 
 
@@ -96,7 +106,7 @@ def _values(axes: Axes, costmap: CostMap) -> None:
     table = np.zeros((256, 3), np.uint8)
     for weight, (_, hexed) in _VALUES.items():
         table[weight] = np.frombuffer(bytes.fromhex(hexed[1:]), np.uint8)
-    axes.set_facecolor(_VALUES[HIGH][1])
+    axes.set_facecolor(_VALUES[0][1])  # nobody has seen what is outside of the map
     _image(axes, costmap.grid, table[costmap.weight])
     axes.set_title("What each cell costs", loc="left", color=palette.INK, fontsize=10)
 
@@ -144,17 +154,12 @@ def _thing(axes: Axes, thing: SceneObject, box: _Box) -> None:
         )  # fmt: skip
 
 
-def _key(
-    axes: list[Axes],
-    scene: Scene,
-    coarse_m: np.ndarray | None,
-    refined: Refined | None,
-    box: _Box,
-) -> None:
-    """Only what is there, below each panel."""
+def _keys(
+    scene: Scene, coarse_m: np.ndarray | None, refined: Refined | None, box: _Box
+) -> tuple[list[Artist], list[Artist]]:
+    """What is there, of each panel."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
-    from matplotlib.transforms import ScaledTranslation
 
     cells, colours = ground_colours(scene)
     rows, columns = np.indices(cells.shape)
@@ -178,11 +183,17 @@ def _key(
         Patch(facecolor=shade, label=label, edgecolor="#b8c0cc", lw=0.6)
         for label, shade in _VALUES.values()
     ]
-    for one, handles in zip(axes, ([*patches, *drawn], values), strict=False):
-        below = ScaledTranslation(0.0, -_KEY_IN, one.figure.dpi_scale_trans)
-        one.legend(
-            handles=handles, loc="upper left", bbox_to_anchor=(0.0, 0.0),
-            bbox_transform=one.transAxes + below, ncols=7,
-            frameon=False, fontsize=7.5, labelcolor=palette.INK, handlelength=1.4,
-            columnspacing=1.1, borderaxespad=0.0,
-        )  # fmt: skip
+    return [*patches, *drawn], values
+
+
+def _key(axes: Axes, handles: Sequence[Artist], columns: int) -> None:
+    """Below a panel."""
+    from matplotlib.transforms import ScaledTranslation
+
+    below = ScaledTranslation(0.0, -_KEY_IN, axes.figure.dpi_scale_trans)
+    axes.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=axes.transAxes + below, ncols=columns,
+        frameon=False, fontsize=7.5, labelcolor=palette.INK, handlelength=1.4,
+        columnspacing=1.1, borderaxespad=0.0,
+    )  # fmt: skip

@@ -155,10 +155,14 @@ function say(text, point, colour) {
 }
 
 // Where the robot is at this place of the slider: an arrow as long as a robot.
+// Where the robot is at this place of the slider; where it stands, without a trajectory.
+function robotAt() {
+  const [x, y, yaw] = DATA.start;
+  return DATA.poses[Math.min(shown.at, DATA.poses.length - 1)] || [x, y, DATA.ground.level, yaw];
+}
+
 function drawRobot() {
-  const poses = DATA.poses;
-  if (!poses.length) return;
-  const [x, y, z, heading] = poses[Math.min(shown.at, poses.length - 1)];
+  const [x, y, z, heading] = robotAt();
   const [c, s] = [Math.cos(heading), Math.sin(heading)];
   const shape = [[0.6, 0], [-0.45, 0.4], [-0.25, 0], [-0.45, -0.4], [0.6, 0]];
   const path = shape.map(([a, b]) => [x + c * a - s * b, y + s * a + c * b, z + 0.25]);
@@ -196,18 +200,20 @@ function redraw() {
   });
 }
 
-// All of the trajectory, or what the robot sees at this place of the slider.
+// All of the trajectory, or where there is none all things, or what the robot sees at this place of
+// the slider.
 function look(name) {
   const level = DATA.ground.level;
   shown.view = name;
   if (name === "robot") {
-    const [x, y, z, yaw] = DATA.poses[shown.at] || [...DATA.start.slice(0, 2), level, DATA.start[2]];
+    const [x, y, z, yaw] = robotAt();
     const [far, ahead] = [6, 4];
     const at = { x: x + ahead * Math.cos(yaw), y: y + ahead * Math.sin(yaw), z: z + 1.4 };
     Object.assign(eye, at, { pitch: 0.06, far, yaw: yaw + Math.PI });
     return;
   }
-  const points = [DATA.start, ...DATA.lines.flatMap((line) => line.points)];
+  const things = DATA.lines.length ? [] : DATA.boxes.map((box) => box.at);
+  const points = [DATA.start, ...DATA.lines.flatMap((line) => line.points), ...things];
   const span = (k) => {
     const values = points.map((point) => point[k]);
     return [Math.min(...values), Math.max(...values)];

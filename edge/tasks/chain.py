@@ -138,13 +138,27 @@ def _covered(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.prod(both) / least) if both.min() > 0.0 and least > 0.0 else 0.0
 
 
+def _with_context(found: Detections, around: Detections | None) -> Detections:
+    """What was asked for, and the boxes of what else was found, its words behind the prompts."""
+    if around is None:
+        return found
+    score = np.concatenate((found.score, around.score))
+    order = np.argsort(-score, kind="stable")
+    return replace(
+        found, xyxy_px=np.concatenate((found.xyxy_px, around.xyxy_px))[order], score=score[order],
+        class_id=np.concatenate((found.class_id, around.class_id + len(found.prompts)))[order],
+        prompts=(*found.prompts, *around.prompts), context=None,
+    )  # fmt: skip
+
+
 @contextmanager
 def open_chain(
     perception: config.Perception, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[Chain]:
     """The chain of what a configuration names, closed at the end.
 
-    Boxes count from `perception.tau_det`, where no other word explains their place better.
+    Boxes count from `perception.tau_det`, where no other word explains their place better. What
+    the detector's `background` names is seen as well, but for words that the model does not know.
 
     Args:
         words: the vocabulary; each picture is tagged with all of it.
@@ -164,7 +178,8 @@ def open_chain(
         def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
             if tuple(tags) != detector.prompts:
                 detector.set_prompts(tags)
-            return detector.detect(observation).without_rivals().above(perception.tau_det)
+            found = detector.detect(observation)
+            return _with_context(found.without_rivals(), found.around()).above(perception.tau_det)
 
         yield Chain(
             lambda observation: tuple(words),

@@ -10,7 +10,7 @@ import numpy as np
 from edge.tasks.refine import Refined
 from edge.tasks.write import Round
 
-TaskPhase = Literal["looking", "writing", "driving", "reached", "failed"]
+TaskPhase = Literal["looking", "writing", "driving", "verifying", "reached", "failed"]
 StepState = Literal["driven", "under way", "looked for", "to come", "not driven"]
 
 
@@ -31,7 +31,8 @@ class TaskFacts:
     """A task as it stood at one moment.
 
     Attributes:
-        phase: `looking` for what it names, `writing` its trajectory (the robot stands), `driving`.
+        phase: `looking` for what it names, `writing` its trajectory (the robot stands), `driving`,
+            `verifying` that what it stopped at is what was named.
         writer: who writes: "rules", or a model and its server.
         missing: what its steps that were not driven name, and nobody has seen yet.
         understood: what the rules read, in words; "" of a model.

@@ -31,7 +31,7 @@ import numpy as np
 
 from edge import names
 from edge.mission.brief import TaskStep
-from edge.mission.language.words import Reader, Token
+from edge.mission.language.words import Reader, Token, TranslationError
 from edge.tasks.outline import outline_of
 from edge.tasks.phrases import tokenise
 from edge.tasks.scene import Scene, SceneObject
@@ -246,6 +246,18 @@ def _metres(reader: Reader) -> float:
     return float(token.text)
 
 
+class AmbiguousError(TranslationError):
+    """A name that several things have.
+
+    Attributes:
+        things: their ids.
+    """
+
+    def __init__(self, message: str, part: str, position: int, things: tuple[int, ...]) -> None:
+        super().__init__(message, part, position)
+        self.things = things
+
+
 def _thing(reader: Reader, scene: Scene | _Unseen, before: Sequence[Step]) -> SceneObject:
     """The one thing that the noun phrase here names."""
     start = reader.peek()
@@ -256,7 +268,11 @@ def _only(found: list[SceneObject], reader: Reader, start: Token) -> SceneObject
     if len(found) > 1:
         listed = ", ".join(map(called, found[:4])) + (", …" if len(found) > 4 else "")
         hint = f"it may be any of {len(found)}: {listed}; say which, as 'the nearest' or 'object 3'"
-        reader.refuse(hint, start)
+        try:
+            reader.refuse(hint, start)
+        except TranslationError as error:
+            things = tuple(thing.id for thing in found)
+            raise AmbiguousError(str(error), error.part, error.position, things) from None
     return found[0]
 
 

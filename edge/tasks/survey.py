@@ -36,6 +36,8 @@ OFF_GROUND_M = 0.15
 """Lower points are the ground's, or say too little of a thing."""
 MARGIN_SHARE = 0.05
 """A box is as wide and as high as its thing but for so much on each side, and a pixel."""
+FARTHEST_M = 300.0
+"""What a scan has beyond this is a fault of the sensor, or of the file."""
 MOST_DEPTH_POINTS = 60_000
 GROUND_VOXEL_M = 0.2
 MASK_SCALE = 4
@@ -74,6 +76,7 @@ class Survey:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
         self._chain, self._radius_m, self._ground_labels = chain, radius_m, tuple(ground_labels)
         self._range_m = mapping.range_m
+        self._own_m = mapping.min_range_m  # what is nearer is the robot's own body
         self._ground = np.zeros((0, 3), np.float32)  # x, y, and its kind in the place of z
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
@@ -92,6 +95,10 @@ class Survey:
         cloud_m, T_base_cloud = cloud_of(observation)
         if ground_kind is not None and len(ground_kind) != len(cloud_m):
             raise ValueError(f"{len(cloud_m)} points, but kinds of ground of {len(ground_kind)}")
+        fine = usable(cloud_m)
+        if not fine.all():
+            cloud_m = cloud_m[fine]
+            ground_kind = None if ground_kind is None else ground_kind[fine]
         T_map_base, pose = observation.T_map_base, observation.pose
         T_map_cloud = T_map_base @ T_base_cloud
         points_m = _moved(T_map_cloud, cloud_m)
@@ -100,7 +107,8 @@ class Survey:
         ground = terrain.ground_around(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)
         if ground_kind is not None:
-            self._add_ground(points_m[:, :2], ground_kind)
+            far = np.linalg.norm(cloud_m, axis=1) >= self._own_m
+            self._add_ground(points_m[far, :2], ground_kind[far])
         seen = see(self._chain, observation)
         shown = _in_boxes(seen.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
         self._newest, self._contours = observation, {}
@@ -290,6 +298,12 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     x = (u * stride - camera.cx_px) / camera.fx_px * z
     y = (v * stride - camera.cy_px) / camera.fy_px * z
     return np.stack((x, y, z), axis=1).astype(np.float32), observation.T_base_camera
+
+
+def usable(cloud_m: np.ndarray) -> np.ndarray:
+    """(n,) bool: which points (n, 3) of a scan are finite, and not absurdly far."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.linalg.norm(cloud_m, axis=1) <= FARTHEST_M
 
 
 def contours_of(found: Detections, i: int) -> list[np.ndarray]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from made_sequence import IDENTITY, P2, TR, write
 
 from edge.eval import kitti
 from edge.eval.kitti import (
@@ -19,33 +20,22 @@ from edge.tasks import terrain
 from edge.tasks.projection import points_of_masks
 from edge.tasks.survey import OFF_GROUND_M
 
-IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
-# Axes of a camera seen from the LiDAR's: x right, y down, z forward.
-TR = "0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3"
-
-
-def write(folder, *, label=40, points=200, poses=2, tr=True):
-    """A sequence of one frame: a flat road and a car of 30 points."""
-    for name in ("image_2", "velodyne", "labels"):
-        (folder / name).mkdir(parents=True)
-    calibration = "P2: 100 0 50 20 0 100 30 10 0 0 1 0\n" + (f"Tr: {TR}\n" if tr else "")
-    (folder / "calib.txt").write_text(calibration)
-    (folder / "poses.txt").write_text(f"{IDENTITY}\n" * poses)
-    (folder / "times.txt").write_text("0.0\n0.1\n")
-    cv2.imwrite(str(folder / "image_2/000000.png"), np.full((60, 100, 3), (10, 20, 200), np.uint8))
-    random = np.random.default_rng(0)
-    road = np.column_stack((random.uniform((3, -5), (30, 5), (points, 2)), np.full(points, -1.73)))
-    car = random.uniform((10, -1, -1.5), (10.2, 1, -0.3), (30, 3))
-    scan = np.column_stack((np.vstack((road, car)), np.zeros(points + 30))).astype(np.float32)
-    labels = np.array([label] * points + [10 | 3 << 16] * 30, np.uint32)
-    scan.tofile(folder / "velodyne/000000.bin")
-    labels.tofile(folder / "labels/000000.label")
-    return folder
-
 
 def test_an_empty_folder_has_no_frames(tmp_path):
     with pytest.raises(KittiError, match="no frame with image_2/"):
         frames_in(tmp_path)
+
+
+def test_without_labels_there_are_the_camera_and_the_scan(tmp_path):
+    folder = write(tmp_path)
+    (folder / "labels/000000.label").unlink()
+    with pytest.raises(KittiError, match="no frame with image_2/, velodyne/ and labels/"):
+        frames_in(folder)
+    assert frames_in(folder, labelled=False) == [0]
+    frame = read_frame(folder, 0, labelled=False)
+    assert len(frame.observation.cloud_m) == 230
+    assert not frame.semantic.any()
+    assert things_in(frame) == []
 
 
 def test_no_frame_chosen(tmp_path):
@@ -83,6 +73,26 @@ def test_one_call_makes_a_scene(tmp_path):
     assert {region.label for region in scene.regions.values()} == {"road"}
 
 
+@pytest.mark.parametrize("rubbish", [np.nan, np.inf, -np.inf, 3e38, 1e8])
+def test_rubbish_in_a_scan_is_left_out(tmp_path, rubbish):
+    """Of the road and of the car every fifth return."""
+    folder = write(tmp_path, points=20_000)
+    path = folder / "velodyne/000000.bin"
+    scan = np.fromfile(path, np.float32).reshape(-1, 4)
+    scan[::5, :3] = rubbish
+    scan.tofile(path)
+    frame = read_frame(folder, 0)
+    assert len(frame.observation.cloud_m) == len(frame.semantic) == 0.8 * len(scan)
+    (car,) = kitti_scene(folder, [0]).objects.values()
+    np.testing.assert_allclose(car.position_m, [10.1, 0.0, 0.83], atol=0.25)
+
+
+def test_a_scan_of_nothing_but_rubbish_shows_nothing(tmp_path):
+    folder = write(tmp_path)
+    np.full((230, 4), np.nan, np.float32).tofile(folder / "velodyne/000000.bin")
+    assert not kitti_scene(folder, [0]).objects
+
+
 def cut(path, n):
     path.write_bytes(path.read_bytes()[:n])
 
@@ -106,6 +116,22 @@ BROKEN = {
     ),
     "labels of another": (
         lambda f: cut(f / "labels/000000.label", 40), "230 points, but 10 labels",
+    ),
+    "a picture of one pixel": (
+        lambda f: cv2.imwrite(str(f / "image_2/000000.png"), np.zeros((1, 1, 3), np.uint8)),
+        r"000000\.png: P2 of calib\.txt: not a camera: principal point",
+    ),
+    "a camera without depth": (
+        lambda f: (f / "calib.txt").write_text(f"P2: {P2.replace('1 0', '0 0')}\nTr: {TR}\n"),
+        "P2 of calib.txt: Singular matrix",
+    ),
+    "a scale for a rotation": (
+        lambda f: (f / "calib.txt").write_text(f"P2: {P2}\nTr: {TR.replace('1', '2')}\n"),
+        r"calib\.txt: Tr: not a rotation",
+    ),
+    "a pose out of this world": (
+        lambda f: (f / "poses.txt").write_text(f"{IDENTITY}\n".replace("0 0 1 0", "0 0 1 1e30")),
+        r"poses\.txt: line 1: not a rotation and a place within 1000 km",
     ),
     "binary calibration": (lambda f: (f / "calib.txt").write_bytes(b"\xff"), "not a text file"),
 }  # fmt: skip

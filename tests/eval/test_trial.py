@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from chat_server import saying, send, serving
+from made_sequence import write
 
 from edge.cli.main import main
 from edge.config import load
@@ -114,8 +115,63 @@ def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, cap
     assert "by the simulated detector" in capsys.readouterr().out
 
 
+def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
+    """The shipped detector sees nothing there; the ground is what is flat."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    (folder / "labels/000000.label").unlink()
+    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "background": ["chair"]}
+    monkeypatch.setenv("EDGE__PERCEPTION__DETECTOR", json.dumps(detector))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go straight for 8 metres", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "0 things by mini-house-256x320-int8-cpu, 1 regions of ground" in said.out
+    poses = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"]
+    np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
+
+
+def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, monkeypatch):
+    """It calls the car a mailbox, and says that it is yellow."""
+    folder = write(tmp_path / "sequence", points=20_000)
+    chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    code, out = trajectory(tmp_path, str(folder), "go to the mailbox", *options)
+    said = capsys.readouterr()
+    assert code == os.EX_OK, said.err
+    assert "1 things by own_chain:make" in said.out
+    assert "a yellow box, " in said.out
+    end = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))["poses"][-1]
+    assert np.hypot(end[0] - 10.0, end[1]) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("chain", "line"),
+    [
+        ({"kind": "mine"}, "tasks.chain.kind: expected module:Class"),
+        ({"kind": "own_chain:nothing"}, "tasks.chain.kind: 'own_chain:nothing': AttributeError"),
+        ({"kind": "own_chain:make"}, "tasks.chain.options: missing a required argument: 'box'"),
+        ({"kind": "own_chain:made_of_nothing"}, "own_chain:made_of_nothing is no chain"),
+        (
+            {"kind": "own_chain:make", "options": {"box": [0, 0, 9, 9], "fails": "no\nmemory"}},
+            "tasks.chain: own_chain:make: boxes: RuntimeError: no memory",
+        ),
+    ],
+)
+def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
+    folder = write(tmp_path / "sequence")
+    monkeypatch.setenv("EDGE__TASKS__CHAIN", json.dumps(chain))
+    options = "--config", "kitti", "--objects", "detector"
+    assert trajectory(tmp_path, str(folder), "go to the mailbox", *options)[0] != os.EX_OK
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+
+
 WRONG = {
     "no such place": (["nowhere", "go to the car"], os.EX_DATAERR, "nowhere: no frame with"),
+    "no number of a street": (["street:-1", "go to the car"], os.EX_DATAERR,
+                              "street:-1: no street; give it a number, as street:3"),
     "frames of a street": (["street:3", "go to the car", "--frames", "1"], os.EX_DATAERR,
                            "street:3: it has no frames"),
     "no such configuration": (["street:3", "go to the car", "--config", "x.yaml"], os.EX_CONFIG,

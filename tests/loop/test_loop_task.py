@@ -13,6 +13,7 @@ from simulated import simulated
 from edge.bus.verbs import Request
 from edge.errors import UserError
 from edge.eval.closed_loop import ClosedLoop
+from edge.loop import draft
 from edge.loop.keeper import Keeper
 from edge.loop.metrics import SERVICE
 from edge.loop.requests import handle_mission, mission_verbs
@@ -20,6 +21,7 @@ from edge.loop.service import Service
 from edge.loop.status import status_of
 from edge.policies import make_policy
 from edge.tasks.brief import prepared
+from edge.tasks.reading import AmbiguousError
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
@@ -82,6 +84,61 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     assert loop.distance_m("oven") <= 1.0
     assert loop.drive.motion.collisions == 0
     assert json.dumps(status_of(loop.service.result()))
+
+
+def test_what_it_stops_at_is_made_sure_of_or_left_for_another(monkeypatch):
+    loop = until(closed(TO_THE_OVEN), "verifying")
+    tracker = loop.service.map.tracker
+    (oven,) = tracker.of("oven")
+    monkeypatch.setattr(tracker, "confirmed", lambda one: False)
+    until(loop, "looking").step()
+    assert oven.state == "refuted"
+    assert (loop.service.status.done, states(loop)) == (False, ["looked for"])
+    assert any(
+        f"oven {oven.id} is none, as seen from near by: looking further" in event
+        for event in loop.notes.events
+    )
+
+
+def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
+    loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
+    assert not loop.service.map.tracker.of("oven", sure=True)
+    assert loop.service.status.phase == "reached", loop.notes.events
+
+
+def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
+    """The rules take what is named for any of the ovens, while one of them is in such a state."""
+    tracker = loop.service.map.tracker
+
+    def write(instruction, *args, **more):
+        found = tracker.of("oven")
+        if any(one.state in states for one in found):
+            ids = tuple(one.id for one in found)
+            raise AmbiguousError("it may be any of these", "the oven", 7, ids)
+        return real(instruction, *args, **more)
+
+    real = draft.write
+    monkeypatch.setattr(draft, "write", write)
+
+
+def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
+    loop = closed(TO_THE_OVEN)
+    ambiguous(loop, monkeypatch, ("seen",))
+    loop.run(200)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    assert any("it may be any of these: looking further" in e for e in loop.notes.events)
+    assert [goal.kind for goal in loop.notes.goals].count("instance") >= 1
+    assert loop.service.mission.reached == ()
+
+
+def test_what_it_may_be_any_of_when_all_are_known_ends_it(monkeypatch):
+    loop = closed(TO_THE_OVEN)
+    ambiguous(loop, monkeypatch, ("seen", "confirmed"))
+    loop.run(200)
+    status = loop.service.status
+    assert (status.phase, status.reason) == ("failed", "it may be any of these")
+    assert [one.state for one in loop.service.map.tracker.of("oven")] == ["confirmed"]
+    assert "trajectory" not in {goal.kind for goal in loop.notes.goals}
 
 
 def states(loop: ClosedLoop) -> list[str]:

@@ -11,6 +11,7 @@ from edge.config import load
 from edge.motion.pursuit import MotionLimits
 from edge.report import trajectory_map
 from edge.report.camera_picture import REFINED_RGB, drawn
+from edge.report.view3d import UNKNOWN_RGB
 from edge.tasks.refine import refine
 from edge.tasks.value_map import Body, value_map
 
@@ -77,5 +78,22 @@ def test_a_scene_alone_is_one_panel():
     both = png(scene, coarse_m, refined, costmap)
     red = np.abs(both.astype(int) - (214, 34, 91)).max(axis=2) < 12
     assert red.sum() > 200
-    green = np.abs(both.astype(int) - (0x8C, 0xE9, 0x9A)).max(axis=2) < 3
-    assert green.sum() > 2000  # the tube of the value map
+    assert green(both).sum() > 2000  # the tube of the value map
+
+
+def green(image):
+    return np.abs(image.astype(int) - (0x8C, 0xE9, 0x9A)).max(axis=2) < 3
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_panels_side_by_side_are_as_large_as_there_is_room():
+    """A way to the left is higher than wide: the keys leave the panels most of the width."""
+    scene, body = street(), Body(0.3)
+    coarse_m = np.array([[0.0, 0.0], [2.0, 12.0], [2.0, 24.0]])
+    costmap = value_map(scene.occupancy, scene.regions_grid, {1}, coarse_m, body)
+    image = png(scene, coarse_m, None, costmap)
+    assert image.shape[1] == pytest.approx(1008, abs=40)
+    rows, columns = np.nonzero(np.abs(image.astype(int) - UNKNOWN_RGB).max(axis=2) < 3)
+    assert np.ptp(columns) > 300
+    rows, _ = np.nonzero(green(image)[:, 504:])
+    assert np.ptp(rows) > 300

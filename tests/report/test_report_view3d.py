@@ -156,6 +156,23 @@ def test_an_empty_scene_is_drawn_too(tab, tmp_path):
     assert tab.complaints == []
 
 
+ROBOT = (20, 24, 31)
+
+
+def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path):
+    """Of an instruction that was refused, one wants to see what there is."""
+    scene = with_a_car()
+    far = replace(scene.objects[1], id=2, position_m=np.array([45.0, 12.0, 0.7]))
+    scene.objects[2] = far
+    opened(tab, tmp_path / "scene.html", scene_page("refused", scene, [], "a machine"))
+    tab.run("draw()")
+    for box in tab.run("DATA.boxes.map((box) => onScreen(seen(...box.at)))"):
+        assert 0 < box[0] < tab.run("width")
+        assert 0 < box[1] < tab.run("height")
+    assert pixels(tab, ROBOT) > 10
+    assert tab.complaints == []
+
+
 def test_its_controls_do_what_they_say(tab, tmp_path):
     opened(tab, tmp_path / "scene.html", page(with_a_car()))
     assert pixels(tab, REFINED) > 200

@@ -147,3 +147,20 @@ def test_a_configured_chain_takes_the_detectors_boxes():
     assert [seen.found.prompts[k] for k in seen.found.class_id] == ["chair"]
     assert seen.caption == ("black chair",)
     np.testing.assert_allclose(seen.found.xyxy_px[0], [10, 5, 30, 15], atol=1.0)
+
+
+def test_what_the_detectors_background_names_is_seen_too():
+    ids = np.zeros((20, 40), np.uint16)
+    ids[5:15, 2:12], ids[5:15, 20:38] = 1, 2
+    truth = Segmentation(ids, ("chair", "bed"))
+    perception = config.Perception(
+        detector=config.DetectorSim(
+            miss_rate=0.0, false_positive_rate=0.0, background=("bed", "oven")
+        ),
+        tau_det=0.1,
+    )
+    observation = replace(observe(), depth_m=np.full((20, 40), 2.0, np.float32))
+    with open_chain(perception, ("chair",), lambda stamp_ns: truth) as chain:
+        found = see(chain, observation).found
+    assert sorted(found.prompts[k] for k in found.class_id) == ["bed", "chair"]
+    assert (np.diff(found.score) <= 0.0).all()

@@ -77,4 +77,4 @@ def test_a_chain_of_ones_own_sees():
 
     names = {"my_detector": my_detector}
     exec(code, names)
-    assert see(names["chain"], picture).caption == ("a person",)
+    assert see(names["my_chain"](("sofa",)), picture).caption == ("a person",)

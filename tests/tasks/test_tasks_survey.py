@@ -53,6 +53,40 @@ def test_no_frame_no_scene():
         Survey(perfect(()), MAP).scene()
 
 
+@pytest.mark.parametrize("rubbish", [np.nan, np.inf, 3e38, 1e9])
+def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
+    """A third of the returns, with their kinds of ground; the rest is seen as if they were not."""
+    seen, hit = street(STREET, np.eye(4), seq=1)
+    kind, cloud_m = (hit == GROUND).astype(np.uint8), seen.cloud_m.copy()
+    cloud_m[::3] = rubbish
+    left = np.arange(len(cloud_m)) % 3 > 0
+    scenes = []
+    for points_m, of in ((cloud_m, kind), (seen.cloud_m[left], kind[left])):
+        survey = Survey(perfect(STREET), MAP, ground_labels=("road",))
+        survey.add(replace(seen, cloud_m=points_m), of)
+        scenes.append(survey.scene())
+    told, clean = scenes
+    assert {k: v.caption for k, v in told.objects.items()} == {
+        k: v.caption for k, v in clean.objects.items()
+    }
+    np.testing.assert_array_equal(told.regions_grid.cells, clean.regions_grid.cells)
+
+
+def test_what_is_seen_of_the_robot_itself_is_no_ground_of_another_kind():
+    """Returns nearer than `min_range_m`, 1 m, on a road of which all else is road."""
+    seen, hit = street((), np.eye(4), seq=1)
+    own_m = np.random.default_rng(0).uniform((-0.6, -0.6, -0.6), (0.6, 0.6, -0.3), (400, 3))
+    own_m = own_m[np.linalg.norm(own_m, axis=1) < 1.0].astype(np.float32)
+    survey = Survey(perfect(()), MAP, ground_labels=("road",))
+    cloud_m = np.concatenate((seen.cloud_m, own_m))
+    kind = np.concatenate((hit == GROUND, np.zeros(len(own_m), np.bool_))).astype(np.uint8)
+    survey.add(replace(seen, cloud_m=cloud_m), kind)
+    grid = survey.scene().regions_grid
+    centres_m = grid.centres_m(*np.indices(grid.cells.shape))
+    near = np.hypot(*np.moveaxis(centres_m, -1, 0)) < 1.0
+    assert (grid.cells[near] > 0).all()
+
+
 def test_an_empty_plane_is_one_region():
     scene = survey_of((), np.eye(4)).scene()
     assert scene.objects == scene.contours == {}

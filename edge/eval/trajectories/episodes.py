@@ -3,7 +3,7 @@
 | source | the scene | the truth |
 |---|---|---|
 | `streets[0:200]` | known: boxes, occupancy and ground of the built-in street, where LiDAR shows them | the same |
-| `kitti:FOLDER` | perceived: one frame of SemanticKITTI through the chain, by the labels' boxes and masks | things by the labels of the frame's points; ground and what is occupied by those of all frames |
+| `kitti:FOLDER` | perceived: one frame of SemanticKITTI through the chain, by the labels' boxes and masks, or, with a detector, by nothing but image and scan | things by the labels of the frame's points; ground and what is occupied by those of all frames |
 | `house:CONFIG` | known: outlines of what a camera sees from the start, the floor plan of the world | the same |
 
 Streets 0-99 are for tuning, 100-199 are held. A street has one task, whose kinds take turns; a frame
@@ -32,6 +32,7 @@ from edge.sim.base import World, WorldObject, free_poses
 from edge.sim.generator.draws import Dice
 from edge.tasks import terrain
 from edge.tasks.captions import place_of
+from edge.tasks.chain import Chain
 from edge.tasks.ground import reachable
 from edge.tasks.objects import box_around
 from edge.tasks.scene import Scene, SceneObject
@@ -79,23 +80,31 @@ class Episode:
     things: tuple[Thing, ...]
 
 
-def episodes(specs: Sequence[str], limit: int | None = None) -> Iterator[Episode]:
+def episodes(
+    specs: Sequence[str], limit: int | None = None, chain: Chain | None = None
+) -> Iterator[Episode]:
     """What command lines name, in its order.
 
     Args:
         specs: each `KNOWN` shows a form.
         limit: at most so many of each.
+        chain: finds what is in a frame of SemanticKITTI; None: the labels tell it. Other places
+            are known as they are, and refused.
 
     Raises:
         UserError: one is of no such form, or cannot be read.
     """
-    found = [_of(spec) for spec in specs]  # a wrong one is told before the first is run
+    found = [_of(spec, chain) for spec in specs]  # a wrong one is told before the first is run
     for each in found:
         yield from itertools.islice(each, limit)
 
 
-def _of(spec: str) -> Iterator[Episode]:
+def _of(spec: str, chain: Chain | None) -> Iterator[Episode]:
     kind, colon, name = spec.partition(":")
+    if chain is not None and kind != "kitti":
+        raise UserError(
+            f"{one_line(spec)}: it is known as it is: a detector sees kitti:FOLDER only"
+        )
     if matched := _SPEC.match(spec):
         first, end = map(int, matched.groups())
         if not first < end <= first + _MOST_STREETS:
@@ -103,7 +112,7 @@ def _of(spec: str) -> Iterator[Episode]:
         return _streets(range(first, end))
     if colon and name and kind == "kitti":
         folder = Path(name)
-        return _kitti(folder, kitti.frames_in(folder))
+        return _kitti(folder, kitti.frames_in(folder), chain)
     if colon and name and kind == "house":
         return _house(load(name))
     raise UserError(f"{one_line(spec)}: not understood (forms: {KNOWN})")
@@ -143,10 +152,10 @@ def _streets(numbers: range) -> Iterator[Episode]:
 # -- SemanticKITTI ------------------------------------------------------------------------------
 
 
-def _kitti(folder: Path, numbers: Sequence[int]) -> Iterator[Episode]:
+def _kitti(folder: Path, numbers: Sequence[int], chain: Chain | None) -> Iterator[Episode]:
     whole = kitti.kitti_scene(folder, numbers)
     for number in numbers:
-        scene = kitti.kitti_scene(folder, [number])
+        scene = kitti.kitti_scene(folder, [number], chain, by_labels=chain is None)
         place = kitti_place(kitti.read_frame(folder, number), whole)
         for task in _drawn(place, Dice(_KEY, number)):
             yield _episode("kitti", f"kitti-{number:06d}", place, task, scene)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import logging
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 from pydantic import ValidationError
 
-from edge.config import ConfigError, Tasks, WriterModel
+from edge.config import ConfigError, Tasks, WriterModel, load
 from edge.config.explain import explain
 from edge.errors import FileError, UnavailableError, UserError
 from edge.eval.comparison import tables as text
@@ -17,8 +18,10 @@ from edge.eval.trajectories import pictures, tables
 from edge.eval.trajectories.episodes import Episode, episodes
 from edge.eval.trajectories.methods import METHODS, make, methods_of
 from edge.eval.trajectories.outcomes import Folder, Outcome, facts_of, gather, outcome_of
+from edge.eval.trial.views import detector_chain
 from edge.host.files import write_atomically
 from edge.host.signals import stop_on_signals
+from edge.tasks.chain import Chain
 from edge.text import one_line
 
 RERUN = "crashed"
@@ -32,11 +35,13 @@ def run_all(
     folder: Folder,
     tell: Callable[[Episode, Outcome], None] = lambda episode, outcome: None,
     stop: threading.Event | None = None,
+    seen_by: str = "",
 ) -> list[tuple[str, str, str]]:
     """Methods on episodes; outcomes go to the folder as they come, and what it has is not run.
 
     Args:
         stop: ends it early, between two episodes.
+        seen_by: what told the things of the scenes; "" where they are known, or by the labels.
 
     Returns:
         The keys of their outcomes.
@@ -45,7 +50,7 @@ def run_all(
         UnavailableError: what the writer needs is not there, or its server gives no answer to the
             first episode.
     """
-    writer = writer_of(config)
+    writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
     keys: list[tuple[str, str, str]] = []
     asked = isinstance(config.planner, WriterModel)
     for episode in found:
@@ -84,10 +89,12 @@ def run(args: argparse.Namespace) -> int:
     names = _methods(args.methods, config)
     logging.getLogger("edge").setLevel(logging.WARNING)
     folder = Folder(args.out)
-    keys = run_all(
-        episodes(args.places, args.limit), names, config, folder,
-        lambda episode, outcome: print(_line(episode, outcome), flush=True), stop_on_signals(),
-    )  # fmt: skip
+    with _seen_by(args) as (chain, seen_by):
+        keys = run_all(
+            episodes(args.places, args.limit, chain), names, config, folder,
+            lambda episode, outcome: print(_line(episode, outcome), flush=True),
+            stop_on_signals(), seen_by,
+        )  # fmt: skip
     results = gather(folder.facts.values(), [folder.outcomes[key] for key in keys])
     for table in tables.tables(results):
         print(f"\n{text.text(table)}")
@@ -99,6 +106,16 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise FileError(f"{args.out}: {error.strerror or error}") from None
     return 0
+
+
+@contextmanager
+def _seen_by(args: argparse.Namespace) -> Iterator[tuple[Chain | None, str]]:
+    """The chain of `--detector`'s configuration, and the model's name; None and "" without."""
+    if args.detector is None:
+        yield None, ""
+        return
+    with detector_chain(load(args.detector), ()) as chain_and_name:
+        yield chain_and_name
 
 
 def _config(args: argparse.Namespace) -> Tasks:

@@ -61,6 +61,8 @@ def table(outcome: Outcome, folder: Folder) -> list[tuple[str, str]]:
 
 def _view(args: argparse.Namespace, config: Config, words: tuple[str, ...] | None) -> View:
     seed = _STREET.fullmatch(args.place)
+    if seed is None and args.place.startswith("street:"):
+        raise ViewError(f"{one_line(args.place)}: no street; give it a number, as street:3")
     if seed is None:
         return kitti_view(resources.expand(args.place), args.frames, config, words)
     if args.frames:

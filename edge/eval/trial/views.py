@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from edge.config import Config, WorldStreet
+from edge.config import ChainOwn, Config, WorldStreet
+from edge.config.named import find_named
 from edge.errors import UserError
 from edge.eval import kitti
 from edge.perception.sim_detector import Segmentation, TruthAt
@@ -20,6 +22,7 @@ from edge.sim.worlds import load_world
 from edge.tasks.chain import Chain, boxes_alone, open_chain
 from edge.tasks.scene import Scene
 from edge.tasks.survey import Survey
+from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
 LEAST_PX, LEAST_SIDE_PX = 60, 4
@@ -56,25 +59,28 @@ def kitti_view(
 
     Args:
         config: whose robot is to drive there, and whose detector looks.
-        words: what the detector looks for besides what is configured; None: the labels of the
-            points tell what is there.
+        words: what the detector looks for besides what is configured; the ground is then what is
+            flat and hangs together. None: the labels of the points tell what is there, and which
+            kind of ground.
 
     Raises:
         UserError: a frame cannot be read, or nothing can look.
     """
-    there = kitti.frames_in(folder)
+    labelled = words is None
+    there = kitti.frames_in(folder, labelled)
     numbers = list(dict.fromkeys(numbers)) or there[:1]
     for number in numbers:
         if number not in there:
             listed = ", ".join(map(str, there))
-            raise ViewError(f"{folder}: no frame {number} with image, scan and labels ({listed})")
-    frames = kitti.read_frames(folder, numbers)
+            what = "image, scan and labels" if labelled else "image and scan"
+            raise ViewError(f"{folder}: no frame {number} with {what} ({listed})")
+    frames = kitti.read_frames(folder, numbers, labelled)
     clearance_m = config.tasks.trajectory.clearance_m
     if words is None:
         scene, by = kitti.scene_of(frames, kitti.oracle(frames), clearance_m), "the labels"
     else:
-        with _detector(config, words) as (chain, by):
-            scene = kitti.scene_of(frames, chain, clearance_m)
+        with detector_chain(config, words) as (chain, by):
+            scene = kitti.scene_of(frames, chain, clearance_m, by_labels=False)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
@@ -119,29 +125,69 @@ def street_view(seed: int, config: Config, words: Sequence[str] | None = None) -
     if words is None:
         scene, by = look(_oracle(truth)), "the simulator"
     else:
-        with _detector(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (chain, by):
+        with detector_chain(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
+            chain,
+            by,
+        ):
             scene = look(chain)
     return View(drawn.name, by, scene, cloud_m, 0.0)
 
 
 @contextmanager
-def _detector(
+def detector_chain(
     config: Config, words: Sequence[str], truth: TruthAt | None = None
 ) -> Iterator[tuple[Chain, str]]:
-    """The chain of the configured detector and segmenter, and what it is called."""
+    """The chain of the configured detector and segmenter, or one's own, and what it is called.
+
+    Args:
+        words: to look for, besides the detector's `background`.
+        truth: what a simulated detector sees by; None: the pictures are real.
+
+    Raises:
+        UserError: nothing can look, or there is nothing to look for.
+    """
+    if config.tasks.chain is not None:
+        yield _own_chain(config, config.tasks.chain, tuple(words)), config.tasks.chain.kind
+        return
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
         raise ViewError(
             f"{config.path}: perception.detector.kind: sim sees nothing in a real picture: name a "
             "model (onnx), or take --objects labels"
         )
-    words = tuple(dict.fromkeys((*words, *(detector.background or ()))))
+    # The detector sees its background anyhow; but it has to be asked for something.
+    words = tuple(words) or tuple(detector.background or ())[:1]
     if not words:
         raise ViewError(
             f"{config.path}: perception.detector.background: name what is to be looked for"
         )
     with open_chain(config.perception, words, truth) as chain:
         yield chain, detector.model if detector.kind == "onnx" else "the simulated detector"
+
+
+def _own_chain(config: Config, own: ChainOwn, words: tuple[str, ...]) -> Chain:
+    """The chain that `tasks.chain` names; what its parts raise is told as theirs."""
+    where = f"{config.path}: tasks.chain"
+    given: dict[str, Any] = {"perception": config.perception, "words": words}
+    needs = ("tags", "boxes", "masks", "captions", "embeddings")
+    make = find_named("chain", own.kind, own.options, {}, where, needs, tuple(given))
+    made = make(**given)
+
+    def guarded(name: str) -> Callable[..., Any] | None:
+        part = getattr(made, name)
+
+        def called(*args: Any) -> Any:
+            try:
+                return part(*args)
+            except UserError:
+                raise
+            except Exception as error:  # whatever one's own part does
+                said = one_line(f"{type(error).__name__}: {error}")
+                raise ViewError(f"{where}: {own.kind}: {name}: {said}") from None
+
+        return None if part is None else called
+
+    return Chain(*map(guarded, needs))
 
 
 def _oracle(truth: Segmentation) -> Chain:

@@ -9,6 +9,8 @@ import pytest
 
 from edge.eval.trajectories.episodes import episodes
 from edge.eval.trajectory_metrics import contacts
+from edge.tasks.chain import Chain, boxes_alone
+from edge.types import Detections
 
 SOURCES = {
     "streets": "streets[0:4]",
@@ -36,3 +38,20 @@ def test_an_episode_is_whole(source, request):
 
 def test_no_more_than_asked_for_of_each():
     assert len(list(episodes(["streets[0:9]", "streets[20:30]"], limit=2))) == 4
+
+
+def test_what_a_detector_misses_is_not_in_the_scene_but_meant(shared_dir):
+    """A chain that sees nothing: the same tasks and references, no things, ground without kinds."""
+
+    def boxes(observation, tags):
+        none = np.zeros(0, np.float32)
+        return Detections(observation, none.reshape(0, 4), none, none.astype(np.int32), tuple(tags))
+
+    spec = [SOURCES["kitti"].format(shared_dir)]
+    blind = Chain(lambda observation: ("car",), boxes, boxes_alone)
+    (told,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
+    assert (seen.id, seen.task.instruction) == (told.id, told.task.instruction)
+    np.testing.assert_array_equal(seen.truth.cells, told.truth.cells)
+    assert told.scene.objects
+    assert not seen.scene.objects
+    assert [region.label for region in seen.scene.regions.values()] == ["ground"]

@@ -1,0 +1,29 @@
+"""A chain of one's own, as a user may write it: one box, wherever it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge.tasks.chain import Chain
+from edge.types import Detections, Observation
+
+
+def make(words: tuple[str, ...], box: Sequence[float], fails: str = "") -> Chain:
+    def tags(observation: Observation) -> tuple[str, ...]:
+        return ("mailbox", *words)
+
+    def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
+        if fails:
+            raise RuntimeError(fails)
+        return Detections(
+            observation, np.array([box], np.float32), np.ones(1, np.float32),
+            np.zeros(1, np.int32), tuple(tags),
+        )  # fmt: skip
+
+    return Chain(tags, boxes, lambda found: found, lambda found: ["a yellow box"] * len(found))
+
+
+def made_of_nothing() -> object:
+    return object()
