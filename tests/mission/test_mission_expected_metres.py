@@ -143,7 +143,7 @@ def test_nothing_is_searched_for_that_would_not_bring_the_mission_on():
         (11.5, None, "a was seen: about 11.5 m to the end; b would have to be found: about 12.0 m"),
         (15, None, "b has to be found: about 12.0 m to the end; a was seen: about 15.0 m"),
         (11.5, "b", "a was seen: about 11.5 m to the end; b would have to be found: about 12.0 m"),
-        (15, "a", "a is kept: b first would save about 3.0 m, not more than about 5.0 m"),
+        (15, "a", "a is kept: b first would save about 3.0 m, not more than 5.0 m"),
     ],
 )
 def test_why_is_said_in_metres(a_m, current, why):

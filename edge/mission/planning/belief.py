@@ -17,7 +17,7 @@ from edge.geometry import SE2, Grid
 from edge.mission.planning.distances import distances
 
 BEYOND_M2 = 20.0
-"""Unknown area that no frontier shows yet: what is behind the rooms behind the frontiers."""
+"""Unknown area that no frontier shows yet, such as the rooms behind those behind the frontiers."""
 START_M = 1.0
 """As `policy.start_m` of `search`: no frontier is so near that it is worth any area."""
 SIGHT_M = 2.0
@@ -90,10 +90,10 @@ def expected_searches(
     """What is expected of objects of which no instance is known.
 
     P(target behind frontier i) = area_i lift_i / (sum over all frontiers + `BEYOND_M2`), and what
-    no frontier shows lies beyond them, as often beyond each as behind it. From one
-    frontier to another it is as far as the crow flies, and no less than what distances from any
-    third place say: the bound of ALT (Goldberg and Harrelson, SODA 2005), with objects and the
-    robot as landmarks.
+    no frontier shows lies beyond them, as often beyond each as behind it. From one frontier to
+    another it is as far as the crow flies, and no less than what distances from any third place
+    say: the bound of ALT (Goldberg and Harrelson, SODA 2005), with objects and the robot as
+    landmarks.
 
     Args:
         distance_m: (k + 1, k) float64, between objects; see `distances`.

@@ -13,14 +13,7 @@ from edge.mission.automaton import NOTHING, Automaton
 from edge.mission.planning import plan_kernels as kernels
 from edge.mission.planning.belief import SIGHT_M
 from edge.mission.planning.expected import MAX_LETTERS, PlannerError
-from edge.mission.planning.plan import (
-    ACCEPTED,
-    DEAD,
-    Knowledge,
-    Plan,
-    explain,
-    explain_kept,
-)
+from edge.mission.planning.plan import ACCEPTED, DEAD, Knowledge, Plan, explain, explain_kept
 from edge.mission.planning.vitl import W_NOTHING, VitlPlanner, no_detours, working_order
 
 MAX_VALUES = 1 << 17
@@ -102,7 +95,8 @@ class ExpectedMetresPlanner:
             gain_m, margin_m = cost[c] - cost[best], self._margin_m(c in sought, best in sought)
             if names[c] == current and gain_m <= margin_m:
                 first = c
-                reason = explain_kept(names[c], names[best], _text(gain_m), _text(margin_m))
+                gain = _text(gain_m)
+                reason = explain_kept(names[c], names[best], gain, f"{margin_m:.1f} m")
         steps = ways.get(first) or self._follow(model, state, first)
         return Plan(names[first] or None, steps, cost[first], True, (), reason, options)
 
