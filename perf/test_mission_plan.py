@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from edge.config import PlannerExpected, PlannerVitl
-from edge.geometry import Grid
+from edge.geometry import SE2, Grid
 from edge.mission.automaton import compile_formula
 from edge.mission.ltl import parse
 from edge.mission.planner import Knowledge, make_planner, warm_up
+from edge.mission.planning.belief import Prospects, survey
 from edge.mission.planning.distances import distances
 
 DISTANCE = PlannerVitl(weights="distance")
+ATTEMPTS = PlannerExpected(weights="constant")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,7 +39,8 @@ def half_known(automaton) -> Knowledge:
     [
         ("replan_64", PlannerVitl(), 6),
         ("replan_distance_64", DISTANCE, 6),
-        ("replan_expected_64", PlannerExpected(), 6),
+        ("replan_expected_64", ATTEMPTS, 6),
+        ("replan_expected_distance_64", PlannerExpected(), 6),
         ("replan_4096", PlannerVitl(), 12),
         ("replan_distance_4096", DISTANCE, 12),
     ],
@@ -59,14 +62,21 @@ def test_solve_expected(benchmark, k):
     automaton = unordered(k)
 
     def solve():
-        return make_planner(PlannerExpected(), automaton).plan(0, Knowledge())
+        return make_planner(ATTEMPTS, automaton).plan(0, Knowledge())
 
     assert len(benchmark(solve).steps) == k
 
 
-def test_distances_1000(benchmark):
-    """Six objects on a map of 50 m a side, an open hall full of pillars, a fifth of it unknown."""
-    benchmark.extra_info["budget"] = "mission_distances_1000"
+@pytest.mark.parametrize("k", [6, 7])
+def test_solve_expected_in_metres(benchmark, k):
+    """With every survey while nothing is known yet, the worst case: inside the tick."""
+    benchmark.extra_info["budget"] = f"solve_expected_distance_{1 << k}"
+    planner = make_planner(PlannerExpected(), unordered(k))
+    assert len(benchmark(planner.plan, 0, Knowledge()).steps) == k
+
+
+def hall() -> tuple[Grid, list[np.ndarray]]:
+    """A map of 50 m a side, an open hall full of pillars, a fifth of it unknown; six objects."""
     rng = np.random.default_rng(0)
     cells = np.zeros((1000, 1000), np.int8)
     cells[800:] = -1
@@ -74,6 +84,24 @@ def test_distances_1000(benchmark):
         cells[y - 11 : y + 11, x - 11 : x + 11] = 99
         cells[y - 6 : y + 6, x - 6 : x + 6] = 100
     places = [rng.uniform(2.0, 48.0, (2, 2)) for _ in range(6)]
-    snapshot = Grid(cells, (0.0, 0.0), 0.05)
+    return Grid(cells, (0.0, 0.0), 0.05), places
+
+
+def test_distances_1000(benchmark):
+    benchmark.extra_info["budget"] = "mission_distances_1000"
+    snapshot, places = hall()
     out = benchmark(distances, snapshot, (25.0, 25.0), places)
     assert np.isfinite(out).all()
+
+
+def test_survey_1000(benchmark):
+    """Of six objects one is known; 64 frontiers."""
+    benchmark.extra_info["budget"] = "mission_survey_1000"
+    snapshot, places = hall()
+    rng = np.random.default_rng(1)
+    prospects = Prospects(
+        rng.uniform(2.0, 38.0, (64, 2)), rng.uniform(1.0, 20.0, 64), rng.uniform(0.25, 4.0, (6, 64))
+    )
+    known = [places[0], *[np.zeros((0, 2))] * 5]
+    found = benchmark(survey, snapshot, SE2(25.0, 25.0, 0.0), known, prospects, 10.0)
+    assert np.isfinite(found.search_m).all()

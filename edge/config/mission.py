@@ -87,14 +87,23 @@ class PlannerVitl(Section):
 class PlannerExpected(Section):
     """Least expected cost: a stochastic shortest path over automaton and knowledge.
 
-    An object that was not seen takes 1 / `p_obs` attempts to be seen, on average and whatever is
-    searched for; `prior: cooccurrence` changes that by what is known.
+    With `weights: distance` costs are metres. A known object costs the way to it; another one is
+    searched for behind the frontiers, by their unknown area, the way there and the prior's lift,
+    or `explore_m` beyond them. The plan is also made anew when it gets better by `replan_margin_m`,
+    or, by a search, whose costs are less certain, by `search_margin_m`.
+    With `weights: constant` an object that was not seen takes 1 / `p_obs` attempts to be seen, on
+    average and whatever is searched for, and a known one `w_det`; `prior: cooccurrence` changes
+    `p_obs` by what is known.
     """
 
     kind: Literal["expected"] = "expected"
+    weights: Literal["constant", "distance"] = "distance"
     p_obs: Annotated[float, Field(gt=0, le=1)] = 0.5
     prior: Literal["constant", "cooccurrence"] = "constant"
     w_det: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    explore_m: Positive = 10.0
+    replan_margin_m: NonNegative = 1.0
+    search_margin_m: NonNegative = 5.0
 
 
 class PlannerInOrder(Section):

@@ -295,7 +295,8 @@ class Service:
         # What is driven past may get out of sight, and is not looked for again.
         mission.see(self._newest_ids(), now_ns, keep=task is not None and task.phase != "looking")
         if self._surveyor is not None and task is None:
-            self._surveyor.step(mission, self.map.grid, self.map.tracker, pose, now_ns)
+            here = self.map
+            self._surveyor.step(mission, here.grid, here.tracker, here.prospects, pose, now_ns)
         if self.goals.follows(mission) and not (mission.done or mission.paused):
             stuck = self.goals.judge(self.map.grid, pose, mission, self._images, now_ns)
             if task is not None:

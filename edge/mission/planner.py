@@ -15,8 +15,9 @@ from edge.config import PlannerExpected, PlannerInOrder, PlannerOwn, PlannerVitl
 from edge.config.named import find_named
 from edge.mission.automaton import Automaton
 from edge.mission.ltl import Formula
-from edge.mission.planning import distances
+from edge.mission.planning import belief, distances
 from edge.mission.planning.expected import ExpectedPlanner, PlannerError
+from edge.mission.planning.expected_metres import ExpectedMetresPlanner
 from edge.mission.planning.in_order import InOrderPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.mission.planning.vitl import VitlPlanner
@@ -40,7 +41,8 @@ def make_planner(
 
     Args:
         instruction: that the automaton is of, for one's own.
-        keywords: `known_reached` of `VitlPlanner`, `universe_extra` of `ExpectedPlanner`.
+        keywords: `known_reached` of `VitlPlanner`; `universe_extra` of `ExpectedPlanner`, which
+            knows no metres.
 
     Raises:
         PlannerError: the automaton is too large for the expected-cost planner.
@@ -51,6 +53,8 @@ def make_planner(
         where, needs = "mission.planner", ("plan()",)
         own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
         return find_named("planner", *own)(**given)
+    if isinstance(config, PlannerExpected) and config.weights == "distance" and not keywords:
+        return ExpectedMetresPlanner(config, automaton)
     return REGISTRY[config.kind](config, automaton, **keywords)
 
 
@@ -63,6 +67,8 @@ def warm_up() -> None:
         accepting=np.array([False, True]),
         steps_left=np.array([1, 0], np.int32),
     )
-    for config in (PlannerVitl(), PlannerVitl(weights="distance"), PlannerExpected()):
-        make_planner(config, automaton).plan(0, Knowledge())
+    for kind in (PlannerVitl, PlannerExpected):
+        for weights in ("constant", "distance"):
+            make_planner(kind(weights=weights), automaton).plan(0, Knowledge())
     distances.warm_up()
+    belief.warm_up()

@@ -6,13 +6,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
-import numpy as np
-
 from edge.config import Mission
 from edge.geometry import SE2
 from edge.mission.automaton import NOTHING
 from edge.mission.brief import Brief
 from edge.mission.planner import make_planner
+from edge.mission.planning.belief import Survey
 from edge.mission.planning.in_sight import InSightPlanner
 from edge.mission.planning.plan import Knowledge, Plan, Planner
 from edge.text import one_line
@@ -26,8 +25,7 @@ class MissionRun:
 
     The automaton moves only when the active target was declared reached, and, where the formula
     asks for it, by a step in which nothing is reached. The plan is made anew whenever one of the
-    sets D (seen), R (reached), B (failed) changes; with driving distances as weights, whenever
-    new ones come.
+    sets D (seen), R (reached), B (failed) changes; with metres as weights, whenever new ones come.
 
     Attributes:
         state: of the automaton.
@@ -79,7 +77,7 @@ class MissionRun:
             if brief.steps is None
             else InSightPlanner(brief.targets, brief.steps)
         )
-        self._distance_m: np.ndarray | None = None
+        self._survey: Survey | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
         self._why_failed: dict[str, str] = {}
         self._newest: dict[str, int] = {}
@@ -103,9 +101,9 @@ class MissionRun:
 
     @property
     def knowledge(self) -> Knowledge:
-        """The sets D, R and B (ViTL IV-A2), and driving distances where they are weights."""
-        reached = frozenset(self.reached)
-        return Knowledge(self.detected - reached, reached, self.failed, self._distance_m)
+        """The sets D, R and B (ViTL IV-A2), and metres where they are weights."""
+        reached, metres = frozenset(self.reached), self._survey or ()
+        return Knowledge(self.detected - reached, reached, self.failed, *metres)
 
     @property
     def forbidden(self) -> tuple[str, ...]:
@@ -202,15 +200,15 @@ class MissionRun:
             self._note(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
-    def survey(self, distance_m: np.ndarray, now_ns: int) -> None:
-        """New driving distances between the targets (see `Knowledge.distance_m`)."""
+    def survey(self, found: Survey, now_ns: int) -> None:
+        """New driving distances between the targets, and what searches are expected to take."""
         if not self.done:
-            self._distance_m = distance_m
+            self._survey = found
             self._replan(now_ns)
 
     def forget_distances(self) -> None:
         """The frame that they were measured in is gone; new ones come with the next survey."""
-        self._distance_m = None
+        self._survey = None
 
     def arrive(self, evidence: str, now_ns: int) -> None:
         """The active target was reached: the one thing that moves the automaton."""

@@ -127,7 +127,7 @@ class Replayed(Journal):
         self._now, self._anew, self._own = now, anew, own
         self._take_up: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._detections,
-            "surveyor": lambda said, asked: journal.distances_of(said),
+            "surveyor": lambda said, asked: journal.survey_of(said),
             "prior": lambda said, asked: journal.rooms_of(said),
             "similarity": self._similarity,
             "choice": self._choice,

@@ -23,6 +23,7 @@ from edge.loop.journal import Input
 from edge.loop.prior import Rooms
 from edge.loop.result import TickResult
 from edge.mission import ltl, saved
+from edge.mission.planning.belief import Survey
 from edge.mission.translate import Translation
 from edge.perception.choice.question import Choice
 from edge.policies.base import Similarity
@@ -351,15 +352,24 @@ def draft_of(said: dict[str, Any]) -> Draft:
     )  # fmt: skip
 
 
+def _survey(found: Survey) -> dict[str, Any]:
+    searched = found.search_m
+    return {
+        "distance_m": _array(found.distance_m),
+        "search_m": None if searched is None else _array(searched),
+    }
+
+
+def survey_of(said: dict[str, Any]) -> Survey:
+    """A survey; recordings of before there was `search_m` have distances alone."""
+    searched = said.get("search_m")
+    return Survey(_array_of(said["distance_m"]), None if searched is None else _array_of(searched))
+
+
 _FOUND: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "detector": _boxes, "surveyor": lambda found: {"distance_m": _array(found)}, "prior": _rooms,
-    "similarity": _similarity, "choice": _choice, "task": _draft,
+    "detector": _boxes, "surveyor": _survey, "prior": _rooms, "similarity": _similarity,
+    "choice": _choice, "task": _draft,
 }  # fmt: skip
-
-
-def distances_of(said: dict[str, Any]) -> np.ndarray:
-    """A survey's driving distances; see `edge.mission.planning.distances`."""
-    return _array_of(said["distance_m"])
 
 
 def _answer_of(said: dict[str, Any]) -> dict[str, Any]:

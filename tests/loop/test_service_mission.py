@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from simulated import simulated
 
@@ -15,6 +16,7 @@ from edge.loop.requests import handle_mission
 from edge.loop.status import status_of
 from edge.mission.brief import prepare
 from edge.perception.text import PromptError
+from edge.policies.base import FRONTIER
 
 CHOICE = "F ((chair | sofa) & F television) & !bed W television"
 
@@ -173,15 +175,50 @@ def test_no_target_is_given_up_before_anything_was_seen():
     assert loop.service.mission.target == "bed"
 
 
-def test_a_pose_jump_ends_what_was_known_of_distances():
-    mission = {"planner": {"kind": "vitl", "weights": "distance"}}
+@pytest.mark.parametrize(("kind", "searched"), [("vitl", False), ("expected", True)])
+def test_a_pose_jump_ends_what_was_known_of_distances(kind, searched):
+    mission = {"planner": {"kind": kind, "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.knowledge.distance_m is None:
         loop.step()
+    assert (loop.service.mission.knowledge.search_m is not None) == searched
     loop.service.forget_places(loop.drive.motion.stamp_ns)
     assert loop.service.mission.knowledge.distance_m is None
+    assert loop.service.mission.knowledge.search_m is None
     assert loop.service._surveyor.poll() is None
     loop.service.close()
+
+
+def test_a_search_goes_on_at_the_frontiers_and_turns_that_show_something():
+    loop = ClosedLoop(config(CHOICE, mission={"planner": {"kind": "expected"}}))
+    here = loop.service.map
+    assert here.prospects(("bed",)).lift.shape == (1, 0)
+    while loop.service.mission.knowledge.search_m is None:
+        loop.step()
+    candidates, there = here.pool.candidates, []
+    for i in range(candidates.n):
+        if candidates.kind[i] == FRONTIER and i % 2:
+            candidates.blocked[i] = True
+        way_m, blocked = float(candidates.path_m[i]), bool(candidates.blocked[i])
+        if candidates.gain_m2[i] > 0 and way_m < float("inf") and not blocked:
+            there.append(i)
+    assert there
+    found = here.prospects(("bed", "zeppelin"))
+    np.testing.assert_array_equal(found.xy_m, candidates.xy_m[there])
+    np.testing.assert_array_equal(found.area_m2, candidates.gain_m2[there])
+    assert (found.lift[1] == 1.0).all()
+    for i, lift in zip(there, found.lift[0], strict=True):
+        expected = np.ones(1, np.float32)
+        if candidates.kind[i] == FRONTIER:
+            here.prior.lift("bed", candidates.xy_m[i : i + 1], 1, expected)
+        assert lift == pytest.approx(float(expected[0]))
+    loop.service.close()
+
+
+def test_why_a_target_is_pursued_is_said_in_metres():
+    loop = ClosedLoop(config(CHOICE, mission={"planner": {"kind": "expected"}})).run(300)
+    why = [s.text for s in loop.service.mission.steps if s.kind == "target"]
+    assert any(" m to the end" in text for text in why), why
 
 
 def test_pause_has_the_robot_stand_and_resume_go_on():

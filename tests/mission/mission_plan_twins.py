@@ -224,6 +224,59 @@ class Search(Exploration):
         return self.p_obs
 
 
+HERE = "here"
+
+
+class MetreSearch(Exploration):
+    """The robot, in metres: a node is (state, known letters, place, 0), places are letters and
+    `HERE`; a search ends near whatever is seen first.
+
+    Args:
+        way_m, search_m: by place, and letter; by place, target and letter.
+    """
+
+    def __init__(self, automaton, way_m, search_m, known=(), failed=()):
+        super().__init__(automaton, 1.0, 0.0, 0, failed)
+        self.way_m, self.search_m = way_m, search_m
+        sets = {k | frozenset(known) for _, k, _ in self.nodes}
+        self.nodes = [
+            (s, k, place)
+            for s in range(automaton.n_states) for k in sets for place in (HERE, *k)
+        ]  # fmt: skip
+
+    def actions(self, node):
+        s, known, _ = node
+        useful = [x for x in self.letters if self.a.step(s, x) != s]
+        hopeful = [x for x in useful if self._left(self.a.step(s, x)) < math.inf]
+        return (*(x for x in self.letters if x in known or x in hopeful), NOTHING)
+
+    def outcomes(self, node, letter):
+        s, known, place = node
+        if letter == NOTHING:
+            return W_NOTHING, [(1.0, (self.a.step(s, letter), known, place))]
+        if letter in known:
+            return self.way_m[place, letter], [(1.0, (self.a.step(s, letter), known, letter))]
+        left = [x for x in self.letters if x not in known]
+        rate = {x: 1.0 / self.search_m[place, letter, x] for x in left}
+        total = sum(rate.values())
+        return 1.0 / total, [(r / total, (s, known | {x}, x)) for x, r in rate.items()]
+
+
+def plain_tours(way_m, between_m, worth, behind, start_m):
+    """Of `belief.tours`, the tours by sorting what is left."""
+    k, n = worth.shape
+    out = np.zeros((len(way_m), k, k))
+    for p, target in np.ndindex(len(way_m), k):
+        left, at, walked_m = list(range(n)), way_m[p], 0.0
+        while left:
+            nearest = max(left, key=lambda i: (worth[target, i] / (start_m + at[i]), -i))
+            walked_m += at[nearest]
+            out[p, target] += behind[:, nearest] * walked_m
+            left.remove(nearest)
+            at = between_m[nearest]
+    return out
+
+
 def grid_dijkstra(state, step, starts):
     """Distances of `distances.wavefront`, with a heap."""
     h, w = state.shape

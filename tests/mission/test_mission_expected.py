@@ -1,4 +1,4 @@
-"""The expected-cost planner against policy iteration on the model written out."""
+"""The planner of least expected attempts against policy iteration on the model written out."""
 
 from __future__ import annotations
 
@@ -27,9 +27,13 @@ from edge.perception.prior import table
 FORMULAS = ["F a", CHOICE, CASE_1, CASE_2, "F a & F b & F c", "F a & F b & G !c"]
 
 
+def constant(**config) -> PlannerExpected:
+    return PlannerExpected(weights="constant", **config)
+
+
 def planned(text, knowledge=None, current=None, extra=None, **config):
     """With `extra`, for the paper's executor; else for the robot."""
-    planner = make_planner(PlannerExpected(**config), compiled(text), universe_extra=extra)
+    planner = make_planner(constant(**config), compiled(text), universe_extra=extra)
     return planner.plan(0, knowledge or Knowledge(), current)
 
 
@@ -108,7 +112,7 @@ def test_the_target_of_a_search_is_what_to_go_to_when_it_is_seen(data, automaton
     """No other target would bring any object nearer, so none is better by more than the step to
     an object that is seen and of use at once."""
     w_det = 0.25
-    planner = make_planner(PlannerExpected(p_obs=p_obs, w_det=w_det), automaton)
+    planner = make_planner(constant(p_obs=p_obs, w_det=w_det), automaton)
     letters = automaton.letters
     known = data.draw(st.sets(st.sampled_from(letters))) if letters else set()
     for state in range(automaton.n_states):
@@ -215,7 +219,7 @@ def test_costs_are_those_of_policy_iteration(data, automaton, p_obs, extra):
     make = Search if extra is None else Exploration
     model = make(automaton, p_obs, 0.25, extra or 0, failed)
     optimum = model.optimum()
-    config = PlannerExpected(p_obs=p_obs, w_det=0.25)
+    config = constant(p_obs=p_obs, w_det=0.25)
     planner = make_planner(config, automaton, universe_extra=extra)
     for node in model.nodes:
         state, known, left = node
@@ -268,7 +272,7 @@ def test_vitl_never_costs_less(text, p_obs, make, extra):
 )
 def test_a_table_that_would_be_too_large_is_refused(text, extra, words):
     with pytest.raises(PlannerError, match=f"'expected' cannot take on .*{words}.*kind: vitl"):
-        make_planner(PlannerExpected(), compiled(text), universe_extra=extra)
+        make_planner(constant(), compiled(text), universe_extra=extra)
 
 
 def test_tables_are_kept_for_two_sets_of_failed_objects(monkeypatch):
@@ -278,7 +282,7 @@ def test_tables_are_kept_for_two_sets_of_failed_objects(monkeypatch):
         expected.ExpectedPlanner, "_solve",
         lambda self, failed: solved.append(failed) or solve(self, failed),
     )  # fmt: skip
-    planner = make_planner(PlannerExpected(), compiled("F(a | b | c)"))
+    planner = make_planner(constant(), compiled("F(a | b | c)"))
     for failed in ["", "spoon", "a", "", "a", "ab", ""]:
         planner.plan(0, knowing(failed=[failed] if len(failed) > 2 else failed))
     assert solved == [frozenset(x) for x in ["", "a", "ab", ""]]
@@ -289,7 +293,7 @@ def test_tables_are_kept_for_two_sets_of_failed_objects(monkeypatch):
 
 @pytest.mark.parametrize("names", [(), ("zeppelin",), ("bed", "pillow"), ("sink", "bed", "toilet")])
 def test_probabilities_follow_the_rooms_of_known_objects(names):
-    config = PlannerExpected(p_obs=0.3, prior="cooccurrence")
+    config = constant(p_obs=0.3, prior="cooccurrence")
     p = expected.find_probabilities(config, names)
     lift = table.load().lift(names)
     assert p.shape == (1 << len(names), len(names))
@@ -316,7 +320,7 @@ def test_a_prior_on_words_that_the_table_lacks_changes_nothing():
 def test_a_prior_model_is_solved_exactly():
     """Value iteration with the prior's probabilities agrees."""
     automaton = compiled("F sink & F toilet & F bed")
-    config = PlannerExpected(p_obs=0.5, prior="cooccurrence")
+    config = constant(p_obs=0.5, prior="cooccurrence")
     letters = automaton.letters
     p = expected.find_probabilities(config, letters)
 

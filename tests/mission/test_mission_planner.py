@@ -29,6 +29,7 @@ from edge.mission.planner import Knowledge, Plan, make_planner
 from edge.mission.planning.vitl import working_order
 
 CONSTANT = PlannerVitl()
+ATTEMPTS = PlannerExpected(weights="constant", w_det=0.5, p_obs=1.0)
 NOTHING_KNOWN = Knowledge()
 
 
@@ -95,7 +96,7 @@ def test_ties(text, knowledge, current, target):
     assert planned(text, knowing(**knowledge), current).target == target
 
 
-@pytest.mark.parametrize("config", [PlannerVitl(w_det=0.5), PlannerExpected(w_det=0.5, p_obs=1.0)])
+@pytest.mark.parametrize("config", [PlannerVitl(w_det=0.5), ATTEMPTS])
 def test_fewest_steps_come_before_the_current_target(config):
     """From state 1, a and a again costs as much as b at once; any object leads there from 0."""
     automaton = table_automaton(
@@ -344,7 +345,7 @@ def check(automaton, state, plan, knowledge):
 
 @settings(max_examples=100)
 @given(automaton=automata(), seed=st.integers(0, 10_000))
-@pytest.mark.parametrize("config", [PlannerVitl(), PlannerExpected(p_obs=0.4)])
+@pytest.mark.parametrize("config", [PlannerVitl(), ATTEMPTS, PlannerExpected()])
 def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton, seed):
     """Every plan is followed for one step, with other objects seen now and then."""
     assume(not automaton.dead(0))

@@ -29,6 +29,7 @@ def distances(
     unknown_cost: float = 3.0,
     snap_m: float = 1.2,
     cell_m: float = 0.2,
+    begin: int | None = None,
 ) -> np.ndarray:
     """`Knowledge.distance_m`: metres to drive from each object, and from the robot, to each.
 
@@ -44,9 +45,10 @@ def distances(
             The nearest instance counts.
         unknown_cost: how many metres a metre over unknown cells stands for, 1 … 100.
         cell_m: about how long a cell of the search is; never shorter than the map's.
+        begin: from how many of the letters, the first, distances are wanted; None: from all.
 
     Returns:
-        (k + 1, k) float64; 0 from an object to itself; inf where there is no way, and to and
+        (begin + 1, k) float64; 0 from an object to itself; inf where there is no way, and to and
         from a letter without an instance or with none near a cell the robot may enter.
 
     Raises:
@@ -67,7 +69,7 @@ def distances(
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
     weight = np.array([0, 1.0, unknown_cost])
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)
-    return _matrix(state, step, ends, start) / STRAIGHT * side_m
+    return _matrix(state, step, ends, [*ends[:begin], start]) / STRAIGHT * side_m
 
 
 def warm_up() -> None:
@@ -77,15 +79,15 @@ def warm_up() -> None:
 
 
 def _matrix(
-    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], start: np.ndarray
+    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], rows: list[np.ndarray]
 ) -> np.ndarray:
-    """Costs from each object's cells, and from the start, to each object's: (k + 1, k) float64.
+    """Costs from the cells of each of `rows` to each object's: (rows, k) float64.
 
     Args:
-        ends, start: (m, 2) int64 each, cells and costs to begin or end with.
+        ends, rows: (m, 2) int64 each, cells and costs to end or begin with; rows are the first
+            objects, and the start.
     """
-    out = np.full((len(ends) + 1, len(ends)), np.inf)
-    rows = (*ends, start)
+    out = np.full((len(rows), len(ends)), np.inf)
     most = max(step.max(), *(cells[:, 1].max(initial=0) for cells in rows))
     buckets = np.empty(1 << int(most).bit_length(), np.int32)
     queue = np.empty((2, 8 * state.size + max(len(cells) for cells in rows)), np.int32)
@@ -96,7 +98,7 @@ def _matrix(
             there = distance.ravel()[cells[:, 0]]
             reached = there != UNREACHED
             if reached.any():
-                out[i, j] = 0.0 if i == j else (there + cells[:, 1])[reached].min()
+                out[i, j] = 0.0 if begin is cells else (there + cells[:, 1])[reached].min()
     return out
 
 

@@ -20,13 +20,17 @@ class Knowledge:
         reached: R.
         failed: B, given up on; wins where a letter is in another set too.
         distance_m: (k + 1, k) float64, metres to drive from letter i (row k: from the robot) to
-            letter j; inf or NaN where that is not known. Only read with distances as weights.
+            letter j, or to where it may be; inf or NaN where that is not known. Only read with
+            distances as weights.
+        search_m: (k + 1, k, k) float64, metres that a search from letter i (row k: from the robot)
+            for letter j is expected to take until letter l is seen. Only read by `expected`.
     """
 
     detected: frozenset[str] = frozenset()
     reached: frozenset[str] = frozenset()
     failed: frozenset[str] = frozenset()
     distance_m: np.ndarray | None = None
+    search_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -308,3 +308,102 @@ def expected_follow(
             if out[c] <= least:
                 letter = c
                 break
+
+
+@njit(nogil=True, cache=True)
+def metre_costs(delta, accepting, order, sought, known, way_m, search_m, w_nothing, value, total):
+    """Least expected metres to acceptance, by what is found, place and state.
+
+    As in `expected_costs` sets are solved from the full one down, and within a set only certain
+    steps are left.
+
+    Args:
+        delta, accepting, order: see `cost_to_go`.
+        sought: (u,) int64, letters to be found that have not failed; bit i of a set: sought[i]
+            is found.
+        known: (m,) int64, letters that are known from the start and have not failed.
+        way_m: (k + 1, k) float64 over 0, metres from letter i (row k: from the robot) to letter j;
+            the diagonal is what is left where j was just found, or reached.
+        search_m: (k + 1, k, k) float64 over 0, see `Knowledge.search_m`.
+        w_nothing: cost of reaching nothing.
+        value: (2**u, k + 1, n) float64, written; inf where there is no way, and at places
+            that are not found.
+        total: (n,) float64 scratch.
+    """
+    nothing = delta.shape[1] - 1
+    for found in range(value.shape[0] - 1, -1, -1):
+        for p in range(value.shape[1]):
+            here = value[found, p]
+            for s in range(here.size):
+                here[s] = 0.0 if accepting[s] else np.inf
+            for i in range(sought.size):
+                if found & (1 << i) == 0:
+                    rate = _seen_next(sought, search_m, value, found, p, i, total)
+                    after = value[found | (1 << i), sought[i]]
+                    for s in order:
+                        t = delta[s, sought[i]]
+                        if t != s and after[t] < np.inf:
+                            here[s] = min(here[s], total[s] / rate)
+        changed = True
+        while changed:
+            changed = False
+            for s in order:
+                for p in range(value.shape[1]):
+                    best = w_nothing + value[found, p, delta[s, nothing]]
+                    for c in known:
+                        best = min(best, way_m[p, c] + value[found, c, delta[s, c]])
+                    for i in range(sought.size):
+                        if found & (1 << i):
+                            c = sought[i]
+                            best = min(best, way_m[p, c] + value[found, c, delta[s, c]])
+                    if best < value[found, p, s]:
+                        value[found, p, s] = best
+                        changed = True
+
+
+@njit(nogil=True, cache=True)
+def _seen_next(sought, search_m, value, found, p, i, total):
+    """What a search from place `p` for sought[i] leads to, times its rate, into total, (n,).
+
+    Each object that is not found is seen at its own rate, so the next one comes after
+    1 / (sum of rates) metres and is j with j's share of the sum; the robot is then near it.
+
+    Returns:
+        The sum of rates.
+    """
+    rate = 0.0
+    total[:] = 1.0
+    for j in range(sought.size):
+        if found & (1 << j) == 0:
+            each = 1.0 / search_m[p, sought[i], sought[j]]
+            rate += each
+            total += each * value[found | (1 << j), sought[j]]
+    return rate
+
+
+@njit(nogil=True, cache=True)
+def metre_first(
+    delta, sought, known, way_m, search_m, w_nothing, value, total, state, place, found, out
+):  # fmt: skip
+    """Expected metres of each first letter.
+
+    Args:
+        out: (k + 1,) float64, written; inf where it leads nowhere, failed, or changes nothing.
+    """
+    out[:] = np.inf
+    nothing = delta.shape[1] - 1
+    if delta[state, nothing] != state:
+        out[nothing] = w_nothing + value[found, place, delta[state, nothing]]
+    for c in known:
+        if delta[state, c] != state:
+            out[c] = way_m[place, c] + value[found, c, delta[state, c]]
+    for i in range(sought.size):
+        c = sought[i]
+        t = delta[state, c]
+        if t == state:
+            continue
+        if found & (1 << i):
+            out[c] = way_m[place, c] + value[found, c, t]
+        elif value[found | (1 << i), c, t] < np.inf:
+            rate = _seen_next(sought, search_m, value, found, place, i, total)
+            out[c] = total[state] / rate

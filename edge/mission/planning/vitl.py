@@ -185,11 +185,11 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
         )
         metres[-1, j] = here
     metres = np.maximum(metres, 0.0)
-    _no_detours(metres)
+    no_detours(metres)
     return metres
 
 
-def _no_detours(metres: np.ndarray) -> None:
+def no_detours(metres: np.ndarray) -> None:
     """From here to any letter never farther than by way of others, in place.
 
     Distances between things of several instances each, and rounded ones, need not keep the
