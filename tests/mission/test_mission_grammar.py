@@ -308,6 +308,7 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
     [
         ("keep visiting the bed", "a mission ends"),
         ("wait at the door", "not staying or leaving"),
+        ("go to the bed and continue", "say where to go"),
         ("visit the bed forever", "a mission ends"),
         ("visit the bed frame", '"bed frame"'),
         ("go to the firdge", "firdge: fridge\\?"),

@@ -135,6 +135,7 @@ SEQUENCES = [
     ("go to the bank and then sometime later the school", "F (bank & F school)"),
     ("go to red room 1st, blue room 2nd", 'F ("red room" & F "blue room")'),
     ("when you go to the kitchen, check the sink", "F (kitchen & F sink)"),
+    ("once in the kitchen, go to the bedroom", "F (kitchen & F bedroom)"),
 ]  # fmt: skip
 
 ORDERS = [
@@ -330,6 +331,7 @@ RULES = [
     ("avoid the park until you reach the bank, then go to the park", "F park & (!park W bank)"),
     ("go to the kitchen, but if you see a cat go to the door", "F kitchen & G (cat -> F door)"),
     ("do not go to the kitchen when you see a cat", "G (cat -> G !kitchen)"),
+    ("once in the kitchen, never go to the garage", "G (kitchen -> G !garage)"),
 ]  # fmt: skip
 
 ASKED = [
@@ -436,6 +438,10 @@ REFUSED = [
     ("go to another room", "another room"),
     ("go to the kitchen and the garden via the hallway", "via the hallway"),
     ("starting at the kitchen, avoid the hallway", "starting at the kitchen"),
+    ("follow me to the kitchen", "me to the kitchen"),
+    ("come with me to the kitchen", "me to the kitchen"),
+    ("visit the kitchen as long as you have not visited the garage",
+     "as long as you have not visited the garage"),
 ]  # fmt: skip
 
 

@@ -55,12 +55,9 @@ def take_happening(reader: Reader, memory: Memory, condition: Condition) -> None
         return
     says = Clause(reader.peek())
     said = take_mood(reader, says)
-    if (
-        "be" in said
-        and reader.peek().text in ("in", "inside", "at", "on")
-        and starts_things(reader, 1)
-    ):
-        reader.at += 1  # "once you are in the kitchen"
+    inside = reader.peek().text in ("in", "inside", "at", "on") and starts_things(reader, 1)
+    if inside and ("be" in said or (condition.kind == "when" and not said)):
+        reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
         condition.things = take_things(reader, memory.named)
         condition.denied = condition.denied or says.negated
         return
@@ -313,7 +310,10 @@ def take_avoiding(reader: Reader, memory: Memory, clause: Clause) -> None:
     assert token is not None
     denied = token.kind != "while"
     says = Clause(reader.peek())
+    begin = reader.at
     take_mood(reader, says)
+    if any(done.text in ("have", "has") for done in reader.tokens[begin : reader.at]):
+        reader.refuse("say what is not to be reached before what", token)
     denied = denied or says.negated or bool(reader.take("avoid"))
     while verb := reader.take("verb"):
         says.again = says.again or verb.text.startswith(("revisit", "return"))

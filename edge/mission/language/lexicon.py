@@ -184,11 +184,12 @@ PHRASES: dict[str, str] = {
     "happen": "happen|happens|happened|happening|occur|occurs|occurred|occured|occurring|hold|"
     "holds|hold true|holds true|become true|becomes true|be true|is true",
     # Known only to be refused with a reason: see `words.REASONS`.
-    "endless": "keep visiting|keep going|keep on|keep moving|continue|continuously|repeatedly|"
+    "endless": "keep visiting|continuously|repeatedly|"
     "infinitely|endlessly|perpetually|again and again|over and over again|over and over|patrol|"
     "cycle through|back and forth|infinite|an infinite number of|do not stop visiting|"
     "do not stop going|never stop visiting|never stop going|do not ever stop|can not stop|"
     "not stop visiting|not stop going",
+    "going on": "continue|keep going|keep moving|keep on|go on|carry on",
     "stay": "stay|stays|staying|wait|waits|waiting|remain|remains|remaining|leave|leaving",
     # Says nothing new of a ban, and too much of a goal.
     "forever": "forever|indefinitely|for ever",

@@ -307,6 +307,10 @@ def skip_particles(reader: Reader, clause: Clause) -> None:
         elif token.kind == "first":
             clause.first = True
             reader.at += 1
+        elif token.text in ("me", "us") and (
+            clause.verb.startswith("follow") or reader.tokens[reader.at - 1].text == "with"
+        ):
+            reader.refuse("only reaching things can be asked for", token)
         elif token.kind == "filler" and names_one_robot(reader):
             reader.refuse("only one robot is spoken to", token)
         elif token.kind in ("to", "filler") or (

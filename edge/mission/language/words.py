@@ -19,6 +19,7 @@ MAX_WORDS = 1_000
 REASONS = {
     "endless": "a mission ends, so nothing can be asked for again and again",
     "forever": "a mission ends, so nothing can be asked for ever",
+    "going on": "say where to go, or until what is reached",
     "stay": "only reaching things can be asked for, not staying or leaving",
     "mark": "this character has no place in an instruction",
 }
