@@ -146,6 +146,19 @@ def test_of_several_readings_the_page_lets_one_choose(page, house):
     assert house.service.mission.brief.translation.reading == 3
 
 
+def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
+    page.click("#new")
+    page.type("#words", "vist the sofa")
+    page.click("#new-ok")
+    page.until("document.querySelectorAll('#readings button').length === 1")
+    page.says("#new-error", "It is not sure that this is meant. Is it?")
+    page.says("#readings", "1. Reach the sofa.")
+    assert house.service.mission.brief.targets == ("bed",)
+    page.click("#readings button")
+    page.until("!document.getElementById('new-dialog').open")
+    page.says("#formula", "F sofa")
+
+
 def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
     with open_house(mission={"target": "bed", "on_request": True}, robot=SLOWLY) as house:
         tab.open(house.url)
