@@ -1,4 +1,5 @@
-"""From words to formulas of linear temporal logic: a grammar of English, or a language model.
+"""From words to formulas of linear temporal logic: a grammar of English, a small
+network of our own (`model`), or a language model on a server (`llm`).
 
-What is not understood is refused or asked about; nothing is compiled or planned here.
+What is not understood is refused or asked about; what is compiled is only compared.
 """
