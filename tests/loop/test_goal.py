@@ -94,6 +94,7 @@ class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
     target, turns, forbidden, done = "chair", 1, (), False
+    brief = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
         self.arrivals: list[str] = []
