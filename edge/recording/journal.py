@@ -333,7 +333,7 @@ def _refined_of(said: dict[str, Any]) -> Refined:
 def _draft(d: Draft) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "hopeless": d.hopeless, "speed_mps": d.speed_mps,
+        "hopeless": d.hopeless, "mistakable": d.mistakable, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
         "stops_at": d.stops_at, "upto": d.upto, "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
@@ -341,15 +341,18 @@ def _draft(d: Draft) -> dict[str, Any]:
 
 
 def draft_of(said: dict[str, Any]) -> Draft:
-    """See `edge.loop.draft.Draft`."""
-    refined, coarse_m = said["refined"], said["coarse_m"]
+    """See `edge.loop.draft.Draft`; recordings of before there was `mistakable` have none."""
+    refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
+    same = {name: said[name] for name in ("error", "hopeless", "upto", "understood", "prompt")}
     return Draft(
-        None if refined is None else _refined_of(refined), said["error"],
-        said["hopeless"],
-        None if coarse_m is None else _array_of(coarse_m), said["speed_mps"],
-        said["stops_at"] and (said["stops_at"][0], said["stops_at"][1]),
-        said["upto"], said["understood"], said["prompt"], tuple(Round(**r) for r in said["rounds"]),
-    )  # fmt: skip
+        refined=None if refined is None else _refined_of(refined),
+        mistakable=tuple(said.get("mistakable", ())),
+        coarse_m=None if coarse_m is None else _array_of(coarse_m),
+        speed_mps=said["speed_mps"],
+        stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
+        rounds=tuple(Round(**r) for r in said["rounds"]),
+        **same,
+    )
 
 
 def _survey(found: Survey) -> dict[str, Any]:

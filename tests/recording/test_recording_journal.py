@@ -186,10 +186,17 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
         (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
     )  # fmt: skip
     (entry,) = again(
-        Input(0, "found", {"worker": "task", "what": Draft(refined, stops_at=(3, "van"), upto=2)})
+        Input(
+            0,
+            "found",
+            {
+                "worker": "task",
+                "what": Draft(refined, mistakable=(3, 5), stops_at=(3, "van"), upto=2),
+            },
+        )
     )
     draft = journal.draft_of(entry.fields["what"])
-    assert (draft.stops_at, draft.upto) == ((3, "van"), 2)
+    assert (draft.stops_at, draft.upto, draft.mistakable) == ((3, "van"), 2, (3, 5))
     back = draft.refined
     assert back.heading_rad == heading_rad
     assert (back.drivable, back.notes) == (refined.drivable, refined.notes)
