@@ -442,6 +442,39 @@ REFUSED = [
     ("come with me to the kitchen", "me to the kitchen"),
     ("visit the kitchen as long as you have not visited the garage",
      "as long as you have not visited the garage"),
+    ("take a walk to the sofa", "a walk to the sofa"),
+    ("you may go anywhere but you finish at the sofa", "go anywhere but you finish at the sofa"),
+    ("see the sofa zero times or more", "zero times or more"),
+    ("reach the sofa and do that again", "that again"),
+    ("turn back at the sofa", "back at the sofa"),
+    ("visit the sofa in this order", "visit the sofa in this order"),
+    ("either find the sofa", "either find the sofa"),
+    ("get to the sofa and take a picture", "take a picture"),
+    ("take a picture of the sofa", "take a picture of the sofa"),
+]  # fmt: skip
+
+COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
+    ("take a look at the sofa", "F sofa"),
+    ("have a look at the sofa", "F sofa"),
+    ("visit the sofa more than zero times", "F sofa"),
+    ("stop by the sofa. afterwards be careful not to see the bed", "F sofa & G (sofa -> G !bed)"),
+    ("continue on to the sofa. from then on never visit the bed", "F sofa & G (sofa -> G !bed)"),
+    ("go to the sofa but use the road through the bed", "F (bed & F sofa)"),
+    ("take the route through the bed to the sofa", "F (bed & F sofa)"),
+    ("go to the sofa taking a path that avoids the oven", "F sofa & G !oven"),
+    ("your path ends at the sofa", "F sofa"),
+    ("only explore the sofa one single time", "F sofa & !F (sofa & F (!sofa & F sofa))"),
+    ("do not dust the sofa more than one single time", "!F (sofa & F (!sofa & F sofa))"),
+    ("open the sofa, swing by the bed, head to the oven one by one in this order",
+     "F (sofa & F (bed & F oven))"),
+    ("in this order, open the sofa, swing by the bed", "F (sofa & F bed)"),
+    ("you should end up at landmark two after visiting landmark one",
+     'F ("landmark one" & F "landmark two")'),
+    ("when traveling to the sofa you are obliged to walk through the bed", "F (bed & F sofa)"),
+    ("when heading to the sofa you shall not walk through the bed", "F sofa & G !bed"),
+    ("you can not proceed to the sofa more than once, and first turn on the bed, then the oven",
+     "F (bed & F oven) & !F (sofa & F (!sofa & F sofa))"),
+    ("you can not go past the sofa on the way to the bed", "F bed & G !sofa"),
 ]  # fmt: skip
 
 
@@ -450,7 +483,7 @@ def told(sentence: str) -> tuple[Formula, ...]:
     return distinct(readings(sentence))[0]
 
 
-PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES]
+PLAIN = [*THROUGH, *SEQUENCES, *ORDERS, *AVOIDANCE, *RULES, *COMPOSED]
 MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED]
 
 

@@ -91,6 +91,8 @@ def take_clause(reader: Reader, memory: Memory, bare: Bare) -> Clause:
     gerund = starts and reader.sees("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
+    if reader.tokens[reader.at - 1].text in ("do", "does", "did") and reader.sees("pronoun"):
+        reader.refuse("say what to visit", reader.peek())  # "do that again"
     if reader.peek().text in _PERFORM and _counts(reader, 1):
         reader.at += 1
     count_at = reader.peek()
@@ -198,6 +200,8 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     if avoid := reader.take("avoid"):
         clause.negated = not clause.negated
         clause.verb = avoid.text
+        if reader.sees("you"):  # "go anywhere but you finish at the bed"
+            reader.refuse("say it in two sentences", avoid)
         take_mood(reader, Clause(avoid))
     while token := reader.take("verb"):
         if clause.verb.startswith("stop") and token.text.endswith("ing"):
@@ -213,7 +217,7 @@ def _take_action(reader: Reader, memory: Memory, clause: Clause) -> None:
     last = reader.tokens[reader.at - 1]
     if last.text in ("off", "out", "with") and clause.verb in _LEAVES:
         reader.refuse("only reaching things can be asked for", last)
-    passes = last.text in PASSING or clause.verb.startswith(_PASSES)
+    passes = last.text.split(" ")[-1] in PASSING or clause.verb.startswith(_PASSES)
     if reader.sees("only") and _is_passing(reader, 1, any_way=True):
         reader.at += 2  # "go only through a"
         clause.only = passes = True

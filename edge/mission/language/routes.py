@@ -114,7 +114,7 @@ def lead(reader: Reader, memory: Memory, clause: Clause, bound: Things, token: T
     else:
         clause.avoiding.append(clause.things)
         clause.things, clause.negated, clause.elsewhere = bound, False, False
-        clause.around = False
+        clause.around, clause.mood = False, "do"  # where one goes is no permission
     memory.named = memory.asked = clause.things
 
 
