@@ -449,6 +449,9 @@ REFUSED = [
     ("turn back at the sofa", "back at the sofa"),
     ("visit the sofa in this order", "visit the sofa in this order"),
     ("either find the sofa", "either find the sofa"),
+    ("fetch the sofa. go to the bed first", "first"),
+    ("visit the sofa directly after the bed", "after the bed"),
+    ("hit the sofa no more than once got it", "got it"),
     ("get to the sofa and take a picture", "take a picture"),
     ("take a picture of the sofa", "take a picture of the sofa"),
 ]  # fmt: skip
@@ -475,6 +478,15 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
     ("you can not proceed to the sofa more than once, and first turn on the bed, then the oven",
      "F (bed & F oven) & !F (sofa & F (!sofa & F sofa))"),
     ("you can not go past the sofa on the way to the bed", "F bed & G !sofa"),
+    ("dust the sofa, fill the bed first", "F (bed & F sofa)"),
+    ("follow the road via the sofa to the bed", "F (sofa & F bed)"),
+    ("go to the sofa stopping by the bed", "F (bed & F sofa)"),
+    ("visit the sofa and proceed to use the bed", "F (sofa & F bed)"),
+    ("you must examine the sofa directly after you scan the bed", "G (bed -> X sofa)"),
+    ("you may enter the sofa but you must reach the bed in the next time step",
+     "G (sofa -> X bed)"),
+    ("you are permitted to watch the sofa but then you must switch on the bed",
+     "G (sofa -> F bed)"),
 ]  # fmt: skip
 
 

@@ -204,6 +204,9 @@ class _Discourse:
                 reader.skip("comma")
                 self._sentence(joint)
             reader.skip("comma", "stop")
+        if self.first and self.clauses > 1:
+            said = [token for token in reader.tokens if token.kind in ("first", "opener")]
+            reader.refuse("say in one sentence what comes after it", said[-1] if said else None)
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
@@ -331,6 +334,9 @@ class _Discourse:
         if self.halted:
             self.reader.refuse("it ends where it is said to stop; say so last", self.halted)
         clause = take_clause(self.reader, self.memory, bare)
+        if self.permitted and not clause.conditions and clause.mood == "must":
+            goes_on = joint is not None and joint.kind in _THEN
+            clause.trails = clause.trails or clause.next_step or goes_on
         if clause.trails:
             self._after_permission(clause, bool(sequence))
         then = clause.trails or (joint is not None and joint.kind in _THEN)
@@ -394,7 +400,8 @@ class _Discourse:
             meaning.rules += only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             self.reader.refuse("on the way to what? say 'on the way to …'", clause.token)
-        first = joint == "but" and clause.first
+        ends = len(sequence) == 1 and not meaning.follows and self.reader.sees("stop", "end")
+        first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence)  # "…, but first go to the sofa"
             clause.first = False

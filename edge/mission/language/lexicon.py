@@ -193,6 +193,7 @@ PHRASES: dict[str, str] = {
     "not stop visiting|not stop going",
     "going on": "continue|keep going|keep moving|keep on|go on|carry on",
     "stay": "stay|stays|staying|wait|waits|waiting|remain|remains|remaining|leave|leaving",
+    "stray": "got it",
     "picture": _product("take|taking|took", "a|some", "picture|pictures|photo|photos"),
     # Says nothing new of a ban, and too much of a goal.
     "forever": "forever|indefinitely|for ever",
@@ -235,7 +236,7 @@ VERB_PHRASES += "|" + _product(
     "the robot|the drone|the agent|yourself|itself",
 )
 VERB_PHRASES += "|" + _product(
-    "take|use|follow|choose", "a|any|the", "road|path|route|way", "through|past|along|across"
+    "take|use|follow|choose", "a|any|the", "road|path|route|way", "through|past|along|across|via"
 )
 VERB_PHRASES += "|" + _product("take|taking|have|having", "a", "look|peek|glance")
 VERB_PHRASES += "|" + _product(
